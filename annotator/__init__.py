@@ -1,0 +1,1 @@
+"""Semi-automatic 3D annotation from a few 2D boxes."""

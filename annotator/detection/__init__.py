@@ -1,0 +1,1 @@
+"""2D detectors: running them, and training them from labelled boxes."""

@@ -1,0 +1,1 @@
+"""Pure functions on arrays: transforms, projection, normals, oriented boxes, overlap."""

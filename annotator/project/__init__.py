@@ -1,0 +1,1 @@
+"""What is kept: the project folder and its store."""

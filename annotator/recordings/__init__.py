@@ -1,0 +1,1 @@
+"""What comes in: one reader a format, behind `open_recording`."""

@@ -1,0 +1,41 @@
+"""The shared words: frozen value types that check themselves once, and the error tree."""
+
+from annotator.types.boxes import Box2D, OrientedBox
+from annotator.types.camera import Camera
+from annotator.types.detector import Detector, Image
+from annotator.types.frame import Frame
+from annotator.types.label import BoxKind, Label, ReviewState, Source, Truth
+from annotator.types.point_cloud import PointCloud
+from annotator.types.proposal import (
+    BoxTrace,
+    LostObject,
+    Proposal,
+    Quality,
+    StepTrace,
+    StopReason,
+    ViewTrace,
+)
+from annotator.types.pseudo_view import PseudoView
+
+__all__ = [
+    "Box2D",
+    "BoxKind",
+    "BoxTrace",
+    "Camera",
+    "Detector",
+    "Frame",
+    "Image",
+    "Label",
+    "LostObject",
+    "OrientedBox",
+    "PointCloud",
+    "Proposal",
+    "PseudoView",
+    "Quality",
+    "ReviewState",
+    "Source",
+    "StepTrace",
+    "StopReason",
+    "Truth",
+    "ViewTrace",
+]

@@ -1,0 +1,103 @@
+"""2D and 3D boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.types.checks import as_array, require_finite
+
+
+@dataclass(frozen=True)
+class Box2D:
+    """An axis-aligned box on an image, in continuous pixels (centre of the first pixel = (0, 0)).
+
+    Attributes:
+        label: class name.
+        x_min, y_min, x_max, y_max: edges, pixels, x right, y down.
+        score: detector confidence in 0..1; 1 for a box that a person drew.
+    """
+
+    label: str
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+    score: float = 1.0
+
+    def __post_init__(self) -> None:
+        edges = (self.x_min, self.y_min, self.x_max, self.y_max)
+        if not np.isfinite(edges).all():
+            raise ValueError(f"box edges must be finite, not {edges}")
+        if self.x_max <= self.x_min or self.y_max <= self.y_min:
+            raise ValueError(f"a box must have a positive width and height, not {edges}")
+
+    @property
+    def width_px(self) -> float:
+        return self.x_max - self.x_min
+
+    @property
+    def height_px(self) -> float:
+        return self.y_max - self.y_min
+
+    @property
+    def xyxy(self) -> tuple[float, float, float, float]:
+        return (self.x_min, self.y_min, self.x_max, self.y_max)
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedBox:
+    """A fully oriented 3D box.
+
+    Attributes:
+        T_camera_box: pose of the box frame (origin at the centre; x length, y width, z height) in the
+            camera frame, metres.
+        size_m: full (length, width, height) along the box's own x, y, z; all positive.
+    """
+
+    T_camera_box: RigidTransform
+    size_m: Float64[np.ndarray, "3"]
+
+    def __post_init__(self) -> None:
+        size = as_array("size_m", self.size_m, np.float64, (3,))
+        require_finite("size_m", size)
+        if (size <= 0).any():
+            raise ValueError(f"box sizes must be positive, not {size.tolist()}")
+        if not self.T_camera_box.single:
+            raise ValueError("T_camera_box must be one transform, not a stack")
+        require_finite("T_camera_box", self.T_camera_box.as_matrix())
+        object.__setattr__(self, "size_m", size)
+
+    @classmethod
+    def from_parts(cls, center_m: np.ndarray, rotation: np.ndarray, size_m: np.ndarray) -> OrientedBox:
+        """A box from its centre (3,), rotation matrix (3, 3; columns = box axes in the camera frame) and size (3,).
+
+        Raises:
+            ValueError: a wrong shape, or a matrix that is not a rotation within 1e-3.
+        """
+        center = as_array("center_m", center_m, np.float64, (3,))
+        matrix = as_array("rotation", rotation, np.float64, (3, 3))
+        if np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
+            raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
+        return cls(RigidTransform.from_components(center, Rotation.from_matrix(matrix)), np.asarray(size_m, np.float64))
+
+    @property
+    def center_m(self) -> Float64[np.ndarray, "3"]:
+        """Centre in the camera frame, metres."""
+        return self.T_camera_box.translation
+
+    @property
+    def rotation(self) -> Float64[np.ndarray, "3 3"]:
+        """Columns are the box axes in the camera frame."""
+        return self.T_camera_box.rotation.as_matrix()
+
+    @property
+    def volume_m3(self) -> float:
+        return float(np.prod(self.size_m))
+
+    def transformed(self, T_dst_camera: RigidTransform) -> OrientedBox:
+        """The same box in another frame."""
+        return OrientedBox(T_dst_camera * self.T_camera_box, self.size_m)

@@ -1,0 +1,32 @@
+"""Shape, dtype and finiteness checks that the value types run once, on construction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | None, ...]) -> np.ndarray:
+    """`value` as a read-only array of `dtype` whose shape matches; None in `shape` is any length.
+
+    Raises:
+        ValueError: another shape, naming `name`.
+    """
+    array = np.asarray(value, dtype=dtype)
+    matches = array.ndim == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = tuple("any" if n is None else n for n in shape)
+        raise ValueError(f"{name} must have shape {wanted}, not {array.shape}")
+    if array.flags.writeable:
+        array = array.view()
+        array.flags.writeable = False
+    return array
+
+
+def require_finite(name: str, array: np.ndarray) -> None:
+    """Raises ValueError, naming `name`, where a value is NaN or infinite."""
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite")

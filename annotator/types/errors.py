@@ -1,0 +1,111 @@
+"""Everything that annotator raises on purpose.
+
+    AnnotatorError
+    ├── InputError            something that a user gave cannot be used
+    │   ├── RecordingError        a recording or one of its frames
+    │   │   ├── UnknownFormatError    no reader knows the folder
+    │   │   └── FrameError            one frame is broken; the others may be fine
+    │   ├── FormatError           a label or dataset file
+    │   └── ConfigError           a setting or a command-line value
+    ├── GeometryError         a computation that has no answer for this input
+    ├── DetectionError        training or running a 2D detector
+    ├── ProjectError          the project store
+    │   ├── StaleRevisionError    somebody else changed the frame first
+    │   └── FinalisedFrameError   an automatic pass wanted to change a finalised frame
+    └── MissingExtraError     an optional package is not installed
+
+A message says what is wrong, where (path, frame) and what to do next. These errors are caught in three
+places only: the command line, the web layer and the batch loop (which stores the failed frame).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class AnnotatorError(Exception):
+    """Base of all errors that a user is meant to read."""
+
+
+class InputError(AnnotatorError):
+    """Something that a user gave cannot be used."""
+
+
+class RecordingError(InputError):
+    """A recording cannot be read."""
+
+
+class UnknownFormatError(RecordingError):
+    """No reader recognises the path; the message lists what each looked for."""
+
+
+class FrameError(RecordingError):
+    """One frame cannot be read; the rest of the recording may be fine.
+
+    Attributes:
+        path: the offending file.
+    """
+
+    def __init__(self, path: Path, problem: str, remedy: str = "") -> None:
+        self.path = path
+        super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class FormatError(InputError):
+    """A label or dataset file does not follow its format.
+
+    Attributes:
+        path: the offending file.
+        line: 1-based line number, or None where lines mean nothing.
+    """
+
+    def __init__(self, path: Path, problem: str, line: int | None = None) -> None:
+        self.path = path
+        self.line = line
+        where = f"{path}:{line}" if line is not None else str(path)
+        super().__init__(f"{where}: {problem}")
+
+
+class ConfigError(InputError):
+    """A setting or a command-line value is not usable."""
+
+
+class GeometryError(AnnotatorError):
+    """A computation has no answer for this input, such as a box around no points."""
+
+
+class DetectionError(AnnotatorError):
+    """A 2D detector cannot be trained, loaded or run."""
+
+
+class ProjectError(AnnotatorError):
+    """The project store refuses, or cannot be opened."""
+
+
+class StaleRevisionError(ProjectError):
+    """A write was based on an older revision of the frame than the stored one.
+
+    Attributes:
+        expected: the revision the writer had seen.
+        actual: the revision that is stored.
+    """
+
+    def __init__(self, where: str, expected: int, actual: int) -> None:
+        self.expected = expected
+        self.actual = actual
+        super().__init__(
+            f"{where} is at revision {actual}, the change was made on revision {expected}; "
+            "reload the frame and apply the change again"
+        )
+
+
+class FinalisedFrameError(ProjectError):
+    """An automatic pass wanted to change a frame that an operator has finalised."""
+
+
+class MissingExtraError(AnnotatorError):
+    """An optional package is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.extra = extra
+        super().__init__(f"{package} is not installed; run: pip install 'annotator[{extra}]'")

@@ -1,0 +1,50 @@
+"""One moment of a recording: a camera image and the point cloud that belongs to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+from scipy.spatial.transform import RigidTransform
+
+from annotator.types.camera import Camera
+from annotator.types.checks import as_array
+from annotator.types.point_cloud import PointCloud
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a recording gives for one index.
+
+    Attributes:
+        key: the frame's name within its recording, such as "000012"; unique and stable.
+        index: position within the recording, from 0.
+        camera: the colour camera.
+        rgb: (H, W, 3) uint8 image of the colour camera, RGB order.
+        cloud: all valid points, in the camera frame.
+        depth_m: (H, W) float32 depth registered to the image, 0 = none; None for a LiDAR.
+        up: unit vector against gravity in the camera frame, where the recording knows it.
+        T_camera_label: from the frame in which the recording's own label files are written to the camera
+            frame (KITTI: rectified camera 0; SUN RGB-D: upright depth); identity where they are the same.
+        timestamp_ns: capture time, where known.
+    """
+
+    key: str
+    index: int
+    camera: Camera
+    rgb: UInt8[np.ndarray, "h w 3"]
+    cloud: PointCloud
+    depth_m: Float32[np.ndarray, "h w"] | None = None
+    up: Float64[np.ndarray, "3"] | None = None
+    T_camera_label: RigidTransform | None = None
+    timestamp_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height_px, self.camera.width_px)
+        object.__setattr__(self, "rgb", as_array("rgb", self.rgb, np.uint8, (*size, 3)))
+        if self.depth_m is not None:
+            object.__setattr__(self, "depth_m", as_array("depth_m", self.depth_m, np.float32, size))
+        if self.up is not None:
+            up = as_array("up", self.up, np.float64, (3,))
+            object.__setattr__(self, "up", up / np.linalg.norm(up))

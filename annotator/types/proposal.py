@@ -1,0 +1,118 @@
+"""What Recursive Cross-View proposes, and how it got there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from annotator.types.boxes import Box2D, OrientedBox
+
+Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+class StopReason(StrEnum):
+    """Why a recursion ended, or that it goes on."""
+
+    AXES_CONVERGED = "axes converged"
+    BOX_CONVERGED = "box converged"
+    STEP_LIMIT = "step limit"
+    LOST = "lost"
+    TOO_FEW_POINTS = "too few points"
+    CONTINUES = "continues"
+
+
+@dataclass(frozen=True)
+class ViewTrace:
+    """One pseudo-view of a step.
+
+    Attributes:
+        axes: rows = the view's x, y, z axes in the camera frame.
+        metres_per_px, origin_m, width_px, height_px: as in `PseudoView`.
+        boxes: what the detector found on it, of the frustum's class, best first.
+        used: index into `boxes` of the one that the 3D box was made from, or None.
+    """
+
+    axes: Matrix3
+    metres_per_px: float
+    origin_m: tuple[float, float]
+    width_px: int
+    height_px: int
+    boxes: tuple[Box2D, ...]
+    used: int | None
+
+
+@dataclass(frozen=True)
+class BoxTrace:
+    """An oriented box as plain numbers: centre and size in metres, columns of `rotation` = box axes, camera frame."""
+
+    center_m: tuple[float, float, float]
+    rotation: Matrix3
+    size_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class StepTrace:
+    """One step of a recursion.
+
+    Attributes:
+        strategy: the projection axes that were used.
+        fallback: strategies that were tried first and could not be used, each with its reason.
+        views: all pseudo-views of the step, front and side of each hypothesis in turn.
+        box: the step's box, or None where the object was lost.
+        points_in, points_kept: points before and after the step's box cut the cloud.
+        stop: why the recursion ended here, or that it continues.
+    """
+
+    strategy: str
+    fallback: tuple[str, ...]
+    views: tuple[ViewTrace, ...]
+    box: BoxTrace | None
+    points_in: int
+    points_kept: int
+    stop: StopReason
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Signals that sort proposals for review, worst first.
+
+    Attributes:
+        view_disagreement: difference of the intervals that the views measured on shared directions (front and
+            side for the paper's strategies, residual of the fit for consensus), as a share of the box's size.
+        kept_share: share of the points of the last step's view that its box kept.
+        last_change: 1 - IoU of the last two steps' boxes.
+    """
+
+    view_disagreement: float
+    kept_share: float
+    last_change: float
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """An oriented 3D box proposed for one object of one frame.
+
+    Attributes:
+        label: class name, from the image detector.
+        score: 0..1, from both detectors.
+        box: camera frame.
+        image_box: the box on the camera image whose frustum led here.
+        trace: every step.
+        quality: signals for the review.
+    """
+
+    label: str
+    score: float
+    box: OrientedBox
+    image_box: Box2D
+    trace: tuple[StepTrace, ...]
+    quality: Quality
+
+
+@dataclass(frozen=True, eq=False)
+class LostObject:
+    """A frustum that led to no box, with the trace that says at which step and why."""
+
+    label: str
+    image_box: Box2D
+    trace: tuple[StepTrace, ...]
