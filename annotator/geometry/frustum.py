@@ -1,0 +1,25 @@
+"""The frustum that a 2D box cuts out of a cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from annotator.geometry.projection import project
+from annotator.types import Box2D, Camera
+
+
+def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> Bool[np.ndarray, "n"]:
+    """Which points appear in a 2D box of the camera image, its edges included.
+
+    Args:
+        camera: intrinsics and distortion.
+        xyz_m: points in the camera frame, metres.
+        box: on the image, pixels; it may reach beyond the image.
+
+    Returns:
+        (n,) mask; points behind the camera (z <= 0) and NaN points are outside.
+    """
+    u, v = project(camera, xyz_m).T
+    # comparisons with NaN are false, so what cannot be projected drops out
+    return (u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max)

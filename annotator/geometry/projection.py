@@ -1,0 +1,105 @@
+"""From metres to pixels and back, with OpenCV's camera model.
+
+Pixels are continuous and the centre of the first pixel is (0, 0), as in `cv2.projectPoints`.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int32
+
+from annotator.geometry.distortion import distort, undistort
+from annotator.types import Camera
+from annotator.types.errors import GeometryError
+
+# All that decides where a pixel looks: width, height, fx, fy, cx, cy, distortion.
+CameraKey = tuple[int, int, float, float, float, float, tuple[float, ...]]
+
+
+def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+    """Where points appear on the image.
+
+    Args:
+        camera: intrinsics and distortion.
+        xyz_m: points in the camera frame, metres.
+
+    Returns:
+        (n, 2) pixels u, v, not clipped to the image. NaN where z <= 0, where a coordinate is NaN, and where a
+        point is further off the axis than the distortion model reaches.
+    """
+    xyz = np.asarray(xyz_m, np.float64)
+    in_front = xyz[:, 2] > 0
+    depth = np.where(in_front, xyz[:, 2], np.nan)
+    xy = xyz[:, :2] / depth[:, None]
+    if not camera.is_ideal:
+        xy = distort(camera.distortion, xy)
+    return xy * np.array([camera.fx, camera.fy]) + np.array([camera.cx, camera.cy])
+
+
+def undistort_px(camera: Camera, px: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+    """The ideal normalised image coordinates (x/z, y/z) of pixels: the ray of a pixel is (x, y, 1).
+
+    NaN where the distortion model has no inverse (far outside the image).
+    """
+    xy = (np.asarray(px, np.float64) - np.array([camera.cx, camera.cy])) / np.array([camera.fx, camera.fy])
+    return xy if camera.is_ideal else undistort(camera.distortion, xy)
+
+
+def pixel_rays(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
+    """x/z and y/z of the ray through every pixel's centre; read-only, computed once a camera.
+
+    NaN for pixels in a corner that the distortion model does not reach.
+    """
+    return _pixel_rays(
+        (camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
+    )
+
+
+def unproject_depth(
+    camera: Camera, depth_m: Float[np.ndarray, "h w"]
+) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
+    """The points that a depth image shows.
+
+    Args:
+        camera: the camera that the depth is registered to.
+        depth_m: (h, w) z in the camera frame, metres; zero, negative, NaN and infinite mean none.
+
+    Returns:
+        Points (n, 3) in the camera frame, metres, in row-major order of their pixels; and the pixel of each,
+        `v * width + u`.
+
+    Raises:
+        GeometryError: the depth image has another size than the camera.
+    """
+    require_image_size(camera, depth_m)
+    rays = pixel_rays(camera)
+    depth = np.asarray(depth_m, np.float32)
+    usable = np.isfinite(depth) & (depth > 0) & ~np.isnan(rays[..., 0])
+    index = np.flatnonzero(usable)
+    z = depth.reshape(-1)[index]
+    xyz = np.empty((len(index), 3), np.float32)
+    np.multiply(rays.reshape(-1, 2)[index], z[:, None], out=xyz[:, :2])
+    xyz[:, 2] = z
+    return xyz, index.astype(np.int32)
+
+
+def require_image_size(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> None:
+    """Raises GeometryError where a depth image does not have the camera's size."""
+    if depth_m.shape != (camera.height_px, camera.width_px):
+        height_px, width_px = depth_m.shape
+        raise GeometryError(
+            f"the depth image has {width_px} x {height_px} px, the camera {camera.width_px} x {camera.height_px}; "
+            "register the depth to the colour camera, or use the calibration of its size"
+        )
+
+
+@lru_cache(maxsize=4)
+def _pixel_rays(key: CameraKey) -> Float32[np.ndarray, "h w 2"]:
+    camera = Camera(*key)
+    u, v = np.meshgrid(np.arange(camera.width_px, dtype=np.float64), np.arange(camera.height_px, dtype=np.float64))
+    xy = undistort_px(camera, np.stack([u.reshape(-1), v.reshape(-1)], axis=1))
+    rays = xy.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
+    rays.flags.writeable = False
+    return rays
