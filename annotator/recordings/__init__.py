@@ -1,1 +1,6 @@
 """What comes in: one reader a format, behind `open_recording`."""
+
+from annotator.recordings.open import detect_format, open_recording
+from annotator.recordings.recording import Recording
+
+__all__ = ["Recording", "detect_format", "open_recording"]

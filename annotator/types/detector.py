@@ -10,6 +10,7 @@ import numpy as np
 from annotator.types.boxes import Box2D
 
 
+@runtime_checkable
 class Image(Protocol):
     """Anything with a picture: a `Frame` or a `PseudoView`."""
 

@@ -1,0 +1,103 @@
+"""KITTI calibration files: where the LiDAR's points fall in colour camera 2.
+
+KITTI object devkit, readme.txt ("Calibration"): `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar`, all row-major. The
+tracking files call two of the matrices R_rect and Tr_velo_cam and leave out the colon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float64
+from scipy.spatial.transform import RigidTransform
+
+from annotator.types import Camera
+from annotator.types.errors import FrameError
+
+P2_NAMES = ("P2",)
+RECTIFICATION_NAMES = ("R0_rect", "R_rect")
+LIDAR_NAMES = ("Tr_velo_to_cam", "Tr_velo_cam")
+REMEDY = "copy the calibration file again from the data set"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiCalibration:
+    """The calibration of one frame.
+
+    Our `camera` frame is that of colour camera 2, an ideal pinhole with the K of P2. KITTI writes labels in the frame
+    of rectified camera 0, which P2 = K [I | t] shifts by t; the shift has all three components.
+
+    Attributes:
+        path: the file.
+        matrix: (3, 3) K of P2.
+        shift_m: (3,) t = K^-1 P2[:, 3].
+        T_rect_lidar: (3, 4) R0_rect * Tr_velo_to_cam: LiDAR to rectified camera 0, as the file has it (orthonormal
+            only to the file's seven digits, so no RigidTransform: products must equal the data set's own).
+    """
+
+    path: Path
+    matrix: Float64[np.ndarray, "3 3"]
+    shift_m: Float64[np.ndarray, "3"]
+    T_rect_lidar: Float64[np.ndarray, "3 4"]
+
+    @property
+    def T_camera_label(self) -> RigidTransform:
+        """From rectified camera 0, where the labels are, to colour camera 2."""
+        return RigidTransform.from_translation(self.shift_m)
+
+    def camera(self, width_px: int, height_px: int) -> Camera:
+        """Colour camera 2, for an image of this size."""
+        K = self.matrix
+        return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+
+    def to_camera(self, xyz_lidar_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """LiDAR points in the camera frame, metres."""
+        xyz = xyz_lidar_m.astype(np.float64)
+        shift = self.T_rect_lidar[:, 3] + self.shift_m
+        return np.asarray(xyz @ self.T_rect_lidar[:, :3].T + shift)
+
+
+def read_calibration(path: Path) -> KittiCalibration:
+    """The calibration in a KITTI object or tracking file.
+
+    Raises:
+        FrameError: the file is missing, a matrix is missing or has the wrong number of values.
+    """
+    try:
+        text = path.read_text()
+    except FileNotFoundError as error:
+        raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
+    rows = _rows(text)
+    P2 = _matrix(path, rows, P2_NAMES, (3, 4))
+    R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
+    Tr = _matrix(path, rows, LIDAR_NAMES, (3, 4))
+    K = P2[:, :3]
+    if K[0, 1] != 0 or K[1, 0] != 0 or tuple(K[2]) != (0, 0, 1) or not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise FrameError(path, "P2 is no pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
+    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr)
+
+
+def _rows(text: str) -> dict[str, list[str]]:
+    """The values of each line, by the name before them."""
+    rows = {}
+    for line in text.splitlines():
+        name, *values = line.replace(":", " ", 1).split() or [""]
+        rows[name] = values
+    return rows
+
+
+def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:
+    name = next((name for name in names if name in rows), None)
+    if name is None:
+        raise FrameError(path, f"{' or '.join(names)} is missing", REMEDY)
+    try:
+        values = np.array([float(value) for value in rows[name]])
+    except ValueError as error:
+        raise FrameError(path, f"{name}: {error}", REMEDY) from error
+    if values.size != shape[0] * shape[1] or not np.isfinite(values).all():
+        raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
+    return values.reshape(shape)

@@ -1,0 +1,82 @@
+"""From a path to a recording, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+from annotator.recordings.recording import NotFound, Recording
+from annotator.recordings.table import READERS
+from annotator.types.errors import RecordingError, UnknownFormatError
+
+MOST_HINTS = 5
+
+
+def open_recording(path: Path) -> Recording:
+    """The recording at `path`; its frames are listed, none is read.
+
+    Raises:
+        UnknownFormatError: no reader recognises the path; the message lists what each looked for.
+        RecordingError: the format is clear, but the recording has no frames.
+    """
+    found = _ask_all(path)
+    if isinstance(found, list):
+        raise UnknownFormatError(_explain(path, found))
+    return found
+
+
+def detect_format(path: Path) -> str | None:
+    """The name of the format at `path`, or None where no reader recognises it.
+
+    Raises:
+        RecordingError: the format is clear, but the recording has no frames.
+    """
+    found = _ask_all(path)
+    return None if isinstance(found, list) else found.format
+
+
+def _ask_all(path: Path) -> Recording | list[str]:
+    """What the first reader that recognises `path` opens, or one line a reader of what it looked for."""
+    looked_for = []
+    for name, target in READERS.items():
+        answer = _load(target)(path)
+        if not isinstance(answer, NotFound):
+            return answer
+        looked_for.append(f"{name}: {answer.looked_for}")
+    return looked_for
+
+
+def _load(target: str) -> Callable[[Path], Recording | NotFound]:
+    module, _, function = target.partition(":")
+    reader: Callable[[Path], Recording | NotFound] = getattr(import_module(module), function)
+    return reader
+
+
+def _explain(path: Path, looked_for: list[str]) -> str:
+    if not path.exists():
+        return f"{path}: no such file or folder; give the path of a recording"
+    kind = "folder" if path.is_dir() else "file"
+    lines = [f"{path}: no known recording format in this {kind}; looked for"]
+    lines += [f"  {line}" for line in looked_for]
+    nested = _openable_children(path)
+    if nested:
+        lines.append("give one of its sub-folders instead: " + ", ".join(nested))
+    return "\n".join(lines)
+
+
+def _openable_children(path: Path) -> list[str]:
+    """The first few sub-folders that some reader recognises."""
+    if not path.is_dir():
+        return []
+    names: list[str] = []
+    for child in sorted(child for child in path.iterdir() if child.is_dir()):
+        try:
+            answer = _ask_all(child)
+        except RecordingError:  # recognised, but it has no frames: no hint worth giving
+            continue
+        if not isinstance(answer, list):
+            names.append(child.name)
+        if len(names) == MOST_HINTS:
+            break
+    return names

@@ -1,0 +1,129 @@
+"""The camera and gravity files of an RGB-D folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from annotator.types import Camera
+from annotator.types.errors import FrameError
+
+FILE_NAME = "camera_intrinsic.json"
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+
+
+class IntrinsicFile(BaseModel):
+    """`camera_intrinsic.json`: Open3D's PinholeCameraIntrinsic, and two keys of ours.
+
+    Attributes:
+        width, height: image size, pixels.
+        intrinsic_matrix: the nine numbers of K, column by column.
+        depth_scale: depth units a metre; 1000 (millimetres) where it is left out.
+        distortion: OpenCV's coefficients, see `Camera`; none where it is left out.
+    """
+
+    # Open3D and its users add keys of their own (class_name, version_major ...), which mean nothing here.
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    intrinsic_matrix: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)]
+    depth_scale: Positive = 1000.0
+    distortion: tuple[FiniteFloat, ...] = ()
+
+
+class GravityFile(BaseModel):
+    """`gravity.json`: the direction against gravity in the camera frame, any length but 0."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    up: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+@dataclass(frozen=True, eq=False)
+class RgbdCamera:
+    """A camera file's content.
+
+    Attributes:
+        path: the file.
+        camera: the colour camera, to which the depth is registered.
+        depth_scale: depth units a metre.
+    """
+
+    path: Path
+    camera: Camera
+    depth_scale: float
+
+
+def camera_file(folder: Path) -> Path:
+    """The camera file of a folder: `camera_intrinsic.json`; else the only other `camera_*.json` with an
+    intrinsic matrix, in the folder or, for several recordings of one camera, one level above.
+
+    Raises:
+        FrameError: there is none, or the choice is not clear.
+    """
+    expected = folder / FILE_NAME
+    if expected.is_file():
+        return expected
+    for place in (folder, folder.resolve().parent):
+        found = [path for path in sorted(place.glob("camera_*.json")) if b'"intrinsic_matrix"' in path.read_bytes()]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            names = ", ".join(path.name for path in found)
+            raise FrameError(expected, f"missing, and {place} holds several cameras ({names})", "copy the right one")
+    raise FrameError(
+        expected, "missing", "write width, height and intrinsic_matrix (column-major) of the colour camera"
+    )
+
+
+def read_camera(path: Path) -> RgbdCamera:
+    """The camera in a file.
+
+    Raises:
+        FrameError: not JSON, a missing key, or numbers that make no pinhole camera.
+    """
+    try:
+        content = IntrinsicFile.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise FrameError(path, f"not a camera file ({_brief(error)})", "compare it with Open3D's format") from error
+    fx, k10, k20, skew, fy, k21, cx, cy, k22 = content.intrinsic_matrix
+    if (k10, k20, skew, k21, k22) != (0, 0, 0, 0, 1):
+        raise FrameError(path, "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1", "write it column by column")
+    try:
+        camera = Camera(content.width, content.height, fx, fy, cx, cy, content.distortion)
+    except ValueError as error:
+        raise FrameError(path, str(error), "correct the camera file") from error
+    return RgbdCamera(path, camera, content.depth_scale)
+
+
+def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
+    """The unit vector against gravity, or None where there is no such file.
+
+    Raises:
+        FrameError: the file is there but not usable.
+    """
+    if not path.exists():
+        return None
+    try:
+        up = np.array(GravityFile.model_validate_json(path.read_bytes()).up)
+    except (OSError, ValidationError) as error:
+        raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
+    length = np.linalg.norm(up)
+    if length == 0:
+        raise FrameError(path, "up has no length", "write the direction against gravity in the camera frame")
+    return up / length
+
+
+def _brief(error: OSError | ValidationError) -> str:
+    """The first complaint in one line."""
+    if isinstance(error, OSError):
+        return str(error.strerror)
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {first['msg']}" if where else first["msg"]

@@ -1,0 +1,117 @@
+"""The Open3D RGB-D folder: colour images, registered 16-bit depth images and one pinhole camera.
+
+color/KEY.jpg|png   (or image/, where a camera file lies in the folder itself)
+depth/KEY.png       uint16, millimetres, or `depth_scale` units a metre
+camera_intrinsic.json
+gravity.json        optional: {"up": [x, y, z]} in the camera frame
+mask/, boxes.json   optional labels; read by annotator.formats, not here
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from annotator.geometry.projection import unproject_depth
+from annotator.recordings.image_file import read_depth, read_rgb
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.rgbd_camera import RgbdCamera, camera_file, read_camera, read_up
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError
+
+LOOKED_FOR = "folders color/ (or image/ and a camera_*.json) and depth/"
+
+
+@dataclass(frozen=True)
+class RgbdFolder:
+    """A `Recording` of an Open3D RGB-D folder.
+
+    A folder's frames are taken to be in time order, as the convention has it; their times are not known.
+    """
+
+    path: Path
+    color: Path
+    keys: tuple[str, ...]
+    format: str = "rgbd_folder"
+    is_sequence: bool = True
+
+    @property
+    def root(self) -> Path:
+        return self.path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def frame(self, i: int) -> Frame:
+        """Frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
+
+        Raises:
+            FrameError: a missing or broken file, sizes that disagree, or no depth at all.
+            IndexError: there is no such frame.
+        """
+        key = frame_key(self.keys, i)
+        depth_folder = self.path / "depth"
+        color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
+        depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
+        described = read_camera(camera_file(self.path))
+        rgb = read_rgb(color_path)
+        _check_size(color_path, rgb, described.camera, f"the camera in {described.path.name}")
+        depth_m = _depth_m(depth_path, described)
+        return Frame(
+            key=key,
+            index=i,
+            camera=described.camera,
+            rgb=rgb,
+            cloud=_cloud(depth_path, described.camera, depth_m, rgb),
+            depth_m=depth_m,
+            up=read_up(self.path / "gravity.json"),
+        )
+
+
+def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
+    """The RGB-D folder at `path`, where it is one.
+
+    `image/` counts as the colour folder only beside a camera file: SUN RGB-D's raw folders look the same but
+    for their depth, which is encoded otherwise.
+
+    Raises:
+        RecordingError: the folders are there, but hold no image.
+    """
+    depth = path / "depth"
+    color = path / "color"
+    if not color.is_dir() and any(path.glob("camera_*.json")):
+        color = path / "image"
+    if not (color.is_dir() and depth.is_dir()):
+        return NotFound(LOOKED_FOR)
+    keys = stems(color, IMAGE_SUFFIXES) | stems(depth, (".png",))
+    return RgbdFolder(path, color, sorted_keys(path, keys, f"images in {color.name}/ and depth/"))
+
+
+def _depth_m(path: Path, described: RgbdCamera) -> np.ndarray:
+    raw = read_depth(path)
+    _check_size(path, raw, described.camera, "the colour image")
+    return (raw / np.float32(described.depth_scale)).astype(np.float32)
+
+
+def _cloud(path: Path, camera: Camera, depth_m: np.ndarray, rgb: np.ndarray) -> PointCloud:
+    xyz_m, pixel_index = unproject_depth(camera, depth_m)
+    if len(xyz_m) == 0:
+        raise FrameError(path, "no pixel has a depth, the cloud is empty", "record the frame again, or remove it")
+    return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3)[pixel_index], pixel_index=pixel_index)
+
+
+def _check_size(path: Path, image: np.ndarray, camera: Camera, other: str) -> None:
+    height, width = image.shape[:2]
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise FrameError(
+            path,
+            f"the image is {width} x {height}, {other} {camera.width_px} x {camera.height_px}",
+            "images, registered depth and camera must have one size",
+        )

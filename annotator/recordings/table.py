@@ -1,0 +1,11 @@
+"""The readers: name -> "module:function". A new format is one file and one line here."""
+
+from __future__ import annotations
+
+# In the order of asking; the first reader that recognises a path gets it. A function takes the path and
+# returns a Recording, or NotFound with what it had looked for.
+READERS: dict[str, str] = {
+    "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
+    "kitti_object": "annotator.recordings.kitti_object:open_kitti_object",
+    "kitti_tracking": "annotator.recordings.kitti_tracking:open_kitti_tracking",
+}
