@@ -16,8 +16,6 @@ from jaxtyping import Float64, Int
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.transforms import right_handed_frame
-
 MAX_VERTICES = 400
 MAX_FACES = 48
 GRID_DIRECTIONS = 40
@@ -69,7 +67,7 @@ def least_volume_rotation(hull: ConvexHull, eigenvectors: Float64[np.ndarray, "3
     axes = np.concatenate([_large_faces(simple), eigenvectors.T, _grid(GRID_DIRECTIONS)])
     starts = sorted((_turned_about(simple, axis) for axis in axes), key=lambda found: found[0])
     best = min((_alternate(simple, rotation) for _, rotation in starts[:STARTS]), key=lambda found: found[0])
-    return _pattern_search(hull.points[hull.vertices], best[1])
+    return _pattern_search(simple.vertices, best[1])
 
 
 def _simplified(hull: ConvexHull) -> Hull:
@@ -77,8 +75,8 @@ def _simplified(hull: ConvexHull) -> Hull:
     if len(hull.vertices) > MAX_VERTICES:
         corners = hull.points[hull.vertices]
         directions = _grid(MAX_VERTICES // 2)
-        along = corners @ directions.T
-        hull = ConvexHull(corners[np.unique(np.concatenate([along.argmax(axis=0), along.argmin(axis=0)]))])
+        along = directions @ corners.T
+        hull = ConvexHull(corners[np.unique(np.concatenate([along.argmax(axis=1), along.argmin(axis=1)]))])
     triangles = hull.points[hull.simplices]
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     face = np.repeat(np.arange(len(triangles)), 3)
@@ -121,18 +119,18 @@ def _turned_about(hull: Hull, axis: Float64[np.ndarray, "3"]) -> tuple[float, Fl
 
     Seen along the axis, the outline's edges are those between a triangle that looks up and one that looks down.
     """
-    frame = right_handed_frame(axis, np.array([1.0, 0.0, 0.0]))
-    up = hull.normals @ frame[:, 0] > 0
-    outline = hull.edges[up[hull.sides[:, 0]] != up[hull.sides[:, 1]]] @ frame[:, 1:]
-    length = np.linalg.norm(outline, axis=1, keepdims=True)
-    along = np.divide(outline, length, out=np.tile([1.0, 0.0], (len(outline), 1)), where=length > 0)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    flat = hull.vertices @ frame[:, 1:]
-    areas = np.ptp(flat @ along.T, axis=0) * np.ptp(flat @ across.T, axis=0)
-    best = int(np.argmin(areas))
-    in_plane = np.stack([along[best], across[best]], axis=1)
-    rotation = np.concatenate([frame[:, :1], frame[:, 1:] @ in_plane], axis=1)
-    return float(areas[best] * np.ptp(hull.vertices @ frame[:, 0])), rotation
+    turn = np.array([[0.0, axis[2], -axis[1]], [-axis[2], 0.0, axis[0]], [axis[1], -axis[0], 0.0]])
+    up = hull.normals @ axis > 0
+    across = hull.edges[up[hull.sides[:, 0]] != up[hull.sides[:, 1]]] @ turn
+    length = np.sqrt((across * across).sum(axis=1))
+    across = across[length > 0] / length[length > 0, None]
+    along = across @ turn
+    seen = np.concatenate([across, along, axis[None]]) @ hull.vertices.T
+    spans = seen.max(axis=1) - seen.min(axis=1)
+    areas = spans[: len(along)] * spans[len(along) : -1]
+    best = int(areas.argmin())
+    rotation = np.array([axis, across[best], along[best]]).T
+    return float(areas[best] * spans[-1]), rotation
 
 
 def _alternate(hull: Hull, rotation: Float64[np.ndarray, "3 3"]) -> tuple[float, Float64[np.ndarray, "3 3"]]:

@@ -59,8 +59,10 @@ def min_volume_box(xyz_m: Float[np.ndarray, "n 3"]) -> OrientedBox:
     spread, axes = np.linalg.eigh(centered.T @ centered)
     if spread[1] <= FLAT**2 * spread[2]:
         raise GeometryError(f"{len(xyz)} points on one line have no least-volume box; give points that spread")
-    rotation = _flat_rotation(centered, axes) if spread[0] <= FLAT**2 * spread[2] else _free_rotation(centered, axes)
-    return _longest_side_first(aligned_box(xyz, rotation))
+    if spread[0] <= FLAT**2 * spread[2]:
+        return _longest_side_first(aligned_box(xyz, _flat_rotation(centered, axes)))
+    hull = _hull(centered)
+    return _longest_side_first(aligned_box(xyz[hull.vertices], least_volume_rotation(hull, axes)))
 
 
 def min_area_upright_box(xyz_m: Float[np.ndarray, "n 3"], up: Float[np.ndarray, "3"]) -> OrientedBox:
@@ -82,7 +84,7 @@ def min_area_upright_box(xyz_m: Float[np.ndarray, "n 3"], up: Float[np.ndarray, 
     if spread[1] <= (FLAT * np.abs(xyz).max()) ** 2:
         raise GeometryError(f"{len(xyz)} points on one vertical line have no heading; give points that spread")
     flat = spread[0] <= FLAT**2 * spread[1]
-    along = axes[:, 1] if flat else least_width_direction(ground[_hull_vertices(ground)])
+    along = axes[:, 1] if flat else least_width_direction(ground[_hull(ground).vertices])
     x = frame[:, 1:] @ along
     box = aligned_box(xyz, np.stack([x, np.cross(frame[:, 0], x), frame[:, 0]], axis=1))
     if box.size_m[0] >= box.size_m[1]:
@@ -99,9 +101,9 @@ def _finite_points(xyz_m: Float[np.ndarray, "n 3"], at_least: int) -> Float64[np
     return np.asarray(xyz_m, np.float64)
 
 
-def _hull_vertices(points: Float64[np.ndarray, "n d"]) -> np.ndarray:
+def _hull(points: Float64[np.ndarray, "n d"]) -> ConvexHull:
     try:
-        return ConvexHull(points).vertices
+        return ConvexHull(points)
     except QhullError as error:
         raise GeometryError(f"{len(points)} points have no convex hull: {str(error).splitlines()[0]}") from error
 
@@ -111,18 +113,8 @@ def _flat_rotation(
 ) -> Float64[np.ndarray, "3 3"]:
     """The rotation of the least box of points on a plane, whose normal is the first of `axes`."""
     in_plane = centered @ axes[:, 1:]
-    x = axes[:, 1:] @ least_width_direction(in_plane[_hull_vertices(in_plane)])
+    x = axes[:, 1:] @ least_width_direction(in_plane[_hull(in_plane).vertices])
     return np.stack([x, np.cross(axes[:, 0], x), axes[:, 0]], axis=1)
-
-
-def _free_rotation(
-    centered: Float64[np.ndarray, "n 3"], axes: Float64[np.ndarray, "3 3"]
-) -> Float64[np.ndarray, "3 3"]:
-    try:
-        hull = ConvexHull(centered)
-    except QhullError as error:
-        raise GeometryError(f"{len(centered)} points have no convex hull: {str(error).splitlines()[0]}") from error
-    return least_volume_rotation(hull, axes)
 
 
 def _longest_side_first(box: OrientedBox) -> OrientedBox:
