@@ -1,0 +1,100 @@
+"""`boxes.json`: the true oriented boxes of an RGB-D folder, by frame.
+
+    {"000012": {"label": "hand", "center": [x, y, z], "size": [l, w, h], "rotation": [[..], [..], [..]]}, ...}
+
+A frame has one object or a list of them. Metres, camera frame; `rotation` is 3x3, nested rows, its columns the box's
+axes; `size` are full lengths along them. Optional: `corners` (8x3, checked against the rest) and `track` (the object's
+number over the recording). Other keys are left alone.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.types import OrientedBox, Truth
+from annotator.types.errors import FormatError
+
+Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+# Corners are a second way to say the same; files round their numbers, to millimetres at worst.
+CORNERS_AGREE_M = 2e-3
+
+
+class BoxEntry(BaseModel):
+    """One object of one frame, as it is written."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    label: Annotated[str, Field(min_length=1)]
+    center: Vector
+    size: Vector
+    rotation: tuple[Vector, Vector, Vector]
+    corners: Annotated[tuple[Vector, ...], Field(min_length=8, max_length=8)] | None = None
+    track: int | None = None
+
+
+ENTRIES = TypeAdapter(list[BoxEntry])
+
+
+def read_boxes(path: Path) -> dict[str, list[Truth]]:
+    """The true objects of every frame in the file, by frame key; a frame may have none.
+
+    Raises:
+        FormatError: the file is missing or not JSON, or an entry is no box; names the frame.
+    """
+    frames = _read_json(path)
+    return {key: [_truth(entry, path, key) for entry in _entries(value, path, key)] for key, value in frames.items()}
+
+
+def _read_json(path: Path) -> dict[str, object]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_twins)
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(path, f"the boxes cannot be read ({error})") from error
+    except json.JSONDecodeError as error:
+        raise FormatError(path, f"not JSON ({error.msg})", error.lineno) from error
+    except KeyError as error:
+        raise FormatError(path, f"the key {error} is there twice; keep one of them") from error
+    if not isinstance(content, dict):
+        raise FormatError(path, "must be an object with one entry a frame")
+    return content
+
+
+def _no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """JSON objects as dicts; a key that is there twice would silently lose labels, so it is a KeyError."""
+    content: dict[str, object] = {}
+    for key, value in pairs:
+        if key in content:
+            raise KeyError(key)
+        content[key] = value
+    return content
+
+
+def _entries(value: object, path: Path, key: str) -> list[BoxEntry]:
+    try:
+        return ENTRIES.validate_python(value if isinstance(value, list) else [value])
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in (key, *first["loc"]))
+        raise FormatError(path, f"{where}: {first['msg']}") from error
+
+
+def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:
+    try:
+        box = OrientedBox.from_parts(np.array(entry.center), np.array(entry.rotation), np.array(entry.size))
+    except ValueError as error:
+        raise FormatError(path, f"frame {key}, {entry.label}: {error}") from error
+    if entry.corners is not None:
+        gaps = np.linalg.norm(np.array(entry.corners)[:, None] - box_corners(box), axis=2).min(axis=1)
+        if gaps.max() > CORNERS_AGREE_M:
+            raise FormatError(
+                path,
+                f"frame {key}, {entry.label}: corners lie up to {gaps.max():.3f} m off the box of center, size and "
+                "rotation; is rotation written row by row, are sizes full lengths?",
+            )
+    return Truth(entry.label, box, entry.track)

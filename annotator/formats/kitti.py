@@ -1,0 +1,176 @@
+"""KITTI label files: object `label_2/KEY.txt` and tracking `label_02.txt`.
+
+KITTI object devkit, readme.txt ("Data Format Description"): 15 fields a row, a 16th (score) in results only,
+
+    type truncated occluded alpha left top right bottom height width length x y z rotation_y [score]
+
+in the frame of rectified camera 0 (x right, y down, z forward); x y z is the middle of the bottom face and rotation_y
+turns about y, 0 where the object faces +x. Tracking files put `frame track_id` before the type. All of these
+conventions end here: what comes out is our box, x along the heading, y across, z up, in the camera frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
+
+from annotator.types import Box2D, OrientedBox, Truth
+from annotator.types.errors import FormatError
+
+DONT_CARE = "DontCare"
+FIELDS = 15
+TRACKING_FIELDS = 2
+
+
+@dataclass(frozen=True)
+class KittiLabel:
+    """One row, as it is written: KITTI's own order, units and frame (metres, radians, pixels).
+
+    Attributes:
+        label: KITTI's `type`, such as "Car"; "DontCare" for an area that nobody labelled.
+        truncated: share of the object outside the image, 0..1 (tracking: 0, 1 or 2); -1 where unknown.
+        occluded: 0 visible, 1 partly, 2 largely hidden, 3 unknown; -1 for DontCare.
+        alpha: observation angle.
+        left, top, right, bottom: 2D box.
+        height, width, length: of the 3D box.
+        x, y, z: middle of the bottom face, rectified camera 0.
+        rotation_y: about the camera's y axis.
+        score: of a result; None in a label.
+    """
+
+    label: str
+    truncated: float
+    occluded: int
+    alpha: float
+    left: float
+    top: float
+    right: float
+    bottom: float
+    height: float
+    width: float
+    length: float
+    x: float
+    y: float
+    z: float
+    rotation_y: float
+    score: float | None = None
+
+    @property
+    def image_box(self) -> Box2D:
+        """The row's 2D box.
+
+        Raises:
+            ValueError: it has no width or no height.
+        """
+        score = 1.0 if self.score is None else self.score
+        return Box2D(self.label, self.left, self.top, self.right, self.bottom, score)
+
+
+def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> KittiLabel:
+    """One object row of 15 or 16 fields; `path` and `line` are for the message of an error.
+
+    Raises:
+        FormatError: too few or too many fields, or a field that is no number.
+    """
+    return _parse_fields(text.split(), path, line)
+
+
+def label_box(row: KittiLabel) -> OrientedBox:
+    """The row's 3D box, in KITTI's own frame (rectified camera 0).
+
+    Raises:
+        ValueError: a size that is not positive.
+    """
+    center = np.array([row.x, row.y - row.height / 2, row.z])
+    return OrientedBox.from_parts(center, heading_rotation(row.rotation_y), _size_m(row))
+
+
+def heading_rotation(rotation_y: float) -> Float64[np.ndarray, "3 3"]:
+    """Columns = the box's axes in rectified camera 0: x along the heading, y across (to its left), z up (camera -y)."""
+    cos, sin = np.cos(rotation_y), np.sin(rotation_y)
+    return np.array([[cos, sin, 0.0], [0.0, 0.0, -1.0], [-sin, cos, 0.0]])
+
+
+def read_object_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
+    """The objects of one `label_2/KEY.txt`, in file order, DontCare left out; an empty file has none.
+
+    Args:
+        path: the file.
+        T_camera_label: from rectified camera 0 to the camera frame (`Frame.T_camera_label`); None for identity.
+
+    Raises:
+        FormatError: the file is missing, or a row is not a label; names file and line.
+    """
+    rows = ((line, _parse_fields(fields, path, line)) for line, fields in _rows(path))
+    return [_truth(row, None, T_camera_label, path, line) for line, row in rows if row.label != DONT_CARE]
+
+
+def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> dict[int, list[Truth]]:
+    """The objects of a `label_02.txt` by frame number, in file order, DontCare left out.
+
+    A frame without objects has no entry. Arguments and errors as in `read_object_labels`.
+    """
+    frames: dict[int, list[Truth]] = {}
+    for line, fields in _rows(path):
+        frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
+        row = _parse_fields(fields[TRACKING_FIELDS:], path, line)
+        if row.label != DONT_CARE:
+            frames.setdefault(frame, []).append(_truth(row, track_id, T_camera_label, path, line))
+    return frames
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """The fields of all rows that are not blank, with their 1-based line numbers."""
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(path, f"the label file cannot be read ({error})") from error
+    return [(line, row.split()) for line, row in enumerate(text.splitlines(), start=1) if row.strip()]
+
+
+def _leading(fields: list[str], path: Path, line: int) -> list[str]:
+    if len(fields) < TRACKING_FIELDS + FIELDS:
+        raise FormatError(path, f"a tracking row has {TRACKING_FIELDS + FIELDS} fields, not {len(fields)}", line)
+    return fields[:TRACKING_FIELDS]
+
+
+def _parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
+    if len(fields) not in (FIELDS, FIELDS + 1):
+        raise FormatError(path, f"a label row has {FIELDS} fields (or one more, a score), not {len(fields)}", line)
+    values = [_number(field, path, line) for field in fields[1:]]
+    occluded = _integer(fields[2], path, line)
+    return KittiLabel(fields[0], values[0], occluded, *values[2:])
+
+
+def _number(field: str, path: Path, line: int) -> float:
+    try:
+        value = float(field)
+    except ValueError:
+        raise FormatError(path, f"{field!r} is not a number", line) from None
+    if not np.isfinite(value):
+        raise FormatError(path, f"{field!r} is not a finite number", line)
+    return value
+
+
+def _integer(field: str, path: Path, line: int) -> int:
+    value = _number(field, path, line)
+    if value != int(value):
+        raise FormatError(path, f"{field!r} is not a whole number", line)
+    return int(value)
+
+
+def _size_m(row: KittiLabel) -> Float64[np.ndarray, "3"]:
+    return np.array([row.length, row.width, row.height])
+
+
+def _truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int) -> Truth:
+    if (_size_m(row) <= 0).any():
+        raise FormatError(
+            path, f"height width length must be positive, not {row.height} {row.width} {row.length}", line
+        )
+    box = label_box(row)
+    return Truth(row.label, box if T is None else box.transformed(T), track_id)

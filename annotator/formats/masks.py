@@ -1,0 +1,36 @@
+"""Mask images: which object each pixel belongs to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.types.errors import FormatError
+
+SINGLE_OBJECT = 255
+
+
+def read_mask(path: Path) -> UInt8[np.ndarray, "h w"]:
+    """Object numbers from 1, in the order of the frame's boxes; 0 is the background.
+
+    A mask of one object may also be written as 0 and 255; it comes out as 0 and 1.
+
+    Raises:
+        FormatError: the file is missing, truncated, or not an 8-bit image with one channel.
+    """
+    import cv2
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FormatError(path, f"the mask cannot be read ({error.strerror})") from error
+    mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if mask is None:
+        raise FormatError(path, "the mask is empty, truncated or no image; write it again")
+    if mask.ndim != 2 or mask.dtype != np.uint8:
+        raise FormatError(path, "a mask must be an 8-bit image with one channel of object numbers")
+    if np.isin(mask, (0, SINGLE_OBJECT)).all():
+        return (mask == SINGLE_OBJECT).astype(np.uint8)
+    return np.asarray(mask)

@@ -1,0 +1,71 @@
+"""boxes.json: what it may hold, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.formats.boxes_json import read_boxes
+from annotator.geometry.oriented_box import box_corners
+from annotator.types.errors import FormatError
+
+UNIT = {"label": "hand", "center": [0, 0, 1], "size": [0.2, 0.1, 0.05], "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}
+
+
+def write(folder: Path, content: object) -> Path:
+    path = folder / "boxes.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_one_object_a_list_of_objects_and_an_empty_list(tmp_path: Path):
+    boxes = read_boxes(write(tmp_path, {"a": UNIT, "b": [UNIT, UNIT | {"track": 4, "note": "?"}], "c": []}))
+    assert {key: len(truths) for key, truths in boxes.items()} == {"a": 1, "b": 2, "c": 0}
+    (truth,) = boxes["a"]
+    assert (truth.label, truth.track_id, boxes["b"][1].track_id) == ("hand", None, 4)
+    # the columns of `rotation` are the axes: the box's x is the camera's y here
+    np.testing.assert_allclose(truth.box.rotation[:, 0], [0, 1, 0])
+    np.testing.assert_allclose(truth.box.center_m, [0, 0, 1])
+    np.testing.assert_allclose(truth.box.size_m, [0.2, 0.1, 0.05])
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("folder", "frames", "label"), [("hand_gesture", 24, "hand"), ("human_turn", 75, "human")])
+def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, frames: int, label: str):
+    path = shared / "data" / folder / "boxes.json"
+    boxes = read_boxes(path)
+    assert len(boxes) == frames
+    for key, entry in json.loads(path.read_text()).items():
+        (truth,) = boxes[key]
+        assert truth.label == label
+        np.testing.assert_allclose(box_corners(truth.box), entry["corners"], atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        pytest.param("{", "boxes.json:1: not JSON", id="not-json"),
+        pytest.param("[]", "one entry a frame", id="a-list"),
+        pytest.param('{"a": [], "a": []}', "'a' is there twice", id="twin-frames"),
+        pytest.param({"a": {"label": "hand"}}, "a.0.center: Field required", id="missing-key"),
+        pytest.param({"a": [UNIT, UNIT | {"size": [1, 2]}]}, r"a\.1\.size", id="two-sizes"),
+        pytest.param({"a": UNIT | {"size": [1, 0, 1]}}, "frame a, hand: box sizes must be positive", id="flat"),
+        pytest.param({"a": UNIT | {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "proper rotation", id="mirror"),
+        pytest.param({"a": UNIT | {"label": ""}}, "a.0.label", id="no-label"),
+        pytest.param({"a": UNIT | {"corners": [[0, 0, 1]] * 8}}, "corners lie up to", id="other-corners"),
+        pytest.param('{"a": {"label": "x", "center": [0, NaN, 0]}}', "a.0.center.1", id="nan"),
+    ],
+)
+def test_a_bad_file_is_refused(tmp_path: Path, content: object, complaint: str):
+    path = write(tmp_path, content)
+    with pytest.raises(FormatError, match=complaint) as caught:
+        read_boxes(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_file_is_no_empty_list(tmp_path: Path):
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_boxes(tmp_path / "boxes.json")
