@@ -1,0 +1,172 @@
+"""COCO detection files: 2D boxes on images.
+
+A COCO `bbox` is [x, y, width, height] in edge coordinates: an image covers [0, width] x [0, height]. Here the
+centre of the first pixel is (0, 0), so that ours = COCO's - 0.5. Source: the COCO data format page ("object
+detection") and its API's `coco.py`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from annotator.formats.json_file import read_model, write_text
+from annotator.types import Box2D
+from annotator.types.errors import FormatError
+
+EDGE_TO_CENTRE_PX = -0.5
+
+
+@dataclass(frozen=True)
+class CocoImage:
+    """One image of a COCO file and its boxes.
+
+    Attributes:
+        file_name: as the file has it, usually relative to the image folder; unique within the file.
+        width_px, height_px: image size.
+        boxes: in file order, clipped to the image; pixels with the centre of the first one at (0, 0).
+    """
+
+    file_name: str
+    width_px: int
+    height_px: int
+    boxes: tuple[Box2D, ...]
+
+
+# A file of another tool holds more than is read here (licences, segmentations, ...): that is left alone.
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Category(_Part):
+    id: int
+    name: str = Field(min_length=1)
+
+
+class _Image(_Part):
+    id: int
+    file_name: str = Field(min_length=1)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+
+
+class _Annotation(_Part):
+    id: int
+    image_id: int
+    category_id: int
+    bbox: tuple[Number, Number, Number, Number]
+    iscrowd: int = 0
+    score: float = Field(1.0, ge=0, le=1)
+
+
+class _File(_Part):
+    images: tuple[_Image, ...]
+    annotations: tuple[_Annotation, ...]
+    categories: tuple[_Category, ...]
+
+
+def read_coco(path: Path) -> list[CocoImage]:
+    """All images of a COCO detection file in file order, those without a box too.
+
+    A box that sticks out of its image is clipped to it.
+
+    Raises:
+        FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
+            used twice, the same box twice, a box without extent, or one that lies fully outside its image.
+    """
+    file = read_model(path, _File)
+    _require_unique(path, "category id", (category.id for category in file.categories))
+    _require_unique(path, "category name", (category.name for category in file.categories))
+    _require_unique(path, "image id", (image.id for image in file.images))
+    _require_unique(path, "file_name", (image.file_name for image in file.images))
+    _require_unique(path, "annotation id", (annotation.id for annotation in file.annotations))
+    _require_unique(
+        path, "box (image_id, category_id, bbox)", ((a.image_id, a.category_id, a.bbox) for a in file.annotations)
+    )
+
+    images = {image.id: image for image in file.images}
+    names = {category.id: category.name for category in file.categories}
+    boxes: dict[int, list[Box2D]] = {image.id: [] for image in file.images}
+    for annotation in file.annotations:
+        boxes.setdefault(annotation.image_id, []).append(_box(path, annotation, images, names))
+    return [CocoImage(i.file_name, i.width, i.height, tuple(boxes[i.id])) for i in file.images]
+
+
+def _require_unique(path: Path, what: str, values: Iterable[Hashable]) -> None:
+    seen = set()
+    for value in values:
+        if value in seen:
+            raise FormatError(path, f"{what} {value!r} is used twice; each must be unique")
+        seen.add(value)
+
+
+def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], names: Mapping[int, str]) -> Box2D:
+    """The annotation's box, clipped to its image."""
+    where = f"annotation {annotation.id}"
+    image = images.get(annotation.image_id)
+    if image is None:
+        raise FormatError(path, f"{where}: image_id {annotation.image_id} is not in images")
+    if annotation.category_id not in names:
+        raise FormatError(path, f"{where}: category_id {annotation.category_id} is not in categories")
+    if annotation.iscrowd:
+        raise FormatError(path, f"{where}: is a crowd region (iscrowd), not one object; remove it or box each object")
+    x, y, width, height = annotation.bbox
+    if width <= 0 or height <= 0:
+        raise FormatError(path, f"{where}: bbox {list(annotation.bbox)} has no positive width and height")
+    left, right = (edge + EDGE_TO_CENTRE_PX for edge in (max(x, 0.0), min(x + width, image.width)))
+    top, bottom = (edge + EDGE_TO_CENTRE_PX for edge in (max(y, 0.0), min(y + height, image.height)))
+    if right <= left or bottom <= top:
+        raise FormatError(
+            path,
+            f"{where}: bbox {list(annotation.bbox)} lies outside {image.file_name!r}, "
+            f"which is {image.width} x {image.height} px",
+        )
+    return Box2D(names[annotation.category_id], left, top, right, bottom, annotation.score)
+
+
+def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] = ()) -> None:
+    """Writes a COCO detection file, all or not at all; ids count from 1.
+
+    Args:
+        path: the file; its folder must exist.
+        images: what to write.
+        classes: categories to list first and in this order, with or without boxes; the others follow by name.
+
+    Raises:
+        FormatError: two images of one name, or the file cannot be written.
+    """
+    _require_unique(path, "file_name", (image.file_name for image in images))
+    others = {box.label for image in images for box in image.boxes} - set(classes)
+    ids = {name: number for number, name in enumerate([*dict.fromkeys(classes), *sorted(others)], 1)}
+    pairs = [(image_id, box) for image_id, image in enumerate(images, 1) for box in image.boxes]
+    content = {
+        "images": [
+            {"id": image_id, "file_name": image.file_name, "width": image.width_px, "height": image.height_px}
+            for image_id, image in enumerate(images, 1)
+        ],
+        "annotations": [_annotation(number, image_id, box, ids) for number, (image_id, box) in enumerate(pairs, 1)],
+        "categories": [{"id": number, "name": name, "supercategory": ""} for name, number in ids.items()],
+    }
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _annotation(number: int, image_id: int, box: Box2D, ids: Mapping[str, int]) -> dict[str, object]:
+    entry: dict[str, object] = {
+        "id": number,
+        "image_id": image_id,
+        "category_id": ids[box.label],
+        "bbox": [box.x_min - EDGE_TO_CENTRE_PX, box.y_min - EDGE_TO_CENTRE_PX, box.width_px, box.height_px],
+        "area": box.width_px * box.height_px,
+        "iscrowd": 0,
+    }
+    if box.score != 1.0:
+        entry["score"] = box.score
+    return entry

@@ -1,0 +1,78 @@
+"""JSON files with a pydantic model: read with errors that say where, written all or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from annotator.types.errors import FormatError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_model(path: Path, model: type[Model]) -> Model:
+    """The content of a JSON file, validated.
+
+    Raises:
+        FormatError: the file cannot be read, is no JSON (with the line), or does not fit the model (with the
+            place within the file, such as `annotations.3.bbox`).
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+    except json.JSONDecodeError as error:
+        raise FormatError(path, f"is not valid JSON: {error.msg} (column {error.colno})", error.lineno) from error
+    except RecursionError as error:
+        raise FormatError(path, "is nested too deeply to be a label file") from error
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise FormatError(path, _first_problem(error)) from error
+
+
+def _first_problem(error: ValidationError) -> str:
+    """The first of a model's complaints in one line, and how many more there are."""
+    problems = error.errors(include_url=False, include_context=False)
+    first = problems[0]
+    where = ".".join(str(part) for part in first["loc"]) or "the file"
+    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+    return f"{where}: {first['msg']}{more}"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file by way of a temporary sibling, so that a reader sees the old file or the new one.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise FormatError(path, f"cannot be written ({error.strerror})") from error
+    part = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        # mkstemp makes the file private; give it what a plain open() would have
+        part.chmod(0o666 & ~_umask())
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise FormatError(path, f"cannot be written ({error.strerror})") from error
+
+
+def _umask() -> int:
+    """The process's file mode mask; asking for it means setting it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

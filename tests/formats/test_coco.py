@@ -1,0 +1,193 @@
+"""COCO detection files: the pixel convention, the round trip, and every way a file can be wrong."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.types import Box2D
+from annotator.types.errors import FormatError
+
+GOOD: dict[str, Any] = {
+    "info": {"description": "another tool's field"},
+    "images": [
+        {"id": 7, "file_name": "a.png", "width": 10, "height": 8, "license": 1},
+        {"id": 9, "file_name": "sub/b.png", "width": 20, "height": 20},
+    ],
+    "annotations": [
+        {"id": 3, "image_id": 7, "category_id": 5, "bbox": [0, 0, 10, 8], "segmentation": [], "area": 80, "iscrowd": 0},
+        {"id": 4, "image_id": 7, "category_id": 2, "bbox": [2.5, 3, 4, 2]},
+    ],
+    "categories": [{"id": 5, "name": "hand"}, {"id": 2, "name": "person", "supercategory": "animal"}],
+}
+
+
+def put(folder: Path, content: Any) -> Path:
+    path = folder / "boxes.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+    return path
+
+
+def test_edges_become_pixels_whose_first_centre_is_zero(tmp_path: Path) -> None:
+    first, second = read_coco(put(tmp_path, GOOD))
+    assert (first.file_name, first.width_px, first.height_px) == ("a.png", 10, 8)
+    # a box around the whole image covers [-0.5, width - 0.5], as Camera has it
+    assert first.boxes[0] == Box2D("hand", -0.5, -0.5, 9.5, 7.5)
+    assert first.boxes[1] == Box2D("person", 2.0, 2.5, 6.0, 4.5)
+    assert (second.file_name, second.boxes) == ("sub/b.png", ())
+
+
+@pytest.mark.parametrize(
+    ("bbox", "clipped"),
+    [
+        ([-3, 2, 6, 2], (-0.5, 1.5, 2.5, 3.5)),
+        ([8, 6, 100, 100], (7.5, 5.5, 9.5, 7.5)),
+        ([-1, -1, 100, 100], (-0.5, -0.5, 9.5, 7.5)),
+    ],
+)
+def test_box_partly_outside_is_clipped(tmp_path: Path, bbox: list[float], clipped: tuple[float, ...]) -> None:
+    content = copy.deepcopy(GOOD)
+    content["annotations"][0]["bbox"] = bbox
+    assert read_coco(put(tmp_path, content))[0].boxes[0].xyxy == clipped
+
+
+def broken(place: str, value: Any) -> dict[str, Any]:
+    """GOOD with the value at a dotted place replaced."""
+    content = copy.deepcopy(GOOD)
+    target: Any = content
+    *parents, last = [int(part) if part.isdigit() else part for part in place.split(".")]
+    for part in parents:
+        target = target[part]
+    target[last] = value
+    return content
+
+
+def repeated(part: str, **changes: Any) -> dict[str, Any]:
+    content = copy.deepcopy(GOOD)
+    content[part].append({**content[part][0], **changes})
+    return content
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ('{"images": [\n {"id": 1,}]}', ":2: is not valid JSON"),
+        ("", "is not valid JSON"),
+        ("[]", "the file:"),
+        ({"images": []}, "annotations"),
+        (broken("images.0.width", 0), "images.0.width"),
+        (broken("images.0.file_name", ""), "images.0.file_name"),
+        (broken("annotations.1.bbox", [1, 2, 3]), "annotations.1.bbox"),
+        (broken("annotations.1.bbox", [1, 2, 3, float("nan")]), "annotations.1.bbox.3"),
+        (broken("annotations.1.bbox", ["a", 2, 3, 4]), "annotations.1.bbox.0"),
+        (broken("annotations.1.score", 1.5), "annotations.1.score"),
+        (broken("annotations.1.image_id", 8), "annotation 4: image_id 8 is not in images"),
+        (broken("annotations.1.category_id", 8), "annotation 4: category_id 8 is not in categories"),
+        (broken("annotations.1.bbox", [1, 2, -3, 4]), "no positive width and height"),
+        (broken("annotations.1.bbox", [1, 2, 3, 0]), "no positive width and height"),
+        (broken("annotations.1.bbox", [10, 2, 3, 4]), "lies outside 'a.png', which is 10 x 8 px"),
+        (broken("annotations.1.bbox", [1, -5, 3, 4]), "lies outside"),
+        (broken("annotations.1.bbox", [9.9, 2, 1e-30, 4]), "lies outside"),
+        (broken("annotations.1.iscrowd", 1), "crowd region"),
+        (repeated("images", file_name="c.png"), "image id 7 is used twice"),
+        (repeated("images", id=1), "file_name 'a.png' is used twice"),
+        (repeated("annotations", bbox=[1, 1, 2, 2]), "annotation id 3 is used twice"),
+        (repeated("annotations", id=1), "box (image_id, category_id, bbox) (7, 5"),
+        (repeated("categories", name="c"), "category id 5 is used twice"),
+        (repeated("categories", id=1), "category name 'hand' is used twice"),
+    ],
+)
+def test_broken_file_says_what_and_where(tmp_path: Path, content: Any, says: str) -> None:
+    path = put(tmp_path, content)
+    with pytest.raises(FormatError) as caught:
+        read_coco(path)
+    assert str(path) in str(caught.value)
+    assert says in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_coco(tmp_path / "missing.json")
+    (tmp_path / "latin.json").write_bytes(b'{"images": "\xe9"}')
+    with pytest.raises(FormatError, match="UTF-8"):
+        read_coco(tmp_path / "latin.json")
+
+
+@st.composite
+def coco_images(draw: st.DrawFn) -> list[CocoImage]:
+    def span(size: int) -> tuple[float, float]:
+        low = draw(st.floats(-0.5, size - 1.0))
+        return low, draw(st.floats(low + 0.25, size - 0.5))
+
+    names = draw(st.lists(st.text(min_size=1, max_size=8), max_size=4, unique=True))
+    images = []
+    for name in names:
+        width, height = draw(st.integers(1, 4000)), draw(st.integers(1, 4000))
+        boxes: dict[tuple[object, ...], Box2D] = {}
+        for label in draw(st.lists(st.sampled_from(["hand", "person", "Büro 1"]), max_size=4)):
+            (x_min, x_max), (y_min, y_max) = span(width), span(height)
+            box = Box2D(label, x_min, y_min, x_max, y_max, draw(st.floats(0, 1)))
+            boxes[(label, *(round(edge, 6) for edge in box.xyxy))] = box
+        images.append(CocoImage(name, width, height, tuple(boxes.values())))
+    return images
+
+
+@given(coco_images())
+def test_what_is_written_reads_back(images: list[CocoImage]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "boxes.json")
+        write_coco(path, images)
+        back = read_coco(path)
+        write_coco(path, back)
+        again = read_coco(path)
+    for result in (back, again):
+        assert [(i.file_name, i.width_px, i.height_px) for i in result] == [
+            (i.file_name, i.width_px, i.height_px) for i in images
+        ]
+        for image, wanted in zip(result, images, strict=True):
+            assert [(b.label, b.score) for b in image.boxes] == [(b.label, b.score) for b in wanted.boxes]
+            for box, want in zip(image.boxes, wanted.boxes, strict=True):
+                assert box.xyxy == pytest.approx(want.xyxy, abs=1e-9)
+
+
+def test_categories_keep_the_order_given_then_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "out.json"
+    boxes = tuple(Box2D(label, 0.0, 0.0, 1.0, 1.0) for label in ("zebra", "hand", "ant"))
+    write_coco(path, [CocoImage("a.png", 10, 8, boxes)], classes=["person", "hand"])
+    content = json.loads(path.read_text())
+    assert [(c["id"], c["name"]) for c in content["categories"]] == [
+        (1, "person"), (2, "hand"), (3, "ant"), (4, "zebra"),
+    ]  # fmt: skip
+    assert content["annotations"][0]["bbox"] == [0.5, 0.5, 1.0, 1.0]
+    assert [a["id"] for a in content["annotations"]] == [1, 2, 3]
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = put(tmp_path, GOOD)
+    before = path.read_text()
+
+    def full_disk(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(FormatError, match="No space left"):
+        write_coco(path, [])
+    assert path.read_text() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_the_same_name_twice_is_not_written(tmp_path: Path) -> None:
+    image = CocoImage("a.png", 10, 8, ())
+    with pytest.raises(FormatError, match=r"file_name 'a\.png' is used twice"):
+        write_coco(tmp_path / "out.json", [image, image])
+    with pytest.raises(FormatError, match="cannot be written"):
+        write_coco(tmp_path / "missing" / "out.json", [image])
