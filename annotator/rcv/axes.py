@@ -1,0 +1,206 @@
+"""Projection axes of a cloud (RCV paper, section II.D): camera axes, eigenvectors, K-means over normals.
+
+A *frame* here is a (3, 3) matrix with rows a1, a2, a3 in camera coordinates, right-handed and orthonormal. The front
+view looks along a3, the side view along a1; a2 points down where "down" means something.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.types import PointCloud
+
+# A normal within 25 degrees of the vertical belongs to a floor or a table top, not to a side.
+STEEP_NORMAL = float(np.cos(np.deg2rad(25)))
+MAX_NORMALS = 2000
+KMEANS_ROUNDS = 20
+# Clusters nearer than this to the major axis cannot give the second one.
+MIN_SECOND_ANGLE_RAD = float(np.deg2rad(30))
+
+
+class NoAxesError(Exception):
+    """A strategy cannot be used on this cloud; the caller falls back to the next simpler one."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """A frame, the strategy that gave it, and the ones that could not."""
+
+    frame: Float64[np.ndarray, "3 3"]
+    strategy: Strategy
+    fallback: tuple[str, ...] = ()
+
+
+def _signed_permutations() -> Float64[np.ndarray, "24 3 3"]:
+    """The 24 rotations that turn a box into itself, axes relabelled."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    return np.array(found)
+
+
+BOX_SYMMETRIES = _signed_permutations()
+UPRIGHT_SYMMETRIES = BOX_SYMMETRIES[BOX_SYMMETRIES[:, 1, 1] == 1.0]
+
+
+def match_frame(
+    frame: Float64[np.ndarray, "3 3"],
+    reference: Float64[np.ndarray, "3 3"],
+    symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
+) -> Float64[np.ndarray, "3 3"]:
+    """The relabelling of a frame's axes that is nearest to a reference, so that a quarter turn is no rotation."""
+    candidates = symmetries @ frame
+    return candidates[np.argmax(np.einsum("kij,ij->k", candidates, reference))]
+
+
+def frame_angle(a: Float64[np.ndarray, "3 3"], b: Float64[np.ndarray, "3 3"]) -> float:
+    """The smallest rotation, radians, between two frames when relabelled axes count as equal."""
+    matched = match_frame(a, b)
+    return float(np.arccos(np.clip((np.einsum("ij,ij->", matched, b) - 1) / 2, -1, 1)))
+
+
+def camera_frame(up: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
+    """The camera's axes; with `up` (unit vector) levelled, so that a2 points along gravity."""
+    if up is None:
+        return np.eye(3)
+    return upright_frame(np.array([0.0, 0.0, 1.0]), up)
+
+
+def upright_frame(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """The frame with a2 = -up whose a3 is nearest to `forward`."""
+    down = -up / np.linalg.norm(up)
+    level = forward - down * (forward @ down)
+    if np.linalg.norm(level) < 1e-6:  # looking straight down: any heading will do
+        level = np.cross(down, [1.0, 0.0, 0.0])
+    a3 = level / np.linalg.norm(level)
+    return np.stack([np.cross(down, a3), down, a3])
+
+
+def eigenvector_frame(
+    xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
+) -> Float64[np.ndarray, "3 3"]:
+    """Principal axes of the points; with `up`, of their footprint."""
+    if len(xyz_m) < max(4, config.min_points):
+        raise NoAxesError(f"{len(xyz_m)} points are too few for eigenvectors")
+    centred = np.asarray(xyz_m, np.float64) - np.mean(xyz_m, axis=0, dtype=np.float64)
+    if up is not None:
+        base = camera_frame(up)
+        values, vectors = np.linalg.eigh(np.cov((centred @ base.T)[:, [0, 2]].T))
+        _require_distinct(values, config)
+        major = base[[0, 2]].T @ vectors[:, 1]
+        return upright_frame(major, up)
+    values, vectors = np.linalg.eigh(np.cov(centred.T))
+    _require_distinct(values, config)
+    frame = vectors.T[::-1].copy()
+    frame[2] = np.cross(frame[0], frame[1])
+    return frame
+
+
+def _require_distinct(values: np.ndarray, config: RcvConfig) -> None:
+    if values[-1] <= 0 or np.diff(values).min() < config.min_flatness * values[-1]:
+        raise NoAxesError("eigenvalues too alike to fix the axes")
+
+
+def normal_frame(
+    normals: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
+) -> Float64[np.ndarray, "3 3"]:
+    """The biggest cluster's direction as major axis, completed by the next one (or the camera's down).
+
+    Args:
+        normals: unit vectors, or zero where unknown; antipodal ones are one direction.
+    """
+    known = np.asarray(normals, np.float64)
+    known = known[np.einsum("ij,ij->i", known, known) > 0.25]
+    if up is not None:
+        known = known[np.abs(known @ up) < STEEP_NORMAL]
+        known = known - np.outer(known @ up, up)
+        known /= np.linalg.norm(known, axis=1, keepdims=True)
+    if len(known) < config.min_normals:
+        raise NoAxesError(f"{len(known)} usable normals are too few")
+    if len(known) > MAX_NORMALS:
+        known = known[np.linspace(0, len(known) - 1, MAX_NORMALS).astype(int)]
+    centres, counts = axial_kmeans(known, min(config.kmeans_clusters, len(known)), config.seed)
+    major = centres[np.argmax(counts)]
+    if up is not None:
+        return upright_frame(major, up)
+    second = _second_direction(centres, counts, major)
+    a1 = second - major * (second @ major)
+    a1 /= np.linalg.norm(a1)
+    return np.stack([a1, np.cross(major, a1), major])
+
+
+def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray) -> np.ndarray:
+    for index in np.argsort(-counts, kind="stable"):
+        if np.abs(centres[index] @ major) < np.cos(MIN_SECOND_ANGLE_RAD):
+            return centres[index]
+    # One direction only, such as a wall: the camera axis that is most nearly perpendicular completes it.
+    return np.eye(3)[np.argmin(np.abs(major))]
+
+
+def axial_kmeans(
+    directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int
+) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
+    """K-means of directions without sign: centres (k, 3), unit, and the number of members (k,).
+
+    Nearness is |cosine|; a centre is the principal eigenvector of its members' sum of n n^T, the axial mean.
+    """
+    rng = np.random.default_rng(seed)
+    centres = [directions[rng.integers(len(directions))]]
+    for _ in range(clusters - 1):  # the farthest direction next: spread seeds, no chance of an empty start
+        nearest = np.abs(directions @ np.array(centres).T).max(axis=1)
+        centres.append(directions[np.argmin(nearest)])
+    centre = np.array(centres)
+    member = np.full(len(directions), -1)
+    for _ in range(KMEANS_ROUNDS):
+        assigned = np.argmax(np.abs(directions @ centre.T), axis=1)
+        if (assigned == member).all():
+            break
+        member = assigned
+        for k in range(clusters):
+            own = directions[member == k]
+            if len(own):
+                centre[k] = np.linalg.eigh(own.T @ own)[1][:, -1]
+    return centre, np.bincount(member, minlength=clusters)
+
+
+def find_axes(
+    cloud: PointCloud,
+    strategy: Strategy,
+    reference: Float64[np.ndarray, "3 3"],
+    up: Float64[np.ndarray, "3"] | None,
+    config: RcvConfig,
+) -> Axes:
+    """The frame of one strategy, or of the next simpler one that the cloud allows, matched to `reference`.
+
+    Args:
+        strategy: camera, eigenvectors or normals.
+        up: unit vector against gravity; used with an upright orientation only.
+    """
+    held = up if config.orientation is Orientation.UPRIGHT else None
+    symmetries = UPRIGHT_SYMMETRIES if held is not None else BOX_SYMMETRIES
+    failed: list[str] = []
+    simpler = {
+        Strategy.NORMALS: (Strategy.NORMALS, Strategy.EIGENVECTORS),
+        Strategy.EIGENVECTORS: (Strategy.EIGENVECTORS,),
+    }
+    for candidate in simpler.get(strategy, ()):
+        try:
+            if candidate is Strategy.NORMALS:
+                normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
+                frame = normal_frame(normals, held, config)
+            else:
+                frame = eigenvector_frame(cloud.xyz_m, held, config)
+        except NoAxesError as error:
+            failed.append(f"{candidate}: {error}")
+            continue
+        return Axes(match_frame(frame, reference, symmetries), candidate, tuple(failed))
+    return Axes(camera_frame(held), Strategy.CAMERA, tuple(failed))

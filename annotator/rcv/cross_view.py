@@ -1,0 +1,152 @@
+"""Cross-View: a front and a side box that agree on their shared axis make one 3D box (RCV paper, section II.C)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.rcv.interval_fit import Intervals
+from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
+
+# An edge this near to the picture's border was cut off by it and says nothing about the object, pixels.
+BORDER_PX = 1.0
+# A detection that fits the last box not at all still competes with this share of its score.
+STRANGER = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One front and one side detection, as indices into the views' boxes, and the box they make."""
+
+    front: int
+    side: int
+    frame: Float64[np.ndarray, "3 3"]
+    spans_m: Float64[np.ndarray, "3 2"]
+    shared_overlap: float
+    disagreement: float
+    score: float
+
+    @property
+    def box(self) -> OrientedBox:
+        return span_box(self.frame, self.spans_m)
+
+
+def span_box(frame: Float64[np.ndarray, "3 3"], spans_m: Float64[np.ndarray, "3 2"]) -> OrientedBox:
+    """The box that spans (low, high) metres along each row of a frame."""
+    rotation = frame.T
+    center = rotation @ spans_m.mean(axis=1)
+    size = np.maximum(spans_m[:, 1] - spans_m[:, 0], 1e-4)
+    return OrientedBox(RigidTransform.from_components(center, Rotation.from_matrix(rotation)), size)
+
+
+def make_pair(
+    frame: Float64[np.ndarray, "3 3"],
+    views: tuple[PseudoView, PseudoView],
+    front_boxes: Sequence[Box2D],
+    side_boxes: Sequence[Box2D],
+    front: int,
+    side: int,
+) -> Pair:
+    """Fuses detection `front` of the front view and `side` of the side view; the shared interval by score."""
+    a, b = front_boxes[front], side_boxes[side]
+    across, shared_front = views[0].interval_m(a)
+    depth, shared_side = views[1].interval_m(b)
+    weight = a.score / max(a.score + b.score, 1e-9)
+    shared = weight * shared_front + (1 - weight) * shared_side
+    overlap = interval_iou(shared_front, shared_side)
+    disagreement = float(np.abs(shared_front - shared_side).mean() / max(shared[1] - shared[0], 1e-9))
+    spans = np.stack([across, shared, depth])
+    return Pair(front, side, frame, spans, overlap, disagreement, float(np.sqrt(a.score * b.score)))
+
+
+def interval_iou(a: np.ndarray, b: np.ndarray) -> float:
+    """IoU of two intervals (low, high)."""
+    shared = min(a[1], b[1]) - max(a[0], b[0])
+    return float(max(shared, 0.0) / max(max(a[1], b[1]) - min(a[0], b[0]), 1e-12))
+
+
+def pair_all(
+    frame: Float64[np.ndarray, "3 3"],
+    views: tuple[PseudoView, PseudoView],
+    front_boxes: Sequence[Box2D],
+    side_boxes: Sequence[Box2D],
+    cloud: PointCloud,
+    min_overlap: float,
+    most: int,
+) -> list[Pair]:
+    """Pairs for several objects in one frustum, best first; each detection serves once.
+
+    Objects that stand on one floor agree on the shared axis in every combination, so agreement is not enough: a
+    pair also counts by the share of the points of its front box that its side box confirms.
+    """
+    along = cloud.xyz_m @ frame.T.astype(np.float32)
+    ranked: list[tuple[float, Pair]] = []
+    for i in range(len(front_boxes)):
+        for j in range(len(side_boxes)):
+            pair = make_pair(frame, views, front_boxes, side_boxes, i, j)
+            if pair.shared_overlap < min_overlap:
+                continue
+            inside = (along >= pair.spans_m[:, 0]) & (along <= pair.spans_m[:, 1])
+            both, front_only = int(inside.all(axis=1).sum()), int(inside[:, :2].all(axis=1).sum())
+            side_only = int(inside[:, 1:].all(axis=1).sum())
+            if both == 0:
+                continue
+            support = both / max(front_only + side_only - both, 1)
+            ranked.append((support * pair.shared_overlap * pair.score, pair))
+    ranked.sort(key=lambda item: -item[0])
+    chosen: list[Pair] = []
+    for _, pair in ranked:
+        if all(pair.front != other.front and pair.side != other.side for other in chosen):
+            chosen.append(pair)
+        if len(chosen) == most:
+            break
+    return chosen
+
+
+def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) -> int | None:
+    """The one detection that goes on: the best score times agreement with the last box.
+
+    Args:
+        last: (8, 3) corners of the last step's box, camera frame; None lets the score decide.
+
+    Returns:
+        an index into `boxes`, or None where there is no detection.
+    """
+    if not boxes:
+        return None
+    scores = np.array([box.score for box in boxes])
+    if last is None or len(boxes) == 1:
+        return int(np.argmax(scores))
+    seen = last @ view.axes[:2].T
+    expected = view.box_px(np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1), boxes[0].label)
+    agreement = np.array([box_iou(box, expected) for box in boxes])
+    return int(np.argmax(scores * (STRANGER + agreement)))
+
+
+def box_iou(a: Box2D, b: Box2D) -> float:
+    """IoU of two axis-aligned boxes."""
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    if width <= 0 or height <= 0:
+        return 0.0
+    shared = width * height
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+
+
+def measured_intervals(view: PseudoView, box: Box2D, edge_noise: float) -> Intervals:
+    """What a detection measures along the view's x and y, with the expected error of each end."""
+    height_px, width_px = view.rgb.shape[:2]
+    noise = edge_noise * view.extent_m[:, None] / np.sqrt(max(box.score, 0.05))
+    sigma = np.repeat(noise, 2, axis=1)
+    cut = np.array(
+        [
+            [box.x_min <= BORDER_PX - 0.5, box.x_max >= width_px - 0.5 - BORDER_PX],
+            [box.y_min <= BORDER_PX - 0.5, box.y_max >= height_px - 0.5 - BORDER_PX],
+        ]
+    )
+    sigma[cut] = np.inf
+    return Intervals(view.axes[:2], view.interval_m(box), sigma)

@@ -1,0 +1,61 @@
+"""The axes that a consensus step looks along: several at once, wide at first, then around the last fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
+
+from annotator.rcv.axes import UPRIGHT_SYMMETRIES, camera_frame, match_frame
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.interval_fit import spread_rotations
+
+
+def wide_frames(up: Float64[np.ndarray, "3"] | None, config: RcvConfig) -> list[Float64[np.ndarray, "3 3"]]:
+    """Frames spread over all orientations that a box can have: yaws of a quarter turn, or over SO(3)."""
+    base = camera_frame(up)
+    if up is not None:
+        turns = np.arange(config.upright_hypotheses) * (np.pi / 2 / config.upright_hypotheses)
+        rotations = Rotation.from_rotvec(turns[:, None] * up).as_matrix()
+    else:
+        rotations = spread_rotations(config.free_hypotheses)
+    return [look_from_camera(base @ turn.T, up) for turn in rotations]
+
+
+def near_frames(
+    rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
+) -> list[Float64[np.ndarray, "3 3"]]:
+    """Frames around a box rotation (columns = axes): its own, and others up to `refine_spread_rad` away.
+
+    A fit learns little from more views along its own axes; views from beside them are what holds its rotation.
+    """
+    count, spread = config.refine_hypotheses, config.refine_spread_rad
+    if up is not None:
+        angles = np.linspace(-spread, spread, count) if count > 1 else np.zeros(1)
+        offsets = angles[:, None] * up
+    else:
+        directions = _fibonacci_directions(max(count - 1, 1))
+        offsets = np.concatenate([np.zeros((1, 3)), spread * directions])[:count]
+    turns = Rotation.from_rotvec(offsets).as_matrix()
+    return [look_from_camera(rotation.T @ turn.T, up) for turn in turns]
+
+
+def look_from_camera(
+    frame: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None
+) -> Float64[np.ndarray, "3 3"]:
+    """A frame relabelled to look as nearly as possible along the camera's axes, level where `up` is given.
+
+    Every object is then seen from the side that the sensor saw, and right way up, whatever its own axes are called.
+    """
+    reference = camera_frame(up)
+    matched = match_frame(frame, reference)
+    return matched if up is None else match_frame(matched, reference, UPRIGHT_SYMMETRIES)
+
+
+def _fibonacci_directions(count: int) -> Float64[np.ndarray, "k 3"]:
+    """Unit vectors spread evenly over the sphere (Fibonacci lattice)."""
+    index = np.arange(count) + 0.5
+    z = 1 - 2 * index / count
+    angle = np.pi * (1 + np.sqrt(5.0)) * index
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)

@@ -1,0 +1,127 @@
+"""From the detections of one step's views to one box: a pair, the consensus of all, or the tightest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.rcv import cross_view
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.interval_fit import Intervals, fit_box
+from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What a step measured.
+
+    Attributes:
+        box: the step's box, axes in any order.
+        frame: rows, the axes that count as the step's.
+        disagreement: see `Quality.view_disagreement`.
+        score: mean score of the detections used.
+        used: per view, which detection was used.
+        intervals: everything measured of the object so far.
+    """
+
+    box: OrientedBox
+    frame: Float64[np.ndarray, "3 3"]
+    disagreement: float
+    score: float
+    used: tuple[int | None, ...]
+    intervals: Intervals | None = None
+
+
+def choose_all(
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None
+) -> tuple[int | None, ...]:
+    """For each view the one detection that continues the last box."""
+    corners = None if last is None else box_corners(last)
+    return tuple(cross_view.choose(view, found, corners) for view, found in zip(views, boxes, strict=True))
+
+
+def measure_pair(
+    frame: Float64[np.ndarray, "3 3"],
+    views: Sequence[PseudoView],
+    boxes: Sequence[Sequence[Box2D]],
+    last: OrientedBox | None,
+) -> Measurement | None:
+    """The paper's step: one front and one side detection; None where a view has none."""
+    front, side = choose_all(views, boxes, last)
+    if front is None or side is None:
+        return None
+    pair = cross_view.make_pair(frame, (views[0], views[1]), boxes[0], boxes[1], front, side)
+    return Measurement(pair.box, frame, pair.disagreement, pair.score, (front, side))
+
+
+def measure_consensus(
+    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    views: Sequence[PseudoView],
+    boxes: Sequence[Sequence[Box2D]],
+    last: OrientedBox | None,
+    earlier: Intervals | None,
+    up: Float64[np.ndarray, "3"] | None,
+    config: RcvConfig,
+) -> Measurement | None:
+    """One box through the intervals of all views with a detection, and of the steps before.
+
+    None where no view has a detection; the least-volume pair where the intervals do not fix a box.
+    """
+    used = choose_all(views, boxes, last)
+    seen = [(view, found[i]) for view, found, i in zip(views, boxes, used, strict=True) if i is not None]
+    if not seen:
+        return None
+    parts = [cross_view.measured_intervals(view, box, config.edge_noise) for view, box in seen]
+    intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
+    fit = fit_box(intervals, up, None if last is None else last.rotation)
+    if fit is None:
+        return _least_volume(frames, views, boxes, used, intervals)
+    box = OrientedBox(RigidTransform.from_components(fit.center_m, Rotation.from_matrix(fit.rotation)), fit.size_m)
+    score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
+    return Measurement(box, fit.rotation.T, fit.residual_m / float(box.size_m.mean()), score, used, intervals)
+
+
+def _pairs(
+    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    views: Sequence[PseudoView],
+    boxes: Sequence[Sequence[Box2D]],
+    used: Sequence[int | None],
+) -> list[cross_view.Pair]:
+    pairs = []
+    for k, frame in enumerate(frames):
+        front, side = used[2 * k], used[2 * k + 1]
+        if front is not None and side is not None:
+            two = (views[2 * k], views[2 * k + 1])
+            pairs.append(cross_view.make_pair(frame, two, boxes[2 * k], boxes[2 * k + 1], front, side))
+    return pairs
+
+
+def _least_volume(
+    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    views: Sequence[PseudoView],
+    boxes: Sequence[Sequence[Box2D]],
+    used: tuple[int | None, ...],
+    intervals: Intervals | None,
+) -> Measurement | None:
+    pairs = _pairs(frames, views, boxes, used)
+    if not pairs:
+        return None
+    best = min(pairs, key=lambda pair: pair.box.volume_m3)
+    return Measurement(best.box, best.frame, best.disagreement, best.score, used, intervals)
+
+
+def measure_tightest(
+    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    views: Sequence[PseudoView],
+    boxes: Sequence[Sequence[Box2D]],
+    last: OrientedBox | None,
+    cloud: PointCloud,
+) -> Measurement | None:
+    """The least-volume box among the hypotheses: silhouettes are narrower than the box off its own axes."""
+    used = choose_all(views, boxes, last)
+    return _least_volume(frames, views, boxes, used, None)

@@ -1,0 +1,37 @@
+"""Normals for the projection axes, estimated once a frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from annotator.geometry.normals import normals_from_depth, normals_knn
+from annotator.rcv.config import RcvConfig, Strategy
+from annotator.types import BoxKind, Frame, PointCloud
+
+
+def needs_normals(config: RcvConfig) -> bool:
+    """True where a step looks at normals."""
+    return config.strategy is Strategy.NORMALS or (
+        config.strategy is Strategy.CONSENSUS and config.box_kind is BoxKind.SILHOUETTE
+    )
+
+
+def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"]) -> PointCloud:
+    """The frame's cloud with normals at least for the wanted points; zero where unknown.
+
+    An organised depth image gives them from pixel neighbours; otherwise the nearest neighbours among the wanted
+    points do.
+    """
+    cloud = frame.cloud
+    if cloud.normals is not None:
+        return cloud
+    if frame.depth_m is not None and cloud.pixel_index is not None:
+        grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
+        return replace(cloud, normals=grid[cloud.pixel_index])
+    normals = np.zeros((len(cloud), 3), np.float32)
+    if wanted.any():
+        normals[wanted] = normals_knn(cloud.xyz_m[wanted])
+    return replace(cloud, normals=normals)

@@ -1,0 +1,254 @@
+"""The recursion of one object: plan a step's pseudo-views, take in what was detected on them, keep or stop.
+
+A step is split in two, `plan_step` and `absorb_step`, so that the caller can draw the views of all objects of all
+frames and send them through the detector in one batch between the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.rcv import cross_view
+from annotator.rcv.axes import camera_frame, find_axes, frame_angle
+from annotator.rcv.canonical import canonical_box
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.hypotheses import near_frames, wide_frames
+from annotator.rcv.interval_fit import Intervals
+from annotator.rcv.measure import Measurement, measure_consensus, measure_pair, measure_tightest
+from annotator.rcv.pseudo_view import render_pairs
+from annotator.types import (
+    Box2D,
+    BoxKind,
+    BoxTrace,
+    OrientedBox,
+    PointCloud,
+    PseudoView,
+    Quality,
+    StepTrace,
+    StopReason,
+    ViewTrace,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectState:
+    """One object on its way through the recursion.
+
+    Attributes:
+        frame_index: position of its frame in the batch.
+        image_box: the detection on the camera image.
+        cloud: the points kept so far.
+        up: unit vector against gravity for an upright box, None for a free one.
+        axes: rows, the frame of the last step.
+        box: the last step's box.
+        measured: intervals of all consensus steps so far.
+        view_score: mean score of the detections that made the last box.
+        disagreement, last_change, kept_share: the quality signals of the last step.
+        steps: the trace.
+        stop: CONTINUES while the recursion runs.
+    """
+
+    frame_index: int
+    image_box: Box2D
+    cloud: PointCloud
+    up: Float64[np.ndarray, "3"] | None
+    axes: Float64[np.ndarray, "3 3"]
+    box: OrientedBox | None = None
+    measured: Intervals | None = None
+    view_score: float = 0.0
+    disagreement: float = 0.0
+    last_change: float = 1.0
+    kept_share: float = 1.0
+    steps: tuple[StepTrace, ...] = ()
+    stop: StopReason = StopReason.CONTINUES
+
+    @property
+    def quality(self) -> Quality:
+        return Quality(self.disagreement, self.kept_share, self.last_change)
+
+
+@dataclass(frozen=True, eq=False)
+class StepPlan:
+    """The pseudo-views that an object's next step needs: front and side of each frame in turn."""
+
+    strategy: Strategy
+    fallback: tuple[str, ...]
+    frames: tuple[Float64[np.ndarray, "3 3"], ...]
+    views: tuple[PseudoView, ...]
+
+
+def start(
+    frame_index: int, image_box: Box2D, cloud: PointCloud, up: np.ndarray | None, config: RcvConfig
+) -> ObjectState:
+    """The state before the first step; stopped at once where the frustum holds too few points."""
+    held = None
+    if config.orientation is Orientation.UPRIGHT:
+        # Where a recording does not know gravity, a camera held level is the best guess.
+        held = np.array([0.0, -1.0, 0.0]) if up is None else up
+    state = ObjectState(frame_index, image_box, cloud, held, camera_frame(held))
+    if len(cloud) < config.min_points:
+        step = StepTrace(Strategy.CAMERA, (), (), None, len(cloud), 0, StopReason.TOO_FEW_POINTS)
+        return replace(state, steps=(step,), stop=StopReason.TOO_FEW_POINTS)
+    return state
+
+
+def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
+    """Chooses the projection axes of the next step and draws its views."""
+    fallback: tuple[str, ...] = ()
+    if not state.steps:
+        strategy, frames = Strategy.CAMERA, [camera_frame(state.up)]
+    elif config.strategy is Strategy.CONSENSUS:
+        strategy = Strategy.CONSENSUS
+        frames = _consensus_frames(state, config)
+    else:
+        axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
+        strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
+    show = None if state.box is None else box_corners(state.box)
+    return StepPlan(strategy, fallback, tuple(frames), tuple(render_pairs(state.cloud, frames, config.view, show)))
+
+
+def _consensus_frames(state: ObjectState, config: RcvConfig) -> list[Float64[np.ndarray, "3 3"]]:
+    if len(state.steps) == 1 or state.box is None:
+        return wide_frames(state.up, config)
+    frames = near_frames(state.box.rotation, state.up, config)
+    if config.box_kind is BoxKind.SILHOUETTE:
+        frames.append(find_axes(state.cloud, Strategy.NORMALS, camera_frame(state.up), state.up, config).frame)
+    return frames
+
+
+def absorb_step(
+    state: ObjectState, plan: StepPlan, detections: Sequence[Sequence[Box2D]], config: RcvConfig
+) -> list[ObjectState]:
+    """The object's state after a step; several states where the first step found several objects.
+
+    Args:
+        detections: per view of the plan, best first, any class; others than the frustum's are ignored.
+    """
+    boxes = [
+        tuple(b for b in found if b.label == state.image_box.label and b.score >= config.min_view_score)
+        for found in detections
+    ]
+    if not state.steps:
+        return _absorb_first(state, plan, boxes, config)
+    if plan.strategy is not Strategy.CONSENSUS:
+        measured = measure_pair(plan.frames[0], plan.views, boxes, state.box)
+    elif config.box_kind is BoxKind.SILHOUETTE:
+        measured = measure_tightest(plan.frames, plan.views, boxes, state.box, state.cloud)
+    else:
+        measured = measure_consensus(plan.frames, plan.views, boxes, state.box, state.measured, state.up, config)
+    return [_advance(state, plan, boxes, measured, config)]
+
+
+def _absorb_first(
+    state: ObjectState, plan: StepPlan, boxes: list[tuple[Box2D, ...]], config: RcvConfig
+) -> list[ObjectState]:
+    frame, views = plan.frames[0], (plan.views[0], plan.views[1])
+    pairs = cross_view.pair_all(
+        frame, views, boxes[0], boxes[1], state.cloud, config.min_shared_overlap, config.max_objects_per_frustum
+    )
+    if not pairs:
+        return [_advance(state, plan, boxes, None, config)]
+    results = []
+    for pair in pairs:
+        intervals = Intervals.concatenate(
+            [
+                cross_view.measured_intervals(views[0], boxes[0][pair.front], config.edge_noise),
+                cross_view.measured_intervals(views[1], boxes[1][pair.side], config.edge_noise),
+            ]
+        )
+        measured = Measurement(pair.box, frame, pair.disagreement, pair.score, (pair.front, pair.side), intervals)
+        results.append(_advance(state, plan, boxes, measured, config))
+    return results
+
+
+def _advance(
+    state: ObjectState,
+    plan: StepPlan,
+    boxes: list[tuple[Box2D, ...]],
+    measured: Measurement | None,
+    config: RcvConfig,
+) -> ObjectState:
+    """Cuts the cloud with the step's box, decides whether to go on, and writes the trace."""
+    n = len(state.cloud)
+    if measured is None:
+        step = _step_trace(plan, boxes, (None,) * len(boxes), None, n, 0, StopReason.LOST)
+        return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
+    box = canonical_box(measured.box, state.up)
+    extent = max(float(view.extent_m.max()) for view in plan.views)
+    margin = config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent
+    cloud = state.cloud.select(contains(box, state.cloud.xyz_m, margin))
+    inside = int(contains(box, cloud.xyz_m).sum())
+    change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
+    turned = np.inf if state.box is None else frame_angle(measured.frame, state.axes)
+    stop = _stop(len(state.steps) + 1, len(cloud), turned, change, config)
+    step = _step_trace(plan, boxes, measured.used, box, n, len(cloud), stop)
+    return replace(
+        state,
+        cloud=cloud,
+        axes=measured.frame,
+        box=box,
+        measured=measured.intervals,
+        view_score=measured.score,
+        disagreement=measured.disagreement,
+        last_change=change,
+        kept_share=inside / n,
+        steps=(*state.steps, step),
+        stop=stop,
+    )
+
+
+def _stop(steps: int, points: int, turned_rad: float, change: float, config: RcvConfig) -> StopReason:
+    if points < config.min_points:
+        return StopReason.TOO_FEW_POINTS
+    if steps > 1 and turned_rad < config.axes_tolerance_rad:
+        return StopReason.AXES_CONVERGED
+    if steps > 1 and change < config.box_tolerance:
+        return StopReason.BOX_CONVERGED
+    return StopReason.STEP_LIMIT if steps >= config.max_steps else StopReason.CONTINUES
+
+
+def _step_trace(
+    plan: StepPlan,
+    boxes: Sequence[tuple[Box2D, ...]],
+    used: Sequence[int | None],
+    box: OrientedBox | None,
+    points_in: int,
+    points_kept: int,
+    stop: StopReason,
+) -> StepTrace:
+    views = tuple(
+        ViewTrace(
+            axes=_matrix(view.axes),
+            metres_per_px=view.metres_per_px,
+            origin_m=(float(view.origin_m[0]), float(view.origin_m[1])),
+            width_px=view.rgb.shape[1],
+            height_px=view.rgb.shape[0],
+            boxes=found,
+            used=index,
+        )
+        for view, found, index in zip(plan.views, boxes, used, strict=True)
+    )
+    return StepTrace(plan.strategy, plan.fallback, views, box_trace(box), points_in, points_kept, stop)
+
+
+def box_trace(box: OrientedBox | None) -> BoxTrace | None:
+    """A box as plain numbers."""
+    if box is None:
+        return None
+    center, size = box.center_m, box.size_m
+    return BoxTrace(
+        (float(center[0]), float(center[1]), float(center[2])),
+        _matrix(box.rotation),
+        (float(size[0]), float(size[1]), float(size[2])),
+    )
+
+
+def _matrix(m: np.ndarray) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in m)
+    return a, b, c

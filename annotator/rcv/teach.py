@@ -1,0 +1,197 @@
+"""Pseudo-views that a known 3D box labels: training pictures at no cost, from any direction.
+
+The crops imitate what the recursion looks at: a frustum along the camera axes, then what a first cross-view box keeps
+seen from anywhere, then what a nearly right box keeps seen from nearly its own axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.projection import project
+from annotator.rcv.axes import camera_frame
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.cross_view import span_box
+from annotator.rcv.hypotheses import look_from_camera
+from annotator.rcv.pseudo_view import render_pairs
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
+
+MIN_POINTS = 5
+# An object of which less than this share of its points is in a picture is not labelled on it.
+MIN_SHARE = 0.3
+FRUSTUM_SHARE, WIDE_SHARE = 0.2, 0.45
+SPAN_JITTER, NEAR_JITTER = 0.06, 0.06
+NEAR_TURN_RAD = 0.35
+IMAGE_JITTER = 0.04
+
+
+@dataclass(frozen=True, eq=False)
+class TaughtObject:
+    """An object whose 3D extent is known.
+
+    Attributes:
+        label: class name.
+        box: camera frame; for silhouettes, it cuts the object's points out of the cloud.
+        points: (n,) which of the frame's points are the object's; None means those inside the box.
+    """
+
+    label: str
+    box: OrientedBox
+    points: Bool[np.ndarray, "n"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TaughtView:
+    """A pseudo-view and the boxes on it."""
+
+    view: PseudoView
+    boxes: tuple[Box2D, ...]
+
+
+def project_box(view: PseudoView, box: OrientedBox, label: str) -> Box2D | None:
+    """What a 3D box spans on a view, clipped to the picture; None where it lies outside."""
+    return span_on_view(view, box_corners(box), label)
+
+
+def span_on_view(view: PseudoView, xyz_m: Float[np.ndarray, "n 3"], label: str) -> Box2D | None:
+    """The 2D box around points (camera frame) on a view, clipped to the picture; None where it lies outside."""
+    seen = xyz_m @ view.axes[:2].T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    if (high - low <= 0).any():
+        return None
+    raw = view.box_px(np.stack([low, high], axis=1), label)
+    height_px, width_px = view.rgb.shape[:2]
+    x_min, x_max = np.clip([raw.x_min, raw.x_max], -0.5, width_px - 0.5)
+    y_min, y_max = np.clip([raw.y_min, raw.y_max], -0.5, height_px - 0.5)
+    if x_max - x_min < 1 or y_max - y_min < 1:
+        return None
+    return Box2D(label, float(x_min), float(y_min), float(x_max), float(y_max))
+
+
+def teach_views(
+    frame: Frame,
+    objects: Sequence[TaughtObject],
+    kind: BoxKind,
+    draws: int,
+    config: RcvConfig,
+    up: Float64[np.ndarray, "3"] | None,
+    rng: np.random.Generator,
+) -> list[TaughtView]:
+    """Front and side views of each object along `draws` random axes and crops, with all objects labelled.
+
+    Args:
+        kind: what the boxes shall measure.
+        up: for upright objects; views are then level too.
+    """
+    masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
+    taught: list[TaughtView] = []
+    for target, mask in zip(objects, masks, strict=True):
+        if mask.sum() < MIN_POINTS:
+            continue
+        for _ in range(draws):
+            taught.extend(_draw(frame, target, objects, masks, kind, config, up, rng))
+    return taught
+
+
+def _draw(
+    frame: Frame,
+    target: TaughtObject,
+    objects: Sequence[TaughtObject],
+    masks: Sequence[np.ndarray],
+    kind: BoxKind,
+    config: RcvConfig,
+    up: np.ndarray | None,
+    rng: np.random.Generator,
+) -> list[TaughtView]:
+    xyz = frame.cloud.xyz_m
+    choice = rng.random()
+    if choice < FRUSTUM_SHARE:
+        box = _image_box(frame, target, rng)
+        if box is None:
+            return []
+        keep, axes, show = in_frustum(frame.camera, xyz, box), camera_frame(up), None
+    elif choice < FRUSTUM_SHARE + WIDE_SHARE:
+        crop = _camera_crop(target.box, up, rng)
+        keep, axes, show = contains(crop, xyz), look_from_camera(_random_turn(up, rng), up), box_corners(crop)
+    else:
+        crop = _near_crop(target.box, up, rng)
+        keep, axes, show = contains(crop, xyz), look_from_camera(_near_turn(crop, up, rng), up), box_corners(crop)
+    if keep.sum() < MIN_POINTS:
+        return []
+    views = render_pairs(frame.cloud.select(keep), [axes], config.view, show)
+    return [TaughtView(view, _label(view, xyz, keep, objects, masks, kind)) for view in views]
+
+
+def _label(
+    view: PseudoView,
+    xyz: np.ndarray,
+    keep: np.ndarray,
+    objects: Sequence[TaughtObject],
+    masks: Sequence[np.ndarray],
+    kind: BoxKind,
+) -> tuple[Box2D, ...]:
+    boxes = []
+    for item, mask in zip(objects, masks, strict=True):
+        shown = mask & keep
+        if shown.sum() < max(MIN_POINTS, MIN_SHARE * mask.sum()):
+            continue
+        if kind is BoxKind.BOX:
+            box = project_box(view, item.box, item.label)
+        else:
+            box = span_on_view(view, xyz[shown], item.label)
+        if box is not None:
+            boxes.append(box)
+    return tuple(boxes)
+
+
+def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> Box2D | None:
+    px = project(frame.camera, box_corners(target.box))
+    if not np.isfinite(px).all():
+        return None
+    low, high = px.min(axis=0), px.max(axis=0)
+    shift = rng.normal(0, IMAGE_JITTER, 4) * np.tile(high - low, 2)
+    low, high = low + shift[:2], high + shift[2:]
+    if (high - low < 2).any():
+        return None
+    return Box2D(target.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _camera_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> OrientedBox:
+    """What a first cross-view box along the camera axes would be, a little off and rather too large."""
+    axes = camera_frame(up)
+    along = box_corners(box) @ axes.T
+    spans = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
+    reach = spans[:, 1] - spans[:, 0]
+    shift = rng.normal(SPAN_JITTER / 2, SPAN_JITTER, (3, 2)) * reach[:, None]
+    spans = spans + shift * np.array([-1.0, 1.0])
+    return span_box(axes, spans)
+
+
+def _near_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> OrientedBox:
+    """A nearly right box."""
+    turn = _small_turn(NEAR_TURN_RAD / 2, up, rng)
+    center = box.center_m + box.rotation @ (rng.normal(0, NEAR_JITTER / 2, 3) * box.size_m)
+    size = box.size_m * (1 + NEAR_JITTER + rng.normal(0, NEAR_JITTER, 3)).clip(0.8, 1.5)
+    return OrientedBox.from_parts(center, turn @ box.rotation, size)
+
+
+def _near_turn(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
+    return (_small_turn(NEAR_TURN_RAD, up, rng) @ box.rotation).T
+
+
+def _small_turn(sigma_rad: float, up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
+    vector = rng.normal(0, sigma_rad) * up if up is not None else rng.normal(0, sigma_rad, 3)
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+def _random_turn(up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
+    if up is not None:
+        return camera_frame(up) @ Rotation.from_rotvec(rng.uniform(0, 2 * np.pi) * up).as_matrix().T
+    return Rotation.random(rng=rng).as_matrix()

@@ -1,0 +1,129 @@
+"""How good can each axes strategy be? Perfect (or jittered) 2D boxes in place of a detector, on true 3D boxes.
+
+    python -m benchmarks.axes DIR [--jitter 0.02] [--upright | --free] [--json]
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from annotator.detection.perfect import PerfectDetector
+from annotator.evaluation.oriented import FrameResult, matched_ious
+from annotator.geometry.oriented_box import contains
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.propose import propose
+from annotator.recordings import Recording, open_recording
+from annotator.types import BoxKind, Frame, Proposal, Truth
+from annotator.workflows.truth import load_truth
+from benchmarks.report import Table, finish
+
+
+@dataclass
+class Arguments:
+    """Every axes strategy on a folder's true boxes, with a perfect detector."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
+    """A recording with true 3D boxes."""
+    jitter: float = 0.0
+    """Gaussian error of each 2D box edge, share of the view's extent."""
+    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Hold one axis at gravity (the default where the recording knows gravity)."""
+    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let boxes turn freely (the default elsewhere)."""
+    min_points: int = 20
+    """Objects with fewer points are left out."""
+    seed: int = 0
+    """Of the jitter."""
+    strategies: tuple[Strategy, ...] = tuple(Strategy)
+    """Which to measure."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+@dataclass
+class Tally:
+    """Results of one class with one strategy."""
+
+    ious: list[float] = field(default_factory=list)
+    steps: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+
+def true_objects(recording: Recording, index: int, frame: Frame, min_points: int) -> list[Truth]:
+    """The frame's labelled objects that have enough points to be found."""
+    cloud = frame.cloud.xyz_m
+    return [t for t in load_truth(recording, index, frame) if contains(t.box, cloud).sum() >= min_points]
+
+
+def measure(
+    frame: Frame, truths: Sequence[Truth], detector: PerfectDetector, config: RcvConfig, tallies: dict[str, Tally]
+) -> None:
+    """Runs one frame and adds what came out to the tallies, by class."""
+    begin = time.perf_counter()
+    found = propose([frame], detector, detector, config)[0].proposals
+    each = (time.perf_counter() - begin) / len(truths)
+    for label in sorted({t.label for t in truths}):
+        of_label = [p for p in found if p.label == label]
+        ious = matched_ious(_result(of_label, [t for t in truths if t.label == label]))
+        tallies[label].ious.extend(ious)
+        tallies[label].steps.extend(len(p.trace) for p in of_label)
+        tallies[label].seconds.extend([each] * len(ious))
+
+
+def _result(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> FrameResult:
+    return FrameResult([p.box for p in proposals], [p.score for p in proposals], [t.box for t in truths])
+
+
+def run(args: Arguments) -> dict[str, object]:
+    """The benchmark; what `--json` prints."""
+    recording = open_recording(args.folder)
+    tallies: dict[Strategy, dict[str, Tally]] = {s: defaultdict(Tally) for s in args.strategies}
+    for index in range(len(recording)):
+        frame = recording.frame(index)
+        truths = true_objects(recording, index, frame, args.min_points)
+        if not truths:
+            continue
+        upright = args.upright or (frame.up is not None and not args.free)
+        detector = PerfectDetector.for_frame(frame, truths, kind=BoxKind.BOX, jitter=args.jitter, seed=args.seed)
+        for strategy in args.strategies:
+            orientation = Orientation.UPRIGHT if upright else Orientation.FREE
+            config = RcvConfig(strategy=strategy, orientation=orientation)
+            measure(frame, truths, detector, config, tallies[strategy])
+    return {
+        "results": [
+            {
+                "label": label,
+                "axes": strategy.value,
+                "objects": len(tally.ious),
+                "mean_iou": float(np.mean(tally.ious)),
+                "share_50": float(np.mean(np.array(tally.ious) >= 0.5)),
+                "share_70": float(np.mean(np.array(tally.ious) >= 0.7)),
+                "steps": float(np.mean(tally.steps)) if tally.steps else 0.0,
+                "ms_per_object": float(np.median(tally.seconds) * 1e3),
+            }
+            for strategy, by_label in tallies.items()
+            for label, tally in sorted(by_label.items())
+        ],
+        "default_axes": RcvConfig().strategy.value,
+    }
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = run(args)
+    table = Table("class", "axes", "objects", "mean IoU", ">= 0.5", ">= 0.7", "steps", "ms/object")
+    for row in result["results"]:  # type: ignore[attr-defined]
+        table.add(*row.values())
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    main()

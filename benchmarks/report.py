@@ -1,0 +1,42 @@
+"""How benchmarks print: a table for people, one JSON object on the last line for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+
+class Table:
+    """Rows under column heads; numbers are rounded for reading."""
+
+    def __init__(self, *heads: str) -> None:
+        self._table = RichTable(*heads)
+
+    def add(self, *cells: object) -> None:
+        self._table.add_row(*(f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells))
+
+    def show(self) -> None:
+        Console().print(self._table)
+
+
+def finish(result: Mapping[str, object], as_json: bool, *tables: Table) -> None:
+    """Prints the tables and, where asked for, the result as the last line of standard output."""
+    for table in tables:
+        table.show()
+    if as_json:
+        print(json.dumps(_plain(result), allow_nan=False))
+
+
+def _plain(value: object) -> object:
+    """JSON has no NaN: what could not be measured is null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
