@@ -1,0 +1,240 @@
+"""A detector that knows the truth: what the rest of the method reaches when its 2D boxes are right, or a little off."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64
+
+from annotator.geometry.oriented_box import EDGES, box_corners, contains
+from annotator.geometry.projection import project
+from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Truth
+from annotator.types.errors import DetectionError
+
+# What lies nearer to the camera than this is not on the image, metres.
+NEAR_M = 0.1
+# Points along each edge of a box: the edges are straight on an ideal image and bent on a distorted one.
+SAMPLES_IDEAL, SAMPLES_DISTORTED = 2, 17
+# A detected box is never thinner than this, pixels.
+MIN_SIDE_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What the detector knows of one frame.
+
+    Attributes:
+        key: the frame's key.
+        camera: its colour camera.
+        xyz_m: (n, 3) its cloud, camera frame.
+        truths: its objects.
+        points: for each object, how many points of the cloud lie in its box.
+    """
+
+    key: str
+    camera: Camera
+    xyz_m: Float32[np.ndarray, "n 3"]
+    truths: tuple[Truth, ...]
+    points: tuple[int, ...]
+
+    @classmethod
+    def of(cls, frame: Frame, truths: Sequence[Truth]) -> Scene:
+        xyz_m = frame.cloud.xyz_m
+        return cls(
+            frame.key, frame.camera, xyz_m, tuple(truths), tuple(int(contains(t.box, xyz_m).sum()) for t in truths)
+        )
+
+
+class PerfectDetector:
+    """Image detector and pseudo-view detector in one, from the true 3D boxes of the frames it is given.
+
+    On a `Frame` it answers with what each object's 3D box (or, for silhouettes, its points) spans on the image; on a
+    `PseudoView` with the same on the view, for each object of which enough points are drawn there. Boxes are clipped
+    to the picture, as a real detector cannot answer outside it. It knows only frames it was made for.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        kind: BoxKind = BoxKind.BOX,
+        jitter: float = 0.0,
+        seed: int = 0,
+        min_points: int = 1,
+        min_view_share: float = 0.1,
+    ) -> None:
+        """
+        Args:
+            scenes: the frames that will be asked about.
+            kind: what the boxes measure.
+            jitter: standard deviation by which each edge is moved, as a share of the view's extent in that direction
+                (on a camera image: of the box's own extent).
+            seed: of the jitter, which depends on the picture and not on the order of calls.
+            min_points: objects with fewer points in the whole cloud are not seen.
+            min_view_share: objects of which a view draws fewer than this share of their points (and fewer than 3
+                points) are not seen on it.
+
+        Raises:
+            ValueError: two scenes with one key.
+        """
+        self._scenes = {scene.key: scene for scene in scenes}
+        if len(self._scenes) != len(scenes):
+            raise ValueError("two frames have the same key")
+        self._kind, self._jitter, self._seed = kind, jitter, seed
+        self._min_points, self._min_view_share = min_points, min_view_share
+
+    @classmethod
+    def for_frame(
+        cls,
+        frame: Frame,
+        truths: Sequence[Truth],
+        kind: BoxKind = BoxKind.BOX,
+        jitter: float = 0.0,
+        seed: int = 0,
+        min_points: int = 1,
+    ) -> PerfectDetector:
+        """A detector for one frame and all pseudo-views of it; for several, make it from several `Scene`s."""
+        return cls([Scene.of(frame, truths)], kind, jitter, seed, min_points)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The classes of the known objects, sorted."""
+        return tuple(sorted({t.label for scene in self._scenes.values() for t in scene.truths}))
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of the known boxes and the settings."""
+        digest = hashlib.sha256(
+            f"{self._kind} {self._jitter} {self._seed} {self._min_points} {self._min_view_share}".encode()
+        )
+        for key, scene in sorted(self._scenes.items()):
+            digest.update(key.encode())
+            for truth in scene.truths:
+                digest.update(truth.label.encode() + truth.box.T_camera_box.as_matrix().tobytes())
+                digest.update(truth.box.size_m.tobytes())
+        return "perfect-" + digest.hexdigest()
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        """One list of boxes an image; the object with most points first.
+
+        Raises:
+            DetectionError: a frame that the detector was not made for, or a picture that is neither a `Frame` nor a
+                `PseudoView`.
+        """
+        # The views of one step share their points, so each cloud is looked up once.
+        counted: dict[int, tuple[Scene | None, Int64[np.ndarray, "k"]]] = {}
+        found = []
+        for image in images:
+            if isinstance(image, Frame):
+                found.append(self._on_image(image))
+            elif isinstance(image, PseudoView):
+                known = counted.get(id(image.xyz_m))
+                if known is None:
+                    known = counted[id(image.xyz_m)] = self._count(image.xyz_m)
+                found.append(self._on_view(image, *known))
+            else:
+                raise DetectionError(f"a perfect detector sees frames and pseudo-views, not {type(image).__name__}")
+        return found
+
+    def _on_image(self, frame: Frame) -> list[Box2D]:
+        scene = self._scenes.get(frame.key)
+        if scene is None:
+            raise DetectionError(f"the perfect detector does not know frame {frame.key}; it knows {list(self._scenes)}")
+        size = (frame.camera.width_px, frame.camera.height_px)
+        boxes = []
+        for index in np.argsort(scene.points, kind="stable")[::-1]:
+            truth = scene.truths[index]
+            if scene.points[index] < self._min_points:
+                continue
+            span = self._image_span(scene, truth)
+            if span is None:
+                continue
+            rng = self._rng(frame.key.encode(), int(index))
+            boxes.append(_answer(truth.label, span, self._jitter * (span[1] - span[0]), size, rng))
+        return [box for box in boxes if box is not None]
+
+    def _image_span(self, scene: Scene, truth: Truth) -> Float64[np.ndarray, "2 2"] | None:
+        if self._kind is BoxKind.BOX:
+            xyz = box_outline(truth, scene.camera)
+        else:
+            xyz = scene.xyz_m[contains(truth.box, scene.xyz_m)]
+            xyz = xyz[xyz[:, 2] >= NEAR_M].astype(np.float64)
+        px = project(scene.camera, xyz)
+        px = px[np.isfinite(px).all(axis=1)]
+        return np.stack([px.min(axis=0), px.max(axis=0)]) if len(px) else None
+
+    def _count(self, xyz_m: Float32[np.ndarray, "n 3"]) -> tuple[Scene | None, Int64[np.ndarray, "k"]]:
+        """The frame that a view's points come from, and how many of each of its objects' points are among them."""
+        scene = self._scene_of(xyz_m)
+        truths = scene.truths if scene is not None else ()
+        return scene, np.array([contains(t.box, xyz_m).sum() for t in truths], np.int64)
+
+    def _scene_of(self, xyz_m: Float32[np.ndarray, "n 3"]) -> Scene | None:
+        scenes = list(self._scenes.values())
+        if len(scenes) == 1 or not len(xyz_m):
+            return scenes[0] if scenes else None
+        # Views draw points of their frame's cloud unchanged, so a few exact coordinates tell frames apart.
+        probes = xyz_m[:: max(len(xyz_m) // 4, 1)]
+        return next((s for s in scenes if all((s.xyz_m == probe).all(axis=1).any() for probe in probes)), None)
+
+    def _on_view(self, view: PseudoView, scene: Scene | None, shown: Int64[np.ndarray, "k"]) -> list[Box2D]:
+        if scene is None:
+            raise DetectionError("the perfect detector was not made for the frame that a pseudo-view shows")
+        height_px, width_px = view.rgb.shape[:2]
+        size = np.array([width_px, height_px], np.float64)
+        geometry = view.axes.tobytes() + view.origin_m.tobytes() + np.float64(view.metres_per_px).tobytes()
+        boxes = []
+        for index in np.argsort(shown, kind="stable")[::-1]:
+            truth, points = scene.truths[index], scene.points[index]
+            if points < self._min_points or shown[index] < max(3, self._min_view_share * points):
+                continue
+            if self._kind is BoxKind.BOX:
+                xyz = box_corners(truth.box)
+            else:
+                xyz = view.xyz_m[contains(truth.box, view.xyz_m)].astype(np.float64)
+            px = (xyz @ view.axes[:2].T - view.origin_m) / view.metres_per_px
+            span = np.stack([px.min(axis=0), px.max(axis=0)])
+            rng = self._rng(geometry, int(index))
+            boxes.append(_answer(truth.label, span, self._jitter * size, (width_px, height_px), rng))
+        return [box for box in boxes if box is not None]
+
+    def _rng(self, picture: bytes, index: int) -> np.random.Generator:
+        """Noise that depends on the seed, the picture and the object alone."""
+        digest = hashlib.sha256(picture + f" {index} {self._seed}".encode()).digest()
+        return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+
+
+def box_outline(truth: Truth, camera: Camera) -> Float64[np.ndarray, "n 3"]:
+    """Points (camera frame, metres) on the edges of a 3D box, as far as they lie `NEAR_M` in front of the camera.
+
+    What they span on the image is what the box spans. An edge that runs behind the camera is cut off at `NEAR_M`;
+    on a distorted image edges are bent, so points along them are needed, not only their ends.
+    """
+    ends = box_corners(truth.box)[np.array(EDGES)]
+    depth = ends[..., 2]
+    ends = ends[(depth >= NEAR_M).any(axis=1)]
+    start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = (NEAR_M - start[:, 2]) / along[:, 2]
+    first = np.where(start[:, 2] < NEAR_M, cut, 0.0)
+    last = np.where(start[:, 2] + along[:, 2] < NEAR_M, cut, 1.0)
+    samples = SAMPLES_IDEAL if camera.is_ideal else SAMPLES_DISTORTED
+    share = first[:, None] + np.linspace(0.0, 1.0, samples) * (last - first)[:, None]
+    return (start[:, None] + share[..., None] * along[:, None]).reshape(-1, 3)
+
+
+def _answer(
+    label: str,
+    span: Float64[np.ndarray, "2 2"],
+    sigma_px: Float[np.ndarray, "2"],
+    size: tuple[int, int],
+    rng: np.random.Generator,
+) -> Box2D | None:
+    """The 2D box over `span` (rows low and high, columns x and y, pixels), its edges moved, clipped to the picture."""
+    moved = np.sort(span + rng.normal(size=(2, 2)) * sigma_px, axis=0)
+    low, high = np.clip(moved, -0.5, np.array(size) - 0.5)
+    if (high - low < MIN_SIDE_PX).any():
+        return None
+    return Box2D(label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))

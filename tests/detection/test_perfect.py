@@ -1,0 +1,198 @@
+"""The detector that knows the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.detection.perfect import NEAR_M, PerfectDetector, Scene
+from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, PseudoView, Truth
+from annotator.types.errors import DetectionError
+
+CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
+FISHY = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
+
+
+def make_box(center: tuple[float, float, float], size: tuple[float, float, float], turn: float = 0.4) -> OrientedBox:
+    return OrientedBox.from_parts(
+        np.array(center), Rotation.from_euler("yx", [turn, 0.2]).as_matrix(), np.array(size, np.float64)
+    )
+
+
+def fill(box: OrientedBox, n: int, seed: int = 0) -> np.ndarray:
+    """Points spread evenly inside a box."""
+    local = np.random.default_rng(seed).uniform(-0.49, 0.49, (n, 3)) * box.size_m
+    return (local @ box.rotation.T + box.center_m).astype(np.float32)
+
+
+def make_frame(truths: list[Truth], counts: list[int], key: str = "000001", camera: Camera = CAMERA) -> Frame:
+    xyz = np.concatenate([fill(t.box, n, i) for i, (t, n) in enumerate(zip(truths, counts, strict=True))])
+    rgb = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
+    return Frame(key, 0, camera, rgb, PointCloud(xyz))
+
+
+def make_view(xyz: np.ndarray, size: tuple[int, int] = (120, 90), scale: float = 0.02) -> PseudoView:
+    """Along an oblique direction, centred on the points."""
+    axes = Rotation.from_euler("zyx", [0.3, -0.5, 0.8]).as_matrix()
+    middle = (xyz @ axes[:2].T).mean(axis=0)
+    rgb = np.zeros((size[1], size[0], 3), np.uint8)
+    return PseudoView(rgb, axes, scale, middle - (np.array(size) - 1) / 2 * scale, xyz)
+
+
+NEAR = Truth("Car", make_box((0.0, 0.1, 3.0), (1.0, 0.6, 0.4)))
+FAR = Truth("Van", make_box((1.0, -0.3, 5.0), (0.8, 0.8, 0.8), 1.1))
+
+
+def test_it_is_a_detector() -> None:
+    detector = PerfectDetector.for_frame(make_frame([NEAR, FAR], [50, 30]), [NEAR, FAR])
+    assert isinstance(detector, Detector)
+    assert detector.labels == ("Car", "Van")
+
+
+def test_view_box_spans_the_projected_corners() -> None:
+    frame = make_frame([NEAR, FAR], [50, 30])
+    view = make_view(frame.cloud.xyz_m, (300, 300), 0.02)
+    car, van = PerfectDetector.for_frame(frame, [NEAR, FAR]).detect([view])[0]
+    assert (car.label, van.label) == ("Car", "Van")  # most points first
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    for box, truth in ((car, NEAR), (van, FAR)):
+        corners = truth.box.T_camera_box.apply(signs * truth.box.size_m / 2)
+        along = corners @ view.axes[:2].T
+        np.testing.assert_allclose(
+            view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1), atol=1e-9
+        )
+
+
+def test_view_silhouette_spans_the_drawn_points() -> None:
+    frame = make_frame([NEAR], [50])
+    half = frame.cloud.xyz_m[:25]
+    view = make_view(half, (300, 300), 0.02)
+    (box,) = PerfectDetector.for_frame(frame, [NEAR], kind=BoxKind.SILHOUETTE).detect([view])[0]
+    along = half @ view.axes[:2].T
+    np.testing.assert_allclose(view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1))
+
+
+def test_boxes_are_clipped_to_the_picture() -> None:
+    frame = make_frame([NEAR], [50])
+    (box,) = PerfectDetector.for_frame(frame, [NEAR]).detect([make_view(frame.cloud.xyz_m, (20, 14), 0.02)])[0]
+    assert box.xyxy == (-0.5, -0.5, 19.5, 13.5)
+
+
+@pytest.mark.parametrize(("drawn", "found"), [(0, 0), (2, 0), (4, 0), (5, 1), (50, 1)])
+def test_a_view_with_too_little_of_an_object_does_not_show_it(drawn: int, found: int) -> None:
+    frame = make_frame([NEAR], [50])
+    rest = np.array([[9.0, 9.0, 9.0]], np.float32)
+    view = make_view(np.concatenate([frame.cloud.xyz_m[:drawn], rest]), (900, 900), 0.05)
+    assert len(PerfectDetector.for_frame(frame, [NEAR]).detect([view])[0]) == found
+
+
+def test_objects_with_too_few_points_are_not_seen() -> None:
+    frame = make_frame([NEAR, FAR], [50, 6])
+    view = make_view(frame.cloud.xyz_m, (300, 300))
+    detector = PerfectDetector.for_frame(frame, [NEAR, FAR], min_points=7)
+    assert [[b.label for b in boxes] for boxes in detector.detect([frame, view])] == [["Car"], ["Car"]]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    center=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-0.5, 4)),
+    size=st.tuples(*[st.floats(0.2, 2.5)] * 3),
+    turns=st.tuples(*[st.floats(-3, 3)] * 3),
+    camera=st.sampled_from([CAMERA, FISHY]),
+)
+def test_image_box_spans_all_of_the_surface_in_front_of_the_camera(
+    center: tuple[float, float, float],
+    size: tuple[float, float, float],
+    turns: tuple[float, float, float],
+    camera: Camera,
+) -> None:
+    box = OrientedBox.from_parts(np.array(center), Rotation.from_euler("zyx", turns).as_matrix(), np.array(size))
+    surface = box.T_camera_box.apply(_surface() * box.size_m / 2)
+    assume(surface[:, 2].max() > NEAR_M + 1e-3 or surface[:, 2].max() < NEAR_M - 1e-3)
+    seen = surface[surface[:, 2] >= NEAR_M]
+    # A distortion model folds over far off the axis; there a box on the image means nothing.
+    assume(camera.is_ideal or (np.abs(seen[:, :2]) < 0.9 * seen[:, 2:]).all())
+    truth = Truth("thing", box)
+    found = PerfectDetector.for_frame(make_frame([truth], [20], camera=camera), [truth], min_points=0)
+    boxes = found.detect([make_frame([truth], [20], camera=camera)])[0]
+    px = _pixels(camera, seen) if len(seen) else np.empty((0, 2))
+    limit = np.array([camera.width_px, camera.height_px]) - 0.5
+    low = np.clip(px.min(axis=0), -0.5, limit) if len(px) else limit
+    high = np.clip(px.max(axis=0), -0.5, limit) if len(px) else limit
+    if (high - low < 3).any():
+        return  # hardly in the picture; whether it is answered is a matter of taste
+    assert len(boxes) == 1
+    # The sampled surface lies within the box, and reaches its edges but for the spacing of the samples.
+    got = np.array(boxes[0].xyxy)
+    assert (got[:2] <= low + 0.1).all()
+    assert (got[2:] >= high - 0.1).all()
+    if (seen[:, 2] > 0.5).all():
+        np.testing.assert_allclose(got, np.concatenate([low, high]), atol=4.0)
+
+
+def _surface() -> np.ndarray:
+    steps = np.linspace(-1, 1, 21)
+    a, b = (grid.reshape(-1) for grid in np.meshgrid(steps, steps))
+    faces = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            face = np.full((len(a), 3), side)
+            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = a, b
+            faces.append(face)
+    return np.concatenate(faces)
+
+
+def _pixels(camera: Camera, xyz: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))[0][:, 0]
+
+
+def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen() -> None:
+    behind = Truth("a", make_box((0.0, 0.0, -3.0), (1.0, 1.0, 1.0)))
+    beside = Truth("b", make_box((9.0, 0.0, 3.0), (1.0, 1.0, 1.0)))
+    frame = make_frame([behind, beside], [50, 50])
+    assert PerfectDetector.for_frame(frame, [behind, beside]).detect([frame]) == [[]]
+
+
+def test_jitter_has_the_asked_spread_and_depends_on_the_picture_alone() -> None:
+    frame = make_frame([NEAR], [200])
+    views = [make_view(frame.cloud.xyz_m, (300, 200), 0.02 + 0.0001 * i) for i in range(300)]
+    exact = PerfectDetector.for_frame(frame, [NEAR]).detect(views)
+    noisy = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=3).detect(views)
+    error = np.array([np.subtract(b[0].xyxy, a[0].xyxy) for a, b in zip(exact, noisy, strict=True)])
+    np.testing.assert_allclose(error.std(axis=0), [6.0, 4.0, 6.0, 4.0], rtol=0.15)
+    assert (np.abs(error.mean(axis=0)) < 1.2).all()
+    again = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=3)
+    assert again.detect(views[::-1]) == noisy[::-1]
+    other = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=4)
+    assert other.detect(views[:1]) != noisy[:1]
+    assert again.fingerprint != other.fingerprint
+
+
+def test_image_jitter_is_a_share_of_the_box() -> None:
+    frames = [make_frame([NEAR], [20], key=f"{i:06d}") for i in range(300)]
+    exact = PerfectDetector([Scene.of(f, [NEAR]) for f in frames]).detect(frames)
+    noisy = PerfectDetector([Scene.of(f, [NEAR]) for f in frames], jitter=0.05).detect(frames)
+    error = np.array([np.subtract(b[0].xyxy, a[0].xyxy) for a, b in zip(exact, noisy, strict=True)])
+    width, height = exact[0][0].width_px, exact[0][0].height_px
+    np.testing.assert_allclose(error.std(axis=0), 0.05 * np.array([width, height] * 2), rtol=0.15)
+
+
+def test_views_of_several_frames_in_one_batch_find_their_frame() -> None:
+    first, second = make_frame([NEAR], [50], "000001"), make_frame([FAR], [50], "000002")
+    detector = PerfectDetector([Scene.of(first, [NEAR]), Scene.of(second, [FAR])])
+    views = [make_view(f.cloud.select(np.arange(10, 40)).xyz_m, (300, 300)) for f in (second, first)]
+    assert [[b.label for b in boxes] for boxes in detector.detect([first, *views])] == [["Car"], ["Van"], ["Car"]]
+
+
+def test_what_it_was_not_made_for_is_an_error() -> None:
+    detector = PerfectDetector.for_frame(make_frame([NEAR], [50]), [NEAR])
+    with pytest.raises(DetectionError, match="000009"):
+        detector.detect([make_frame([NEAR], [50], "000009")])
+    several = PerfectDetector([Scene.of(make_frame([t], [50], key), [t]) for t, key in ((NEAR, "1"), (FAR, "2"))])
+    with pytest.raises(DetectionError, match="pseudo-view"):
+        several.detect([make_view(fill(make_box((0, 0, 9), (1, 1, 1)), 30))])
