@@ -72,7 +72,8 @@ def radius_limit_squared(coefficients: Coefficients) -> float:
     below = np.polynomial.Polynomial([1.0, k4, k5, k6])
     # derivative of r * above(r^2) / below(r^2) after r, times below^2, in q = r^2
     growth = above * below + np.polynomial.Polynomial([0.0, 2.0]) * (above.deriv() * below - above * below.deriv())
-    roots = np.concatenate([growth.trim().roots(), below.trim().roots()])
+    # a leading coefficient this small puts its root far beyond any lens, and overflows on the way
+    roots = np.concatenate([polynomial.trim(1e-12).roots() for polynomial in (growth, below)])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * np.maximum(np.abs(roots), 1.0)) & (roots.real > 0)]
     return float(real.min(initial=np.inf))
 
