@@ -1,0 +1,110 @@
+"""Between the shared value types and the records of an `rcv` dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.rcv.model import FRAME_OF_REFERENCE, Matrix3, RcvCamera, RcvLabels, RcvObject, Vector3
+from annotator.geometry.transforms import corners_4x8
+from annotator.types import Camera, Frame, Label, OrientedBox
+
+# Centre, rotation and size are the box; quaternion and corners must say the same within this, metres or 1.
+AGREEMENT = 1e-6
+
+
+def camera_record(camera: Camera) -> RcvCamera:
+    return RcvCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        distortion=camera.distortion,
+    )
+
+
+def camera_from(record: RcvCamera) -> Camera:
+    """Raises ValueError where the number of distortion coefficients is none of OpenCV's."""
+    size = (record.width_px, record.height_px)
+    return Camera(*size, record.fx, record.fy, record.cx, record.cy, record.distortion)
+
+
+def labels_record(
+    frame_id: str, recording: str, frame: Frame, labels: Sequence[Label], image: str, cloud: str
+) -> RcvLabels:
+    """The record of one frame; `image` and `cloud` are its files within the dataset."""
+    return RcvLabels(
+        id=frame_id,
+        recording=recording,
+        key=frame.key,
+        index=frame.index,
+        timestamp_ns=frame.timestamp_ns,
+        image=image,
+        cloud=cloud,
+        points=len(frame.cloud),
+        frame_of_reference=FRAME_OF_REFERENCE,
+        up=None if frame.up is None else _vector(frame.up),
+        camera=camera_record(frame.camera),
+        objects=tuple(object_record(label) for label in labels),
+    )
+
+
+def object_record(label: Label) -> RcvObject:
+    box = label.box
+    return RcvObject(
+        uid=label.uid,
+        label=label.label,
+        score=label.score,
+        source=label.source,
+        state=label.state,
+        author=label.author,
+        time_ns=label.time_ns,
+        track_id=label.track_id,
+        center=_vector(box.center_m),
+        size=_vector(box.size_m),
+        rotation=_matrix(box.rotation),
+        quaternion=tuple(box.T_camera_box.rotation.as_quat(canonical=True, scalar_first=True).tolist()),
+        corners=tuple(tuple(row) for row in corners_4x8(box).tolist()),
+    )
+
+
+def label_from(record: RcvObject) -> Label:
+    """The label of a record.
+
+    Raises:
+        ValueError: the rotation is none, or quaternion or corners say something else than centre, size and rotation.
+    """
+    rotation = np.array(record.rotation)
+    box = OrientedBox.from_parts(np.array(record.center), rotation, np.array(record.size))
+    quaternion = Rotation.from_quat(record.quaternion, scalar_first=True)
+    if np.abs(quaternion.as_matrix() - box.rotation).max() > AGREEMENT:
+        raise ValueError("quaternion and rotation disagree; rotation counts, write the quaternion anew from it")
+    # the rotation of the quaternion is exactly orthonormal, that of the matrix only as far as its digits go
+    box = OrientedBox(RigidTransform.from_components(np.array(record.center), quaternion), np.array(record.size))
+    reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
+    if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
+        raise ValueError("corners disagree with center, size and rotation, which count; write the corners anew")
+    return Label(
+        uid=record.uid,
+        label=record.label,
+        box=box,
+        score=record.score,
+        source=record.source,
+        state=record.state,
+        author=record.author,
+        time_ns=record.time_ns,
+        track_id=record.track_id,
+    )
+
+
+def _vector(values: np.ndarray) -> Vector3:
+    x, y, z = values.tolist()
+    return (x, y, z)
+
+
+def _matrix(values: np.ndarray) -> Matrix3:
+    return (_vector(values[0]), _vector(values[1]), _vector(values[2]))

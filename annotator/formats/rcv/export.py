@@ -1,0 +1,195 @@
+"""Writes an `rcv` dataset, one frame in memory at a time."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from annotator.formats.rcv.convert import camera_record, labels_record
+from annotator.formats.rcv.folder import new_folder
+from annotator.formats.rcv.model import (
+    FORMAT_NAME,
+    FORMAT_VERSION,
+    RcvCamera,
+    RcvCameraUse,
+    RcvConventions,
+    RcvCounts,
+    RcvDetector,
+    RcvManifest,
+    RcvOptions,
+)
+from annotator.formats.rcv.ply import write_ply
+from annotator.formats.rcv.readme import readme_text
+from annotator.types import Frame, Label, ReviewState, Source
+from annotator.types.errors import FormatError
+
+MANIFEST = "dataset.json"
+FOLDERS = ("images", "clouds", "labels")
+
+
+@dataclass(frozen=True, eq=False)
+class RcvItem:
+    """One frame to export: the recording's name, the frame, and its labels (only those that should leave)."""
+
+    recording: str
+    frame: Frame
+    labels: Sequence[Label]
+
+
+@dataclass(frozen=True)
+class RcvInfo:
+    """What an export says of itself.
+
+    Attributes:
+        classes: all class names of the project, in its order; every label must be one of them.
+        detectors: the detectors that had a part in the boxes.
+        generator: program and version, such as "annotator 0.1.0".
+        options: how images are written.
+    """
+
+    classes: tuple[str, ...]
+    detectors: tuple[RcvDetector, ...]
+    generator: str
+    options: RcvOptions = field(default_factory=RcvOptions)
+
+
+def export_rcv(out: Path, items: Iterable[RcvItem], info: RcvInfo, *, overwrite: bool = False) -> RcvManifest:
+    """Writes the dataset folder `out`, all or not at all, and returns what its `dataset.json` says.
+
+    Args:
+        out: a folder that is missing or empty; with `overwrite`, an older rcv dataset may be replaced.
+        items: the frames, read one by one; an error from here leaves nothing behind.
+        info: classes, detectors, generator, options.
+
+    Raises:
+        FormatError: `out` is taken, nothing is there to export, a frame comes twice, a label has an unknown class,
+            or the disk refuses.
+    """
+    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
+        tally = _Tally()
+        with _writing(out):
+            for name in FOLDERS:
+                (part / name).mkdir()
+        for item in items:
+            _require_classes(out, item, info.classes)
+            frame_id = tally.add(out, item)
+            with _writing(out):
+                _write_frame(part, frame_id, item, info.options)
+        if not tally.ids:
+            raise FormatError(out, "there is no frame to export; the export was not written")
+        manifest = tally.manifest(info)
+        with _writing(out):
+            (part / "README.md").write_text(readme_text(manifest), encoding="utf-8")
+            (part / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    return manifest
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    """Turns what the disk says into an error that names the export."""
+    try:
+        yield
+    except OSError as error:
+        raise FormatError(out, f"cannot be written ({error.strerror}); nothing was left behind") from error
+
+
+def _is_dataset(folder: Path) -> bool:
+    """True for a former export: no other folder is ever overwritten."""
+    manifest = folder / MANIFEST
+    return manifest.is_file() and f'"{FORMAT_NAME}"' in manifest.read_text(encoding="utf-8", errors="replace")
+
+
+def _require_classes(out: Path, item: RcvItem, classes: tuple[str, ...]) -> None:
+    for label in item.labels:
+        if label.label not in classes:
+            where = f"{item.recording}, frame {item.frame.key}"
+            raise FormatError(out, f"{where}: label {label.label!r} is none of the classes {', '.join(classes)}")
+
+
+def _write_frame(part: Path, frame_id: str, item: RcvItem, options: RcvOptions) -> None:
+    """The frame's three files."""
+    image, cloud = f"images/{frame_id}.{options.image_format}", f"clouds/{frame_id}.ply"
+    (part / image).write_bytes(_encoded(item.frame.rgb, options))
+    write_ply(part / cloud, item.frame.cloud)
+    record = labels_record(frame_id, item.recording, item.frame, item.labels, image, cloud)
+    (part / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+
+def _encoded(rgb: np.ndarray, options: RcvOptions) -> bytes:
+    """The RGB picture (h, w, 3) as the bytes of an image file."""
+    import cv2
+
+    settings = [cv2.IMWRITE_JPEG_QUALITY, options.jpeg_quality] if options.image_format == "jpg" else []
+    _, data = cv2.imencode(f".{options.image_format}", np.ascontiguousarray(rgb[..., ::-1]), settings)
+    return bytes(data.tobytes())
+
+
+@dataclass
+class _Tally:
+    """Ids and counts of the frames so far; the only thing that grows with the number of frames."""
+
+    ids: dict[tuple[str, str], str] = field(default_factory=dict)
+    taken: set[str] = field(default_factory=set)
+    cameras: dict[RcvCamera, list[str]] = field(default_factory=dict)
+    points: int = 0
+    by_recording: Counter[str] = field(default_factory=Counter)
+    objects_by_recording: Counter[str] = field(default_factory=Counter)
+    objects_by_class: Counter[str] = field(default_factory=Counter)
+    objects_by_state: Counter[ReviewState] = field(default_factory=Counter)
+    objects_by_source: Counter[Source] = field(default_factory=Counter)
+
+    def add(self, out: Path, item: RcvItem) -> str:
+        """Counts the frame and returns its id: `recording-key`, fit for a file name on every system."""
+        origin = (item.recording, item.frame.key)
+        if origin in self.ids:
+            raise FormatError(out, f"{item.recording}, frame {item.frame.key}: the frame comes twice")
+        frame_id = self._free_id("-".join(re.sub(r"[^\w.]+", "_", part) for part in origin).lstrip("."))
+        self.ids[origin] = frame_id
+        self.taken.add(frame_id.casefold())
+        recordings = self.cameras.setdefault(camera_record(item.frame.camera), [])
+        if item.recording not in recordings:
+            recordings.append(item.recording)
+        self.points += len(item.frame.cloud)
+        self.by_recording[item.recording] += 1
+        self.objects_by_recording[item.recording] += len(item.labels)
+        self.objects_by_class.update(label.label for label in item.labels)
+        self.objects_by_state.update(label.state for label in item.labels)
+        self.objects_by_source.update(label.source for label in item.labels)
+        return frame_id
+
+    def _free_id(self, wanted: str) -> str:
+        """`wanted`, numbered where different names become the same file name."""
+        candidate, number = wanted, 1
+        while candidate.casefold() in self.taken:
+            number += 1
+            candidate = f"{wanted}-{number}"
+        return candidate
+
+    def manifest(self, info: RcvInfo) -> RcvManifest:
+        return RcvManifest(
+            format=FORMAT_NAME,
+            version=FORMAT_VERSION,
+            generator=info.generator,
+            classes=info.classes,
+            conventions=RcvConventions(),
+            detectors=info.detectors,
+            options=info.options,
+            cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.items()),
+            counts=RcvCounts(
+                frames=len(self.ids),
+                objects=sum(self.objects_by_class.values()),
+                points=self.points,
+                frames_by_recording=dict(self.by_recording),
+                objects_by_recording=dict(self.objects_by_recording),
+                objects_by_class={name: self.objects_by_class[name] for name in info.classes},
+                objects_by_state={state: self.objects_by_state[state] for state in ReviewState},
+                objects_by_source={source: self.objects_by_source[source] for source in Source},
+            ),
+            frames=tuple(self.ids.values()),
+        )

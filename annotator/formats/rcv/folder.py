@@ -1,0 +1,66 @@
+"""A folder that appears all at once: filled under a temporary name beside its place, then renamed."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from annotator.types.errors import FormatError
+
+
+@contextmanager
+def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]:
+    """Gives a temporary sibling of `out` to fill; it becomes `out` if the block ends well, else it is removed.
+
+    Args:
+        out: the folder to make; missing, empty, or one that `may_replace` allows to replace. The old one stays
+            until the new one is complete.
+        may_replace: asked for a folder that holds something.
+
+    Raises:
+        FormatError: `out` may not be replaced, or nothing can be written beside it.
+    """
+    # a relative path must mean the same folder at the end, and a link stays a link to what it names
+    out = out.resolve()
+    _require_free(out, may_replace)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{out.name}.part-", dir=out.parent))
+    except OSError as error:
+        raise FormatError(out, f"cannot be made ({error.strerror})") from error
+    try:
+        yield part
+        # somebody else may have filled it meanwhile
+        _require_free(out, may_replace)
+        _put_in_place(part, out)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:
+    if out.exists() and not out.is_dir():
+        raise FormatError(out, "exists and is no folder; name another folder")
+    if out.is_dir() and any(out.iterdir()) and not may_replace(out):
+        raise FormatError(out, "exists and is not empty; name another folder, or say that a dataset may be overwritten")
+
+
+def _put_in_place(part: Path, out: Path) -> None:
+    """Renames `part` to `out`; what was there is moved aside first, and back if that fails."""
+    try:
+        part.chmod(0o755)
+        if not out.exists():
+            part.rename(out)
+            return
+        aside = Path(tempfile.mkdtemp(prefix=f".{out.name}.old-", dir=out.parent))
+        out.replace(aside)
+        try:
+            part.rename(out)
+        except OSError:
+            aside.replace(out)
+            raise
+        shutil.rmtree(aside, ignore_errors=True)
+    except OSError as error:
+        raise FormatError(out, f"cannot be made ({error.strerror})") from error

@@ -1,0 +1,145 @@
+"""The JSON of an `rcv` dataset: `labels/ID.json` and `dataset.json`, metres, radians and pixels throughout."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from annotator.types import ReviewState, Source
+
+FORMAT_NAME = "annotator-rcv"
+FORMAT_VERSION = 1
+FRAME_OF_REFERENCE = "camera: the colour camera, right-handed, x right, y down, z forward, metres"
+BOX_AXES = "x along the length, y along the width, z along the height, origin at the centre"
+CORNER_ORDER = ("---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++")
+PIXELS = "continuous; the centre of the first pixel is (0, 0)"
+DISTORTION = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty for an ideal pinhole"
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Vector3 = tuple[Number, Number, Number]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+Row8 = tuple[Number, Number, Number, Number, Number, Number, Number, Number]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class RcvCamera(_Record):
+    """Intrinsics of the colour camera; `distortion` as in `DISTORTION`."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+    distortion: tuple[Number, ...] = ()
+
+
+class RcvObject(_Record):
+    """One object of a frame.
+
+    `center`, `rotation` (columns = box axes in the camera frame) and `size` (length, width, height) are the box;
+    `quaternion` (w, x, y, z) and `corners` (Eq. (1): rows x, y, z, 1; columns in `CORNER_ORDER`) say the same again.
+    """
+
+    uid: str = Field(min_length=1)
+    label: str = Field(min_length=1)
+    score: float | None = Field(ge=0, le=1)
+    source: Source
+    state: ReviewState
+    author: str
+    time_ns: int
+    track_id: int | None
+    center: Vector3
+    size: tuple[Positive, Positive, Positive]
+    rotation: Matrix3
+    quaternion: tuple[Number, Number, Number, Number]
+    corners: tuple[Row8, Row8, Row8, Row8]
+
+
+class RcvLabels(_Record):
+    """`labels/ID.json`: one frame.
+
+    `key`, `index` and `recording` say where the frame came from; `up` is the unit vector against gravity in the
+    camera frame, where the recording knows it.
+    """
+
+    id: str
+    recording: str
+    key: str
+    index: int = Field(ge=0)
+    timestamp_ns: int | None
+    image: str
+    cloud: str
+    points: int = Field(ge=0)
+    frame_of_reference: str
+    up: Vector3 | None
+    camera: RcvCamera
+    objects: tuple[RcvObject, ...]
+
+
+class RcvDetector(_Record):
+    """A 2D detector that had a part in the boxes: `role` is what it looks at, such as image or view."""
+
+    role: str
+    name: str
+    fingerprint: str
+
+
+class RcvOptions(_Record):
+    """How an export is written: lossless PNG, or JPEG at the given quality."""
+
+    image_format: Literal["png", "jpg"] = "png"
+    jpeg_quality: int = Field(95, ge=1, le=100)
+
+
+class RcvConventions(_Record):
+    """What the numbers mean, in words."""
+
+    frame_of_reference: str = FRAME_OF_REFERENCE
+    box_axes: str = BOX_AXES
+    rotation: str = "columns = box axes in the camera frame"
+    quaternion: str = "w x y z"
+    corners: str = "4 x 8, rows x y z 1, columns in corner_order (signs along the box's x y z)"
+    corner_order: tuple[str, ...] = CORNER_ORDER
+    pixels: str = PIXELS
+    distortion: str = DISTORTION
+
+
+class RcvCameraUse(_Record):
+    """A camera and the recordings in which it occurs."""
+
+    camera: RcvCamera
+    recordings: tuple[str, ...]
+
+
+class RcvCounts(_Record):
+    """How many there are: frames, points, and objects split by class, review state and source."""
+
+    frames: int
+    objects: int
+    points: int
+    frames_by_recording: dict[str, int]
+    objects_by_recording: dict[str, int]
+    objects_by_class: dict[str, int]
+    objects_by_state: dict[ReviewState, int]
+    objects_by_source: dict[Source, int]
+
+
+class RcvManifest(_Record):
+    """`dataset.json`: the whole dataset; `frames` lists the ids in order."""
+
+    format: Literal["annotator-rcv"]
+    version: Literal[1]
+    generator: str
+    classes: tuple[str, ...]
+    conventions: RcvConventions
+    detectors: tuple[RcvDetector, ...]
+    options: RcvOptions
+    cameras: tuple[RcvCameraUse, ...]
+    counts: RcvCounts
+    frames: tuple[str, ...]

@@ -1,0 +1,126 @@
+"""Reads an `rcv` dataset back, a frame at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.formats.json_file import read_model
+from annotator.formats.rcv.convert import camera_from, label_from
+from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.rcv.model import RcvLabels, RcvManifest
+from annotator.formats.rcv.ply import read_ply
+from annotator.types import Frame, Label, PointCloud
+from annotator.types.errors import FormatError
+
+
+@dataclass(frozen=True, eq=False)
+class RcvFrame:
+    """One frame of a dataset: its id, the name of the recording it came from, and what was exported."""
+
+    id: str
+    recording: str
+    frame: Frame
+    labels: tuple[Label, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RcvDataset:
+    """A dataset whose frames are read when asked for.
+
+    Attributes:
+        path: the folder.
+        manifest: the content of `dataset.json`.
+    """
+
+    path: Path
+    manifest: RcvManifest
+
+    def __len__(self) -> int:
+        return len(self.manifest.frames)
+
+    def labels(self, i: int) -> tuple[Label, ...]:
+        """The labels of frame `i`, without its image and cloud.
+
+        Raises:
+            FormatError: the label file is missing or does not follow the format.
+        """
+        return _labels(*self._record(i))
+
+    def frame(self, i: int) -> RcvFrame:
+        """Frame `i`, read from disk.
+
+        Raises:
+            FormatError: one of its files is missing or does not follow the format.
+        """
+        path, record = self._record(i)
+        rgb, cloud = _image(self.path / record.image), read_ply(self.path / record.cloud)
+        if len(cloud) != record.points:
+            raise FormatError(self.path / record.cloud, f"holds {len(cloud)} points, {path.name} says {record.points}")
+        return RcvFrame(record.id, record.recording, _frame(path, record, rgb, cloud), _labels(path, record))
+
+    def _record(self, i: int) -> tuple[Path, RcvLabels]:
+        """The content of frame `i`'s label file, and its path."""
+        frame_id = self.manifest.frames[i]
+        path = self.path / "labels" / f"{frame_id}.json"
+        record = read_model(path, RcvLabels)
+        if record.id != frame_id:
+            raise FormatError(path, f"says that its id is {record.id!r}")
+        for name in (record.image, record.cloud):
+            if not (self.path / name).resolve().is_relative_to(self.path.resolve()):
+                raise FormatError(path, f"{name!r} is not a file of this dataset")
+        return path, record
+
+
+def read_rcv(path: Path) -> RcvDataset:
+    """Opens a dataset; its frames are read one by one, when asked for.
+
+    Raises:
+        FormatError: `path` holds no rcv dataset, or one whose manifest contradicts itself.
+    """
+    manifest = read_model(path / MANIFEST, RcvManifest)
+    if len(manifest.frames) != manifest.counts.frames or len(set(manifest.frames)) != len(manifest.frames):
+        raise FormatError(path / MANIFEST, f"frames must list {manifest.counts.frames} different ids, as counts says")
+    return RcvDataset(path, manifest)
+
+
+def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture, RGB order."""
+    import cv2
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FormatError(path, f"the image cannot be read ({error.strerror})") from error
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if bgr is None:
+        raise FormatError(path, "the image is empty, truncated or of another kind; export the dataset again")
+    return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def _frame(path: Path, record: RcvLabels, rgb: np.ndarray, cloud: PointCloud) -> Frame:
+    try:
+        return Frame(
+            key=record.key,
+            index=record.index,
+            camera=camera_from(record.camera),
+            rgb=rgb,
+            cloud=cloud,
+            up=None if record.up is None else np.array(record.up),
+            timestamp_ns=record.timestamp_ns,
+        )
+    except ValueError as error:
+        raise FormatError(path, str(error)) from error
+
+
+def _labels(path: Path, record: RcvLabels) -> tuple[Label, ...]:
+    labels = []
+    for number, entry in enumerate(record.objects):
+        try:
+            labels.append(label_from(entry))
+        except ValueError as error:
+            raise FormatError(path, f"objects.{number}: {error}") from error
+    return tuple(labels)
