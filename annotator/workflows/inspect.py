@@ -1,0 +1,137 @@
+"""What a recording holds, for people who look before they begin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from annotator.recordings import Recording, open_recording
+from annotator.types import Frame
+from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.truth import has_truth, load_mask, load_truth
+
+
+class FrameReport(BaseModel):
+    """What one frame holds; lengths in metres, sizes in pixels."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: str
+    width_px: int
+    height_px: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+    points: int
+    has_colour: bool
+    has_reflectance: bool
+    has_depth_image: bool
+    nearest_m: float
+    farthest_m: float
+    up: tuple[float, float, float] | None
+    timestamp_ns: int | None
+    objects: dict[str, int] | None
+    objects_problem: str | None
+    has_mask: bool
+
+
+class RecordingReport(BaseModel):
+    """What a recording holds.
+
+    Attributes:
+        frame: the first frame that can be read.
+        broken: what is wrong with the frames before it, by key.
+        has_labels: it comes with true boxes.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    path: Path
+    format: str
+    name: str
+    frames: int
+    first_key: str
+    last_key: str
+    is_sequence: bool
+    has_labels: bool
+    frame: FrameReport | None
+    broken: dict[str, str]
+
+
+# A recording whose first frames are all unreadable is told so without reading all the others.
+FRAMES_TRIED = 5
+
+
+def inspect_recording(path: Path) -> RecordingReport:
+    """What a recording holds, from its list of frames and the first frame that can be read.
+
+    Raises:
+        RecordingError: no recording is there.
+    """
+    recording = open_recording(path)
+    index, frame, broken = _first_frame(recording)
+    return RecordingReport(
+        path=recording.path,
+        format=recording.format,
+        name=recording.name,
+        frames=len(recording),
+        first_key=recording.keys[0],
+        last_key=recording.keys[-1],
+        is_sequence=recording.is_sequence,
+        has_labels=has_truth(recording),
+        frame=None if frame is None else _report(recording, index, frame),
+        broken=broken,
+    )
+
+
+def _first_frame(recording: Recording) -> tuple[int, Frame | None, dict[str, str]]:
+    """The first frame that can be read, its index, and what was wrong with those before."""
+    broken: dict[str, str] = {}
+    for index, key in enumerate(recording.keys[:FRAMES_TRIED]):
+        try:
+            return index, recording.frame(index), broken
+        except FrameError as error:
+            broken[key] = str(error)
+    return 0, None, broken
+
+
+def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
+    camera, cloud = frame.camera, frame.cloud
+    objects, problem, has_mask = _labels(recording, index, frame)
+    return FrameReport(
+        key=frame.key,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        distortion=camera.distortion,
+        points=len(cloud),
+        has_colour=cloud.rgb is not None,
+        has_reflectance=cloud.reflectance is not None,
+        has_depth_image=frame.depth_m is not None,
+        nearest_m=float(cloud.xyz_m[:, 2].min()),
+        farthest_m=float(cloud.xyz_m[:, 2].max()),
+        up=None if frame.up is None else tuple(frame.up.tolist()),
+        timestamp_ns=frame.timestamp_ns,
+        objects=objects,
+        objects_problem=problem,
+        has_mask=has_mask,
+    )
+
+
+def _labels(recording: Recording, index: int, frame: Frame) -> tuple[dict[str, int] | None, str | None, bool]:
+    """Objects by class (None without labels), what is wrong with the labels, and whether there is a mask."""
+    counts: dict[str, int] | None = None
+    try:
+        if has_truth(recording):
+            counts = {}
+            for truth in load_truth(recording, index, frame):
+                counts[truth.label] = counts.get(truth.label, 0) + 1
+        return counts, None, load_mask(recording, frame) is not None
+    except FormatError as error:
+        return counts, str(error), False

@@ -1,0 +1,109 @@
+"""The true boxes and masks that came with a recording, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.formats.boxes_json import read_boxes
+from annotator.formats.kitti import read_object_labels, read_tracking_labels
+from annotator.formats.masks import read_mask
+from annotator.recordings import Recording
+from annotator.types import Frame, Truth
+from annotator.types.errors import FormatError, RecordingError
+
+# Generated recordings keep their truth apart from what a sensor would give.
+TRUTH_FOLDER = "truth"
+
+
+def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
+    """The labelled objects of one frame, in file order; empty where the labels say that there are none.
+
+    Args:
+        recording: where the labels lie.
+        index: the frame's number in the recording.
+        frame: the frame itself, for the frame of reference of its labels.
+
+    Raises:
+        RecordingError: the recording has no labels at all.
+        FormatError: its labels are broken.
+    """
+    file = label_file(recording, recording.keys[index])
+    if file is None:
+        raise RecordingError(f"{recording.path}: has no true boxes; looked for {_looked_for(recording)}")
+    return _READERS[recording.format](file, recording.keys[index], frame)
+
+
+def has_truth(recording: Recording) -> bool:
+    """True where the recording has labels of its own."""
+    return label_file(recording, recording.keys[0]) is not None
+
+
+def label_file(recording: Recording, key: str) -> Path | None:
+    """The file that would hold the labels of a frame, or None where the recording has no labels.
+
+    KITTI object labels are one file a frame: a folder of labels that lacks this frame's still counts.
+    """
+    for name in _PLACES.get(recording.format, ()):
+        place = recording.root / name
+        if place.is_file():
+            return place
+        if place.is_dir():
+            return place / f"{key}.txt"
+    return None
+
+
+def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | None:
+    """The object numbers of a frame's pixels, from 1 in the order of `load_truth`, 0 = none; None without masks.
+
+    Raises:
+        FormatError: the recording has masks, but this one is missing, broken, or of another size.
+    """
+    for folder in (recording.root / TRUTH_FOLDER / "mask", recording.root / "mask"):
+        if folder.is_dir():
+            path = folder / f"{frame.key}.png"
+            mask = read_mask(path)
+            if mask.shape != frame.rgb.shape[:2]:
+                raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
+            return mask
+    return None
+
+
+def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return list(_boxes(path, path.stat().st_mtime_ns).get(key, ()))
+
+
+def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return read_object_labels(path, frame.T_camera_label)
+
+
+def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
+    if not key.isdecimal():
+        raise FormatError(path, f"counts frames by number, and {key!r} is none; name the images by their frame numbers")
+    return read_tracking_labels(path, frame.T_camera_label).get(int(key), [])
+
+
+@lru_cache(maxsize=4)
+def _boxes(path: Path, changed_ns: int) -> dict[str, list[Truth]]:
+    """The whole file, kept: it would be parsed again for every frame otherwise."""
+    return read_boxes(path)
+
+
+def _looked_for(recording: Recording) -> str:
+    return " or ".join(_PLACES.get(recording.format, ())) or f"labels of the format {recording.format}"
+
+
+_PLACES = {
+    "rgbd_folder": (f"{TRUTH_FOLDER}/boxes.json", "boxes.json"),
+    "kitti_object": ("label_2",),
+    "kitti_tracking": ("label_02.txt",),
+}
+_READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
+    "rgbd_folder": _from_boxes_json,
+    "kitti_object": _from_label_2,
+    "kitti_tracking": _from_label_02,
+}
