@@ -15,6 +15,8 @@ from annotator.types import PointCloud, PseudoView
 # The grey that letterboxing pads with, so that a view's own border is not a feature of the picture.
 BACKGROUND = 114
 KEY_BITS = 32
+# More than float32 can tell apart would overflow into the next level.
+DEPTH_BITS = 20
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def splat_px(n_points: int, window: Window, largest: int) -> int:
     return int(np.clip(2 * int(np.round(0.5 * spacing)) - 1, 1, largest)) | 1
 
 
-def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt32[np.ndarray, "m"] | None:
+def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt32[np.ndarray, "packed"] | None:
     """One integer a point (so that a picture is one gather), and the background as an extra last entry."""
     if colors is None:
         return None
@@ -78,7 +80,7 @@ def draw(
     right_m: Float32[np.ndarray, "n"],
     down_m: Float32[np.ndarray, "n"],
     depth_m: Float32[np.ndarray, "n"],
-    packed: UInt32[np.ndarray, "m"] | None,
+    packed: UInt32[np.ndarray, "packed"] | None,
     window: Window,
     largest_splat_px: int,
 ) -> UInt8[np.ndarray, "h w 3"]:
@@ -97,7 +99,7 @@ def draw(
     # index takes as many of the bits as it needs, depth the rest: half a millimetre a level for 50,000 points in
     # 30 m. Narrow integers keep the buffers in the cache.
     index_bits = n.bit_length()
-    levels = (1 << (KEY_BITS - index_bits)) - 1
+    levels = (1 << min(KEY_BITS - index_bits, DEPTH_BITS)) - 1
     near, far = float(depth_m.min()), float(depth_m.max())
     level = ((depth_m - np.float32(near)) * np.float32((levels - 1) / max(far - near, 1e-6))).astype(np.uint32)
     key = (level << np.uint32(index_bits)) | np.arange(n, dtype=np.uint32)
@@ -150,7 +152,7 @@ def render_pairs(
 
 def _render_pair(
     cloud: PointCloud,
-    packed: UInt32[np.ndarray, "m"] | None,
+    packed: UInt32[np.ndarray, "packed"] | None,
     frame: Float64[np.ndarray, "3 3"],
     config: ViewConfig,
     show: Float[np.ndarray, "m 3"] | None,

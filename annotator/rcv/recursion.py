@@ -83,14 +83,19 @@ class StepPlan:
     views: tuple[PseudoView, ...]
 
 
+def held_direction(up: np.ndarray | None, config: RcvConfig) -> np.ndarray | None:
+    """The direction that boxes are held at: unit (3,), or None where they turn freely."""
+    if config.orientation is Orientation.FREE:
+        return None
+    # Where a recording does not know gravity, a camera held level is the best guess.
+    return np.array([0.0, -1.0, 0.0]) if up is None else up
+
+
 def start(
     frame_index: int, image_box: Box2D, cloud: PointCloud, up: np.ndarray | None, config: RcvConfig
 ) -> ObjectState:
     """The state before the first step; stopped at once where the frustum holds too few points."""
-    held = None
-    if config.orientation is Orientation.UPRIGHT:
-        # Where a recording does not know gravity, a camera held level is the best guess.
-        held = np.array([0.0, -1.0, 0.0]) if up is None else up
+    held = held_direction(up, config)
     state = ObjectState(frame_index, image_box, cloud, held, camera_frame(held))
     if len(cloud) < config.min_points:
         step = StepTrace(Strategy.CAMERA, (), (), None, len(cloud), 0, StopReason.TOO_FEW_POINTS)

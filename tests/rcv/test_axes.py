@@ -1,0 +1,123 @@
+"""Projection axes: each strategy on clouds whose answer is known, and the fallbacks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.normals import normals_knn
+from annotator.rcv.axes import (
+    BOX_SYMMETRIES,
+    axial_kmeans,
+    camera_frame,
+    find_axes,
+    frame_angle,
+    match_frame,
+    upright_frame,
+)
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.types import PointCloud
+from scenes import box_surface, some_box
+
+FREE, UPRIGHT = RcvConfig(orientation=Orientation.FREE), RcvConfig(orientation=Orientation.UPRIGHT)
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def random_frame(seed: int) -> np.ndarray:
+    return Rotation.random(rng=np.random.default_rng(seed)).as_matrix().T
+
+
+@given(st.integers(0, 1000), st.integers(0, 1000), st.integers(0, 23))
+def test_relabelled_axes_are_no_rotation(seed: int, other: int, symmetry: int) -> None:
+    frame, reference = random_frame(seed), random_frame(other)
+    relabelled = BOX_SYMMETRIES[symmetry] @ frame
+    assert frame_angle(relabelled, frame) == pytest.approx(0, abs=1e-6)
+    matched = match_frame(relabelled, reference)
+    np.testing.assert_allclose(matched, match_frame(frame, reference), atol=1e-12)
+    assert np.linalg.det(matched) == pytest.approx(1)
+
+
+def test_there_are_24_ways_to_relabel_a_box() -> None:
+    assert len({tuple(m.ravel()) for m in BOX_SYMMETRIES}) == 24
+
+
+@given(st.integers(0, 1000))
+def test_an_upright_frame_is_level_right_handed_and_near_its_direction(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    forward, up = rng.normal(size=3), rng.normal(size=3)
+    up /= np.linalg.norm(up)
+    frame = upright_frame(forward, up)
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(frame) == pytest.approx(1)
+    np.testing.assert_allclose(frame[1], -up, atol=1e-9)
+    assert frame[2] @ forward >= 0
+
+
+def test_eigenvectors_of_a_long_box_are_its_axes() -> None:
+    box = some_box([0, 0, 3], [0.3, 0.5, -0.2], [1.0, 0.5, 0.2])
+    cloud = PointCloud(box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32))
+    axes = find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE)
+    assert axes.strategy is Strategy.EIGENVECTORS
+    assert frame_angle(axes.frame, box.rotation.T) < 0.05
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 1.1, -0.9])
+def test_normals_find_a_cube_that_eigenvectors_cannot(yaw: float) -> None:
+    box = some_box([0, 0, 3], [0.2, yaw, 0.1], [0.5, 0.5, 0.5])
+    xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
+    cloud = PointCloud(xyz, normals=normals_knn(xyz))
+    axes = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
+    assert axes.strategy is Strategy.NORMALS and axes.fallback == ()
+    assert frame_angle(axes.frame, box.rotation.T) < 0.08
+    assert find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE).strategy is Strategy.CAMERA
+
+
+def test_upright_axes_keep_gravity() -> None:
+    box = some_box([0, 0, 3], [0, 0.6, 0], [0.9, 0.5, 0.4])
+    xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
+    cloud = PointCloud(xyz, normals=normals_knn(xyz))
+    for strategy in (Strategy.EIGENVECTORS, Strategy.NORMALS):
+        axes = find_axes(cloud, strategy, np.eye(3), UP, UPRIGHT)
+        assert axes.strategy is strategy
+        np.testing.assert_allclose(axes.frame[1], -UP, atol=1e-9)
+        assert frame_angle(axes.frame, box.rotation.T) < 0.08
+
+
+def test_a_small_cloud_falls_back_step_by_step_and_says_so() -> None:
+    few = PointCloud(np.array([[0, 0, 1], [0, 0, 1.1], [0.1, 0, 1]], np.float32))
+    axes = find_axes(few, Strategy.NORMALS, np.eye(3), None, FREE)
+    assert axes.strategy is Strategy.CAMERA
+    assert len(axes.fallback) == 2
+    assert axes.fallback[0].startswith("normals") and axes.fallback[1].startswith("eigenvectors")
+    np.testing.assert_allclose(axes.frame, np.eye(3))
+
+
+def test_a_flat_cloud_still_gives_axes() -> None:
+    rng = np.random.default_rng(0)
+    xyz = np.concatenate([rng.uniform(-1, 1, (400, 2)), np.full((400, 1), 3.0)], axis=1).astype(np.float32)
+    cloud = PointCloud(xyz, normals=normals_knn(xyz))
+    axes = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
+    np.testing.assert_allclose(np.abs(axes.frame[2]), [0, 0, 1], atol=1e-3)
+    np.testing.assert_allclose(axes.frame @ axes.frame.T, np.eye(3), atol=1e-9)
+
+
+def test_antipodal_normals_are_one_direction() -> None:
+    rng = np.random.default_rng(0)
+    directions = np.concatenate([np.tile([0, 0, 1.0], (60, 1)), np.tile([1.0, 0, 0], (40, 1))])
+    noisy = directions + rng.normal(0, 0.02, directions.shape)
+    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+    signs = rng.choice([-1.0, 1.0], (100, 1))
+    centres, counts = axial_kmeans(noisy * signs, 2, 0)
+    order = np.argsort(-counts)
+    assert sorted(counts.tolist()) == [40, 60]
+    assert abs(centres[order[0]] @ [0, 0, 1]) > 0.999
+    assert abs(centres[order[1]] @ [1, 0, 0]) > 0.999
+
+
+def test_camera_frame_is_levelled_by_gravity() -> None:
+    tilt = Rotation.from_rotvec([0.2, 0, 0]).as_matrix()
+    frame = camera_frame(tilt @ UP)
+    np.testing.assert_allclose(frame, tilt.T, atol=1e-9)

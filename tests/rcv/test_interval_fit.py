@@ -1,0 +1,112 @@
+"""The consensus fit: exact intervals give the exact box, noisy ones a near one, too few none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.iou import iou_3d
+from annotator.rcv.axes import BOX_SYMMETRIES
+from annotator.rcv.interval_fit import Intervals, fit_box, spread_rotations
+from annotator.types import OrientedBox
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def measure(box: OrientedBox, directions: np.ndarray, noise_m: float = 0.0, seed: int = 0) -> Intervals:
+    middle = directions @ box.center_m
+    reach = np.abs(directions @ box.rotation) @ box.size_m / 2
+    ends = np.stack([middle - reach, middle + reach], axis=1)
+    ends = ends + np.random.default_rng(seed).normal(0, 1, ends.shape) * noise_m
+    return Intervals(directions, ends, np.full(ends.shape, max(noise_m, 1e-3)))
+
+
+def box_of(fit) -> OrientedBox:
+    return OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
+
+
+def random_box(rng: np.random.Generator, upright: bool) -> OrientedBox:
+    size = np.sort(rng.uniform(0.1, 1.0, 3))[::-1] * [1.0, 0.8, 0.6]
+    if upright:
+        base = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T
+        rotation = Rotation.from_rotvec(rng.uniform(0, np.pi) * UP).as_matrix() @ base
+    else:
+        rotation = Rotation.random(rng=rng).as_matrix()
+    return OrientedBox.from_parts(rng.normal(0, 2, 3), rotation, size)
+
+
+def upright_directions() -> np.ndarray:
+    turns = Rotation.from_rotvec(np.arange(4)[:, None] * np.pi / 8 * UP).as_matrix()
+    return np.concatenate([turn @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]) for turn in turns])
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_exact_intervals_give_the_exact_free_box(seed: int) -> None:
+    box = random_box(np.random.default_rng(seed), upright=False)
+    fit = fit_box(measure(box, spread_rotations(12).reshape(-1, 3)), None)
+    assert fit is not None
+    assert iou_3d(box, box_of(fit)) > 0.999
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_exact_intervals_give_the_exact_upright_box(seed: int) -> None:
+    box = random_box(np.random.default_rng(seed), upright=True)
+    fit = fit_box(measure(box, upright_directions()), UP)
+    assert fit is not None
+    assert iou_3d(box, box_of(fit)) > 0.999
+    np.testing.assert_allclose(fit.rotation[:, 2], UP, atol=1e-9)
+
+
+def test_noise_is_averaged() -> None:
+    ious = []
+    for seed in range(20):
+        box = random_box(np.random.default_rng(seed), upright=False)
+        noise = 0.02 * float(box.size_m.mean())
+        fit = fit_box(measure(box, spread_rotations(12).reshape(-1, 3), noise, seed), None)
+        assert fit is not None
+        ious.append(iou_3d(box, box_of(fit)))
+    assert np.mean(ious) > 0.9
+
+
+def test_a_grossly_wrong_interval_does_not_pull_the_box() -> None:
+    box = random_box(np.random.default_rng(3), upright=False)
+    intervals = measure(box, spread_rotations(12).reshape(-1, 3), 0.005)
+    ends = intervals.ends_m.copy()
+    ends[5] += 3.0
+    fit = fit_box(Intervals(intervals.directions, ends, intervals.sigma_m), None)
+    assert fit is not None
+    assert iou_3d(box, box_of(fit)) > 0.9
+
+
+def test_ends_that_the_picture_cut_off_are_not_used() -> None:
+    box = random_box(np.random.default_rng(4), upright=True)
+    intervals = measure(box, upright_directions())
+    ends, sigma = intervals.ends_m.copy(), intervals.sigma_m.copy()
+    ends[0, 1] -= 0.3
+    sigma[0, 1] = np.inf
+    fit = fit_box(Intervals(intervals.directions, ends, sigma), UP)
+    assert fit is not None
+    assert iou_3d(box, box_of(fit)) > 0.999
+
+
+def test_too_few_intervals_fix_no_box() -> None:
+    box = random_box(np.random.default_rng(5), upright=False)
+    assert fit_box(measure(box, np.eye(3)), None) is None
+    assert fit_box(measure(box, np.eye(3)[:2]), UP) is None
+
+
+@pytest.mark.parametrize("count", [1, 4, 12, 100])
+def test_spread_rotations_differ_for_a_box(count: int) -> None:
+    rotations = spread_rotations(count)
+    assert rotations.shape == (count, 3, 3)
+    np.testing.assert_allclose(rotations[0], np.eye(3))
+    np.testing.assert_allclose(np.linalg.det(rotations), 1)
+    for i in range(count):
+        for j in range(i):
+            nearest = np.einsum("sij,ij->s", BOX_SYMMETRIES @ rotations[i], rotations[j]).max()
+            assert nearest < 3 - 1e-4

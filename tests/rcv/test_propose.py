@@ -1,0 +1,240 @@
+"""The recursion as a whole: with a perfect detector on scenes whose boxes are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from annotator.detection.perfect import PerfectDetector, Scene
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.propose import propose
+from annotator.types import Box2D, BoxKind, Frame, Image, PseudoView, StopReason
+from scenes import frame_with, some_box
+
+FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
+UP = np.array([0.0, -1.0, 0.0])
+UPRIGHT_BOX = some_box([-0.3, 0.0, 2.5], [0, 0.5, 0], [0.6, 0.8, 0.3])
+
+
+class Counting:
+    """Passes calls on and remembers how many pictures each had."""
+
+    def __init__(self, inner: PerfectDetector) -> None:
+        self.inner, self.calls = inner, []
+
+    labels = property(lambda self: self.inner.labels)
+    fingerprint = property(lambda self: self.inner.fingerprint)
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        self.calls.append(len(images))
+        return self.inner.detect(images)
+
+
+class BlindAfter(Counting):
+    """Sees nothing after so many calls."""
+
+    def __init__(self, inner: PerfectDetector, calls: int) -> None:
+        super().__init__(inner)
+        self.left = calls
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        found = super().detect(images)
+        self.left -= 1
+        return found if self.left >= 0 else [[] for _ in images]
+
+
+@pytest.mark.parametrize(
+    ("orientation", "box"), [(Orientation.FREE, FREE_BOX), (Orientation.UPRIGHT, UPRIGHT_BOX)], ids=["free", "upright"]
+)
+def test_consensus_finds_the_exact_box(orientation: Orientation, box) -> None:
+    frame, truths = frame_with([box], up=UP if orientation is Orientation.UPRIGHT else None)
+    perfect = PerfectDetector.for_frame(frame, truths)
+    (found,) = propose([frame], perfect, perfect, RcvConfig(orientation=orientation))[0].proposals
+    assert iou_3d(found.box, box) > 0.99
+    assert found.label == "thing"
+    assert found.quality.view_disagreement < 0.01
+    assert found.trace[-1].stop in (StopReason.AXES_CONVERGED, StopReason.BOX_CONVERGED)
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_every_strategy_gives_a_box_that_holds_the_object(strategy: Strategy) -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths)
+    (found,) = propose([frame], perfect, perfect, RcvConfig(strategy=strategy))[0].proposals
+    assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.99
+    assert iou_3d(found.box, FREE_BOX) > 0.15
+    assert found.trace[0].strategy == Strategy.CAMERA
+    assert found.trace[1].strategy == strategy
+
+
+def test_silhouettes_give_the_tightest_box() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
+    (found,) = propose([frame], perfect, perfect, RcvConfig(box_kind=BoxKind.SILHOUETTE))[0].proposals
+    assert iou_3d(found.box, FREE_BOX) > 0.6
+    assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.97
+
+
+def test_all_objects_of_all_frames_share_each_step_batch() -> None:
+    first, truths_a = frame_with([UPRIGHT_BOX, some_box([0.9, 0, 2.2], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP, key="a")
+    second, truths_b = frame_with([some_box([0.1, 0, 2.0], [0, -0.4, 0], [0.5, 0.4, 0.3])], up=UP, key="b")
+    perfect = PerfectDetector([Scene.of(first, truths_a), Scene.of(second, truths_b)])
+    counting = Counting(perfect)
+    results = propose([first, second], perfect, counting, RcvConfig(orientation=Orientation.UPRIGHT))
+    assert [r.key for r in results] == ["a", "b"]
+    assert [len(r.proposals) for r in results] == [2, 1]
+    steps = max(len(p.trace) for r in results for p in r.proposals)
+    assert len(counting.calls) == steps
+    assert counting.calls[0] == 2 * 3
+
+
+def test_two_objects_in_one_frustum_become_two_proposals() -> None:
+    near = some_box([-0.15, 0.05, 1.6], [0, 0.3, 0], [0.25, 0.35, 0.2])
+    far = some_box([0.2, 0.0, 2.8], [0, -0.4, 0], [0.4, 0.5, 0.3])
+    frame, truths = frame_with([near, far], up=UP)
+    perfect = PerfectDetector.for_frame(frame, truths)
+
+    class OneFrustum(Counting):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            both = self.inner.detect(images)[0]
+            return [
+                [
+                    Box2D(
+                        "thing",
+                        min(b.x_min for b in both),
+                        min(b.y_min for b in both),
+                        max(b.x_max for b in both),
+                        max(b.y_max for b in both),
+                    )
+                ]
+            ]
+
+    found = propose([frame], OneFrustum(perfect), perfect, RcvConfig(orientation=Orientation.UPRIGHT))[0].proposals
+    assert len(found) == 2
+    for truth in truths:
+        assert max(iou_3d(truth.box, p.box) for p in found) > 0.95
+
+
+def test_duplicates_are_removed() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths)
+
+    class Twice(Counting):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            return [found * 2 for found in self.inner.detect(images)]
+
+    assert len(propose([frame], Twice(perfect), perfect, RcvConfig())[0].proposals) == 1
+
+
+@pytest.mark.parametrize(("seen", "steps"), [(0, 1), (1, 2)])
+def test_an_object_that_no_view_shows_is_lost_and_the_trace_says_where(seen: int, steps: int) -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths)
+    result = propose([frame], perfect, BlindAfter(perfect, seen), RcvConfig())[0]
+    assert result.proposals == ()
+    assert len(result.lost[0].trace) == steps
+    assert result.lost[0].trace[-1].stop is StopReason.LOST
+    coarse = propose([frame], perfect, BlindAfter(perfect, seen), RcvConfig(coarse_box=True))[0]
+    assert len(coarse.proposals) == (1 if seen else 0)
+
+
+def test_other_classes_in_the_views_are_ignored() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths)
+
+    class Renamed(Counting):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            return [[Box2D("other", *b.xyxy) for b in found] for found in self.inner.detect(images)]
+
+    assert propose([frame], perfect, Renamed(perfect), RcvConfig())[0].proposals == ()
+
+
+def test_an_empty_frustum_stops_with_too_few_points() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths)
+
+    class Corner(Counting):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            return [[Box2D("thing", 0.0, 0.0, 1.5, 1.5)] for _ in images]
+
+    result = propose([frame], Corner(perfect), perfect, RcvConfig())[0]
+    assert result.lost[0].trace[0].stop is StopReason.TOO_FEW_POINTS
+
+
+@pytest.mark.parametrize("limit", [1, 2, 3])
+def test_the_step_limit_holds(limit: int) -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths, jitter=0.05)
+    config = RcvConfig(max_steps=limit, axes_tolerance_rad=1e-9, box_tolerance=1e-9)
+    (found,) = propose([frame], perfect, perfect, config)[0].proposals
+    assert len(found.trace) == limit
+    assert found.trace[-1].stop is StopReason.STEP_LIMIT
+
+
+def test_frames_without_detections_and_no_frames_at_all() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    nothing = PerfectDetector.for_frame(frame, [])
+    assert propose([frame], nothing, nothing, RcvConfig())[0].proposals == ()
+    assert propose([], nothing, nothing, RcvConfig()) == []
+    assert truths
+
+
+def test_the_trace_maps_the_box_back_as_equation_1_says() -> None:
+    """B_o = prod_i T_i^{i+1} B_N with the homogeneous 4 x 4 transforms between the frames of successive steps."""
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths, jitter=0.02)
+    config = RcvConfig(strategy=Strategy.NORMALS)
+    (found,) = propose([frame], perfect, perfect, config)[0].proposals
+    frames = [np.eye(4)]
+    for step in found.trace:
+        pose = np.eye(4)
+        pose[:3, :3] = np.array(step.views[0].axes).T
+        frames.append(pose)
+    last = found.trace[-1]
+    spans = []
+    for axis, view_index, row in ((0, 0, 0), (1, 0, 1), (2, 1, 0)):
+        view = last.views[view_index]
+        box = view.boxes[view.used]
+        low, high = ((box.x_min, box.x_max), (box.y_min, box.y_max))[row]
+        spans.append([view.origin_m[row] + edge * view.metres_per_px for edge in (low, high)])
+        assert axis == len(spans) - 1
+    side = last.views[1]
+    shared = side.boxes[side.used]
+    spans[1] = np.mean([spans[1], [side.origin_m[1] + e * side.metres_per_px for e in (shared.y_min, shared.y_max)]], 0)
+    corners = np.array([[x, y, z, 1.0] for x in spans[0] for y in spans[1] for z in spans[2]]).T
+    for earlier, later in zip(frames[-2::-1], frames[:0:-1], strict=True):
+        corners = np.linalg.inv(earlier) @ later @ corners
+    ours = box_corners(found.box)
+    for corner in corners[:3].T:
+        assert np.linalg.norm(ours - corner, axis=1).min() < 1e-9
+
+
+def test_results_do_not_depend_on_what_else_is_in_the_batch() -> None:
+    first, truths_a = frame_with([FREE_BOX], key="a")
+    second, truths_b = frame_with([UPRIGHT_BOX], key="b")
+    perfect = PerfectDetector([Scene.of(first, truths_a), Scene.of(second, truths_b)], jitter=0.02)
+    together = propose([first, second], perfect, perfect, RcvConfig())
+    alone = [propose([frame], perfect, perfect, RcvConfig())[0] for frame in (first, second)]
+    for a, b in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(box_corners(a.proposals[0].box), box_corners(b.proposals[0].box))
+        assert a.proposals[0].trace == b.proposals[0].trace
+
+
+def test_views_show_the_frustum_first() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    seen: list[int] = []
+
+    class Watching(Counting):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            seen.extend(len(view.xyz_m) for view in images if isinstance(view, PseudoView))
+            return super().detect(images)
+
+    perfect = PerfectDetector.for_frame(frame, truths)
+    propose([frame], perfect, Watching(perfect), RcvConfig())
+    assert isinstance(frame, Frame)
+    assert 800 <= seen[0] < len(frame.cloud)
+    assert seen[2] < seen[0]

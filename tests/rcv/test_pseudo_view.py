@@ -1,0 +1,109 @@
+"""Pseudo-views: which pixel a point gets, which point wins a pixel, and the way back to metres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.rcv.config import ViewConfig
+from annotator.rcv.pseudo_view import BACKGROUND, render_pairs
+from annotator.types import Box2D, PointCloud
+
+VIEW = ViewConfig(size_px=100, padding=0.05)
+
+
+def cloud_of(points: list[list[float]], colors: list[list[int]] | None = None) -> PointCloud:
+    rgb = None if colors is None else np.array(colors, np.uint8)
+    return PointCloud(np.array(points, np.float32), rgb)
+
+
+def pixel_of(view, point) -> tuple[int, int]:
+    uv = (view.axes[:2] @ np.asarray(point, np.float64) - view.origin_m) / view.metres_per_px
+    return int(np.rint(uv[1])), int(np.rint(uv[0]))
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 60))
+def test_every_point_is_drawn_at_its_pixel(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    frame = Rotation.random(rng=rng).as_matrix().T
+    cloud = PointCloud(rng.normal(size=(count, 3)).astype(np.float32), np.full((count, 3), 7, np.uint8))
+    for view in render_pairs(cloud, [frame], VIEW):
+        for point in cloud.xyz_m:
+            assert tuple(view.rgb[pixel_of(view, point)]) == (7, 7, 7)
+
+
+def test_the_nearest_point_wins_a_pixel_in_both_views() -> None:
+    near, far = [255, 0, 0], [0, 0, 255]
+    cloud = cloud_of([[0, 0, 1], [0, 0, 2], [1, 0, 1.5], [-1, 0, 1.5]], [near, far, far, near])
+    front, side = render_pairs(cloud, [np.eye(3)], VIEW)
+    assert tuple(front.rgb[pixel_of(front, [0, 0, 1])]) == tuple(near)
+    # the side view looks along -x: the point with the larger x is nearer
+    assert tuple(side.rgb[pixel_of(side, [1, 0, 1.5])]) == tuple(far)
+
+
+def test_front_and_side_share_the_second_axis() -> None:
+    frame = Rotation.from_rotvec([0.3, -0.4, 0.2]).as_matrix().T
+    front, side = render_pairs(cloud_of([[0, 0, 1], [1, 1, 2]]), [frame], VIEW)
+    np.testing.assert_allclose(front.axes, frame)
+    np.testing.assert_allclose(side.axes, [frame[2], frame[1], -frame[0]])
+    for view in (front, side):
+        assert np.linalg.det(view.axes) == pytest.approx(1)
+
+
+@given(st.floats(-0.5, 60), st.floats(-0.5, 60), st.floats(1, 30), st.floats(1, 30))
+def test_pixels_to_metres_and_back(x: float, y: float, width: float, height: float) -> None:
+    front, _ = render_pairs(cloud_of([[0, 0, 1], [1, 2, 2]]), [np.eye(3)], VIEW)
+    box = Box2D("a", x, y, x + width, y + height)
+    again = front.box_px(front.interval_m(box), "a")
+    assert again.xyxy == pytest.approx(box.xyxy, abs=1e-9)
+
+
+def test_scale_is_uniform_and_the_longer_side_fills_the_picture() -> None:
+    front, _ = render_pairs(cloud_of([[0, 0, 1], [4, 1, 1]]), [np.eye(3)], VIEW)
+    assert front.rgb.shape[1] == VIEW.size_px
+    assert front.rgb.shape[0] == pytest.approx(VIEW.size_px / 4, abs=2)
+    np.testing.assert_allclose(front.extent_m[0], 4 * 1.1, rtol=1e-6)
+
+
+def test_a_wanted_box_lies_within_the_picture() -> None:
+    corners = np.array([[-3.0, 0, 1], [3, 0, 1]])
+    front, _ = render_pairs(cloud_of([[0, 0, 1], [0.1, 0.1, 1]]), [np.eye(3)], VIEW, corners)
+    assert front.origin_m[0] < -3 and front.origin_m[0] + front.extent_m[0] > 3
+
+
+def test_sparse_points_are_drawn_larger_than_dense_ones() -> None:
+    rng = np.random.default_rng(0)
+
+    def covered(n: int) -> float:
+        cloud = PointCloud(rng.uniform(0, 1, (n, 3)).astype(np.float32), np.zeros((n, 3), np.uint8))
+        view = render_pairs(cloud, [np.eye(3)], VIEW)[0]
+        return float((view.rgb[..., 0] == 0).sum()) / n
+
+    assert covered(50) > 20
+    assert covered(20_000) < 1.5
+
+
+def test_a_near_splat_covers_a_far_one() -> None:
+    colors = [[255, 0, 0], [0, 255, 0], [9, 9, 9], [9, 9, 9]]
+    points = [[0.5, 0.5, 1], [0.51, 0.5, 2], [0, 0, 3], [1, 1, 3]]
+    front = render_pairs(cloud_of(points, colors), [np.eye(3)], VIEW)[0]
+    assert tuple(front.rgb[pixel_of(front, points[1])]) == (255, 0, 0)
+
+
+def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
+    points = np.array([[0, 0, 1], [1, 1, 3]], np.float32)
+    by_depth = render_pairs(PointCloud(points), [np.eye(3)], VIEW)[0]
+    assert by_depth.rgb[pixel_of(by_depth, points[0])][0] > by_depth.rgb[pixel_of(by_depth, points[1])][0]
+    cloud = PointCloud(points, reflectance=np.array([0.0, 1.0], np.float32))
+    shown = render_pairs(cloud, [np.eye(3)], VIEW)[0]
+    assert shown.rgb[pixel_of(shown, points[0])][0] < shown.rgb[pixel_of(shown, points[1])][0]
+    assert shown.rgb[0, -1, 0] == BACKGROUND
+
+
+def test_a_single_point_gives_a_picture() -> None:
+    front, side = render_pairs(cloud_of([[0, 0, 1]]), [np.eye(3)], VIEW)
+    assert front.rgb.shape == side.rgb.shape == (100, 100, 3)
+    np.testing.assert_allclose(front.extent_m, VIEW.min_extent_m * 1.1, rtol=0.05)
