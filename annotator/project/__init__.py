@@ -1,1 +1,57 @@
-"""What is kept: the project folder and its store."""
+"""What is kept: the project folder, its SQLite store, migrations, label events."""
+
+from annotator.project.boxes import ImageBoxes, ViewBoxes
+from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
+from annotator.project.events import Event
+from annotator.project.frames import StoredFrame
+from annotator.project.jobs import FrameResult, Run, Status, run_key
+from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
+from annotator.project.models import Role, StoredModel
+from annotator.project.project import (
+    FrameState,
+    ListedProject,
+    Project,
+    create_project,
+    list_projects,
+    open_project,
+)
+from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
+from annotator.project.recordings import Rescan, StoredRecording
+from annotator.project.records import ViewGeometry
+from annotator.project.statistics import Statistics
+from annotator.project.writing import Change, Receipt
+
+__all__ = [
+    "REVIEWED",
+    "BoxRotation",
+    "Change",
+    "Event",
+    "FrameResult",
+    "FrameState",
+    "ImageBoxes",
+    "ListedProject",
+    "NewLabel",
+    "Pass",
+    "PassObject",
+    "Project",
+    "ProjectConfig",
+    "ProjectSettings",
+    "Receipt",
+    "Replaced",
+    "Rescan",
+    "Role",
+    "Run",
+    "RunShare",
+    "Statistics",
+    "Status",
+    "StoredFrame",
+    "StoredLabel",
+    "StoredModel",
+    "StoredRecording",
+    "ViewBoxes",
+    "ViewGeometry",
+    "create_project",
+    "list_projects",
+    "open_project",
+    "run_key",
+]

@@ -1,0 +1,169 @@
+"""2D boxes on camera images and on pseudo-views: what the detectors learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, select
+
+from annotator.project.payloads import ImageBoxesSet, ViewBoxesSet
+from annotator.project.records import BOXES_2D, ViewGeometry, storable
+from annotator.project.schema import AnyRow, frames, image_labels, view_labels
+from annotator.project.views import Views
+from annotator.project.writing import Change, Receipt, Writer
+from annotator.types import Box2D, BoxKind, Source
+
+
+@dataclass(frozen=True)
+class ImageBoxes:
+    """All boxes on the camera image of one frame; an empty tuple says that there is nothing to be found.
+
+    Attributes:
+        frame_id: the frame.
+        boxes: in the image's pixels.
+        box_kind: what they measure.
+        author, time_ns, source: of the latest change.
+    """
+
+    frame_id: int
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    author: str
+    time_ns: int
+    source: Source
+
+
+@dataclass(frozen=True)
+class ViewBoxes:
+    """All boxes on one pseudo-view; an empty tuple says that there is nothing to be found.
+
+    Attributes:
+        view_id: of the picture, for `Views.load`.
+        frame_id: the frame that the view was drawn from, or None.
+        revision: for the next change of a view without a frame.
+        boxes: in the view's pixels.
+        box_kind: what they measure.
+        step: the step of the recursion that drew the view, from 0, where known.
+        geometry: how the view lies in space, where known.
+        author, time_ns, source: of the latest change.
+    """
+
+    view_id: str
+    frame_id: int | None
+    revision: int
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    step: int | None
+    geometry: ViewGeometry | None
+    author: str
+    time_ns: int
+    source: Source
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Reads and sets 2D boxes; a set replaces what was there on that image or view."""
+
+    writer: Writer
+    views: Views
+
+    def set_on_image(self, frame_id: int, boxes: Sequence[Box2D], box_kind: BoxKind, change: Change) -> Receipt:
+        """Set all boxes on the camera image of a frame.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
+        """
+        with storable("boxes on the image"):
+            payload = ImageBoxesSet(boxes=tuple(boxes), box_kind=box_kind)
+        return self.writer.to_frame(frame_id, (payload,), change)
+
+    def set_on_view(
+        self,
+        view_id: str,
+        boxes: Sequence[Box2D],
+        box_kind: BoxKind,
+        change: Change,
+        *,
+        frame_id: int | None = None,
+        step: int | None = None,
+        geometry: ViewGeometry | None = None,
+    ) -> Receipt:
+        """Set all boxes on a pseudo-view whose picture is stored.
+
+        Args:
+            frame_id: the frame that it was drawn from, whose revision `change` names; without one (pictures imported
+                from elsewhere) `change` names the view's own revision, 0 at first.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`; or the picture is missing.
+        """
+        self.views.path(view_id)
+        with storable(f"boxes on view {view_id[:12]}"):
+            payload = ViewBoxesSet(view=view_id, boxes=tuple(boxes), box_kind=box_kind, step=step, geometry=geometry)
+        if frame_id is None:
+            return self.writer.to_view(payload, change)
+        return self.writer.to_frame(frame_id, (payload,), change)
+
+    def on_image(self, frame_id: int) -> ImageBoxes | None:
+        """The boxes on the image of one frame, or None where nobody has labelled it."""
+        with self.writer.store.read() as connection:
+            return read_image_boxes(connection, frame_id)
+
+    def on_images(self, recordings: Collection[int] | None = None) -> tuple[ImageBoxes, ...]:
+        """All labelled images, of some recordings or of the whole project, in the frames' order."""
+        query = select(image_labels).join(frames, frames.c.id == image_labels.c.frame_id)
+        if recordings is not None:
+            query = query.where(frames.c.recording_id.in_(recordings))
+        ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
+        with self.writer.store.read() as connection:
+            return tuple(map(_image_boxes, connection.execute(ordered)))
+
+    def on_views_of(self, frame_id: int) -> tuple[ViewBoxes, ...]:
+        """All labelled pseudo-views of one frame."""
+        with self.writer.store.read() as connection:
+            return read_view_boxes(connection, frame_id)
+
+    def on_views(self) -> tuple[ViewBoxes, ...]:
+        """All labelled pseudo-views of the project, those without a frame included."""
+        query = select(view_labels).order_by(view_labels.c.event_id)
+        with self.writer.store.read() as connection:
+            return tuple(map(_view_boxes, connection.execute(query)))
+
+
+def read_image_boxes(connection: Connection, frame_id: int) -> ImageBoxes | None:
+    """As `Boxes.on_image`, within the caller's transaction."""
+    row = connection.execute(select(image_labels).where(image_labels.c.frame_id == frame_id)).first()
+    return None if row is None else _image_boxes(row)
+
+
+def read_view_boxes(connection: Connection, frame_id: int) -> tuple[ViewBoxes, ...]:
+    """As `Boxes.on_views_of`, within the caller's transaction."""
+    query = select(view_labels).where(view_labels.c.frame_id == frame_id).order_by(view_labels.c.event_id)
+    return tuple(map(_view_boxes, connection.execute(query)))
+
+
+def _image_boxes(row: AnyRow) -> ImageBoxes:
+    return ImageBoxes(
+        row.frame_id,
+        BOXES_2D.validate_json(row.boxes),
+        BoxKind(row.box_kind),
+        row.author,
+        row.time_ns,
+        Source(row.source),
+    )
+
+
+def _view_boxes(row: AnyRow) -> ViewBoxes:
+    return ViewBoxes(
+        row.view_id,
+        row.frame_id,
+        row.revision,
+        BOXES_2D.validate_json(row.boxes),
+        BoxKind(row.box_kind),
+        row.step,
+        None if row.geometry is None else ViewGeometry.model_validate_json(row.geometry),
+        row.author,
+        row.time_ns,
+        Source(row.source),
+    )

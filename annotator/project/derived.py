@@ -1,0 +1,173 @@
+"""The present state, as tables that follow from the events: kept up with every event, or rebuilt from all of them."""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection, delete, insert, select, update
+
+from annotator.project.events import Event, read_events
+from annotator.project.payloads import (
+    FrameFinalised,
+    FrameReopened,
+    ImageBoxesSet,
+    LabelAccepted,
+    LabelChange,
+    LabelCreated,
+    LabelDeleted,
+    LabelEdited,
+    LabelRejected,
+    ProposalsReplaced,
+    ProposedObject,
+    ViewBoxesSet,
+)
+from annotator.project.records import BOXES_2D
+from annotator.project.schema import DERIVED, frames, image_labels, labels, view_labels
+from annotator.types import ReviewState, Source
+from annotator.types.errors import ProjectError
+
+Value = str | int | float | None
+
+
+def apply_event(connection: Connection, event: Event) -> None:
+    """Bring the derived tables from the state before `event` to the state after it.
+
+    Raises:
+        ProjectError: the event does not fit the state, such as a change of a label that is not there.
+    """
+    payload = event.payload
+    match payload:
+        case ImageBoxesSet():
+            _set_image_boxes(connection, event, payload)
+        case ViewBoxesSet():
+            _set_view_boxes(connection, event, payload)
+        case ProposalsReplaced():
+            _replace_proposals(connection, event, payload)
+        case LabelCreated():
+            _create_label(connection, event, payload)
+        case FrameFinalised() | FrameReopened():
+            _set_finalised(connection, event, isinstance(payload, FrameFinalised))
+        case LabelAccepted() | LabelEdited() | LabelRejected() | LabelDeleted():
+            _change_label(connection, event, payload)
+    if event.frame_id is not None:
+        connection.execute(update(frames).where(frames.c.id == event.frame_id).values(revision=event.revision))
+
+
+def rebuild(connection: Connection) -> int:
+    """Empty the derived tables and replay every event; returns their number."""
+    for table in DERIVED:
+        connection.execute(delete(table))
+    connection.execute(update(frames).values(revision=0, finalised=False))
+    count = 0
+    for event in read_events(connection):
+        apply_event(connection, event)
+        count += 1
+    return count
+
+
+def _stamp(event: Event) -> dict[str, Value]:
+    return {
+        "author": event.author,
+        "time_ns": event.time_ns,
+        "source": event.source.value,
+        "event_id": event.id,
+    }
+
+
+def _set_image_boxes(connection: Connection, event: Event, payload: ImageBoxesSet) -> None:
+    connection.execute(delete(image_labels).where(image_labels.c.frame_id == event.frame_id))
+    row: dict[str, Value] = {
+        "frame_id": event.frame_id,
+        "box_kind": payload.box_kind.value,
+        "boxes": BOXES_2D.dump_json(payload.boxes).decode(),
+        "count": len(payload.boxes),
+    }
+    connection.execute(insert(image_labels), row | _stamp(event))
+
+
+def _set_view_boxes(connection: Connection, event: Event, payload: ViewBoxesSet) -> None:
+    same = (view_labels.c.view_id == payload.view) & view_labels.c.frame_id.is_not_distinct_from(event.frame_id)
+    connection.execute(delete(view_labels).where(same))
+    row: dict[str, Value] = {
+        "view_id": payload.view,
+        "frame_id": event.frame_id,
+        "revision": event.revision,
+        "box_kind": payload.box_kind.value,
+        "boxes": BOXES_2D.dump_json(payload.boxes).decode(),
+        "count": len(payload.boxes),
+        "step": payload.step,
+        "geometry": payload.geometry.model_dump_json() if payload.geometry else None,
+    }
+    connection.execute(insert(view_labels), row | _stamp(event))
+
+
+def _replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
+    unreviewed = (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+    connection.execute(delete(labels).where(unreviewed))
+    rows = [_proposed_row(event, entry) for entry in payload.objects if entry.covered_by is None]
+    if rows:
+        connection.execute(insert(labels), rows)
+
+
+def _proposed_row(event: Event, entry: ProposedObject) -> dict[str, Value]:
+    proposal = entry.proposal
+    row: dict[str, Value] = {
+        "uid": entry.uid,
+        "frame_id": event.frame_id,
+        "label": proposal.label,
+        "box": proposal.box.model_dump_json(),
+        "score": proposal.score,
+        "state": ReviewState.PROPOSED.value,
+        "track_id": None,
+        "view_disagreement": proposal.quality.view_disagreement,
+        "kept_share": proposal.quality.kept_share,
+        "last_change": proposal.quality.last_change,
+        "proposal_event_id": event.id,
+    }
+    # an automatic pass proposes, whoever started it
+    return row | _stamp(event) | {"source": Source.AUTO.value}
+
+
+def _create_label(connection: Connection, event: Event, payload: LabelCreated) -> None:
+    if connection.execute(select(labels.c.id).where(labels.c.uid == payload.uid)).first():
+        raise ProjectError(f"label {payload.uid} exists already")
+    row: dict[str, Value] = {
+        "uid": payload.uid,
+        "frame_id": event.frame_id,
+        "label": payload.label,
+        "box": payload.box.model_dump_json(),
+        "score": payload.score,
+        "state": payload.state.value,
+        "track_id": payload.track_id,
+    }
+    connection.execute(insert(labels), row | _stamp(event))
+
+
+def _change_label(connection: Connection, event: Event, payload: LabelChange) -> None:
+    chosen = (labels.c.uid == payload.uid) & (labels.c.frame_id == event.frame_id)
+    if isinstance(payload, LabelDeleted):
+        changed = connection.execute(delete(labels).where(chosen)).rowcount
+    else:
+        changes: dict[str, Value] = {"author": event.author, "time_ns": event.time_ns, "event_id": event.id}
+        changed = connection.execute(update(labels).where(chosen).values(**changes | _new_values(payload))).rowcount
+    if changed != 1:
+        raise ProjectError(f"label {payload.uid} is not in this frame (any more); reload the frame")
+
+
+def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[str, Value]:
+    match payload:
+        case LabelAccepted():
+            return {"state": ReviewState.ACCEPTED.value}
+        case LabelRejected():
+            return {"state": ReviewState.REJECTED.value}
+        case LabelEdited():
+            return {
+                "state": ReviewState.EDITED.value,
+                "label": payload.label,
+                "box": payload.box.model_dump_json(),
+                "track_id": payload.track_id,
+            }
+
+
+def _set_finalised(connection: Connection, event: Event, finalised: bool) -> None:
+    other = (frames.c.id == event.frame_id) & (frames.c.finalised != finalised)
+    if connection.execute(update(frames).where(other).values(finalised=finalised)).rowcount != 1:
+        raise ProjectError("the frame is finalised already" if finalised else "the frame is open already")

@@ -1,0 +1,232 @@
+"""Bookkeeping of batch runs: which frames are done with which detectors and settings, which failed and why."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from sqlalchemy import Connection, Select, delete, func, insert, select, update
+
+from annotator.project.frames import StoredFrame, frame_of
+from annotator.project.schema import AnyRow, frame_results, frames, runs
+from annotator.project.store import Store
+from annotator.types.errors import ConfigError, ProjectError
+
+
+class Status(StrEnum):
+    """How a frame ended."""
+
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One batch run.
+
+    Attributes:
+        id: within the project.
+        key: hash of the detectors and settings, from `run_key`.
+        image_detector, view_detector: fingerprints.
+        config: settings, JSON.
+        started_ns, finished_ns: UTC nanoseconds since the epoch; finished_ns is None while it runs or was killed.
+    """
+
+    id: int
+    key: str
+    image_detector: str
+    view_detector: str
+    config: str
+    started_ns: int
+    finished_ns: int | None
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """How a frame ended, the last time it was tried under a key.
+
+    Attributes:
+        reason: of a failure; None for a frame that is done.
+        seconds: that the frame took.
+        proposals: that were found.
+    """
+
+    frame_id: int
+    key: str
+    run_id: int
+    status: Status
+    reason: str | None
+    seconds: float
+    proposals: int
+    time_ns: int
+
+
+def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
+    """SHA-256 (hex) over the detectors' fingerprints and the settings, whatever the order of their fields.
+
+    Raises:
+        ConfigError: `config_json` is not JSON.
+    """
+    text = json.dumps([image_detector, view_detector, _parsed(config_json)], sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class Jobs:
+    """Starts and finishes runs, and remembers how each frame ended."""
+
+    store: Store
+
+    def start(self, *, image_detector: str, view_detector: str, config_json: str) -> Run:
+        """A new run.
+
+        Raises:
+            ConfigError: `config_json` is not JSON.
+        """
+        row = {
+            "key": run_key(image_detector, view_detector, config_json),
+            "image_detector": image_detector,
+            "view_detector": view_detector,
+            "config": config_json,
+            "started_ns": self.store.clock(),
+        }
+        with self.store.write() as connection:
+            key = connection.execute(insert(runs), row).inserted_primary_key
+            assert key is not None  # one row was inserted
+            return read_run(connection, key[0])
+
+    def finish(self, run_id: int) -> Run:
+        """Note the end of a run.
+
+        Raises:
+            ProjectError: no such run.
+        """
+        with self.store.write() as connection:
+            connection.execute(update(runs).where(runs.c.id == run_id).values(finished_ns=self.store.clock()))
+            return read_run(connection, run_id)
+
+    def all(self) -> tuple[Run, ...]:
+        """Every run, the first one first."""
+        with self.store.read() as connection:
+            return tuple(map(_run, connection.execute(select(runs).order_by(runs.c.id))))
+
+    def record_failure(self, run_id: int, frame_id: int, reason: str, seconds: float) -> None:
+        """Note that a frame failed (a frame that is done is noted by `Proposals.replace`); the next run retries it.
+
+        Raises:
+            ProjectError: no such run or frame.
+        """
+        with self.store.write() as connection:
+            record_result(connection, run_id, frame_id, seconds, reason=reason, time_ns=self.store.clock())
+
+    def results(
+        self, *, key: str | None = None, run_id: int | None = None, status: Status | None = None
+    ) -> tuple[FrameResult, ...]:
+        """How frames ended, the oldest first; None = no condition."""
+        query = select(frame_results).order_by(frame_results.c.id)
+        if key is not None:
+            query = query.where(frame_results.c.key == key)
+        if run_id is not None:
+            query = query.where(frame_results.c.run_id == run_id)
+        if status is not None:
+            query = query.where(frame_results.c.status == status.value)
+        with self.store.read() as connection:
+            return tuple(map(_result, connection.execute(query)))
+
+    def pending(self, key: str, recordings: Collection[int] | None = None) -> tuple[StoredFrame, ...]:
+        """The frames that a run with this key has to do, in order.
+
+        Left out are finalised frames, frames that the latest scan no longer found, and frames whose latest pass had
+        this key and succeeded. (After a pass with other settings the frame shows their proposals: it is done anew.)
+        """
+        done = select(frame_results.c.frame_id).where(
+            frame_results.c.id.in_(latest_results()),
+            frame_results.c.key == key,
+            frame_results.c.status == Status.DONE.value,
+        )
+        query = select(frames).where(
+            frames.c.finalised.is_(False), frames.c.position.is_not(None), frames.c.id.not_in(done)
+        )
+        if recordings is not None:
+            query = query.where(frames.c.recording_id.in_(recordings))
+        with self.store.read() as connection:
+            ordered = query.order_by(frames.c.recording_id, frames.c.position)
+            return tuple(map(frame_of, connection.execute(ordered)))
+
+
+def latest_results() -> Select[tuple[int]]:
+    """Selects the id of each frame's latest result."""
+    return select(func.max(frame_results.c.id)).group_by(frame_results.c.frame_id)
+
+
+def record_result(
+    connection: Connection,
+    run_id: int,
+    frame_id: int,
+    seconds: float,
+    *,
+    time_ns: int,
+    reason: str | None = None,
+    proposals: int = 0,
+) -> None:
+    """Note how a frame ended, in place of what was noted under the same key; a `reason` says that it failed.
+
+    Raises:
+        ProjectError: no such run or frame.
+    """
+    key = read_run(connection, run_id).key
+    if connection.execute(select(frames.c.id).where(frames.c.id == frame_id)).first() is None:
+        raise ProjectError(f"the project has no frame with id {frame_id}")
+    same = (frame_results.c.frame_id == frame_id) & (frame_results.c.key == key)
+    connection.execute(delete(frame_results).where(same))
+    row = {
+        "frame_id": frame_id,
+        "key": key,
+        "run_id": run_id,
+        "status": (Status.DONE if reason is None else Status.FAILED).value,
+        "reason": reason,
+        "seconds": seconds,
+        "proposals": proposals,
+        "time_ns": time_ns,
+    }
+    connection.execute(insert(frame_results), row)
+
+
+def read_run(connection: Connection, run_id: int) -> Run:
+    """One run, within the caller's transaction.
+
+    Raises:
+        ProjectError: no such run.
+    """
+    row = connection.execute(select(runs).where(runs.c.id == run_id)).first()
+    if row is None:
+        raise ProjectError(f"the project has no run with id {run_id}")
+    return _run(row)
+
+
+def _parsed(config_json: str) -> Any:
+    try:
+        return json.loads(config_json)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"the settings of a run must be JSON: {error}") from error
+
+
+def _run(row: AnyRow) -> Run:
+    return Run(row.id, row.key, row.image_detector, row.view_detector, row.config, row.started_ns, row.finished_ns)
+
+
+def _result(row: AnyRow) -> FrameResult:
+    return FrameResult(
+        row.frame_id,
+        row.key,
+        row.run_id,
+        Status(row.status),
+        row.reason,
+        row.seconds,
+        row.proposals,
+        row.time_ns,
+    )

@@ -1,0 +1,48 @@
+"""Reading the log of a project, appending to it freely, and making the present state from it anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import select
+
+from annotator.project.derived import rebuild
+from annotator.project.events import Event, read_events
+from annotator.project.payloads import Payload
+from annotator.project.schema import events
+from annotator.project.writing import Change, Receipt, Writer
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """The events of a project."""
+
+    writer: Writer
+
+    def append(self, frame_id: int, payloads: Sequence[Payload], change: Change) -> Receipt:
+        """Say several things about a frame at once, such as "all of these are accepted": all are kept, or none.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
+        """
+        return self.writer.to_frame(frame_id, payloads, change)
+
+    def of_frame(self, frame_id: int) -> tuple[Event, ...]:
+        """Everything that was said about a frame, in order."""
+        with self.writer.store.read() as connection:
+            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
+
+    def since(self, event_id: int = 0) -> Iterator[Event]:
+        """All events after one, in order, as of the moment that the first is asked for."""
+        with self.writer.store.read() as connection:
+            yield from read_events(connection, after=event_id)
+
+    def rebuild(self) -> int:
+        """Make the present state from the events anew; returns their number. Nothing should change.
+
+        Raises:
+            ProjectError: an event does not fit the ones before it; the state stays as it was.
+        """
+        with self.writer.store.write() as connection:
+            return rebuild(connection)

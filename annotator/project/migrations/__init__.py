@@ -1,0 +1,60 @@
+"""Numbered steps that bring a database of any older version to the newest one.
+
+A step, once released, is never changed: a database of its version looks as that step left it. The version is
+SQLite's `user_version`; it changes in the same transaction as the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import Connection
+
+from annotator.project.migrations import m0001_events, m0002_batch
+from annotator.types.errors import ProjectError
+
+APPLICATION_ID = 0x416E6E6F  # "Anno": tells our databases from other SQLite files
+
+
+@dataclass(frozen=True)
+class Migration:
+    """One step.
+
+    Attributes:
+        version: the version that it leads to, from 1 without gaps.
+        statements: SQL, run in order.
+    """
+
+    version: int
+    statements: tuple[str, ...]
+
+
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(1, m0001_events.STATEMENTS),
+    Migration(2, m0002_batch.STATEMENTS),
+)
+
+
+def upgrade(connection: Connection, path: Path, migrations: Sequence[Migration]) -> None:
+    """Run the steps that the database lacks, within the caller's write transaction.
+
+    Args:
+        path: the database file, for messages.
+
+    Raises:
+        ProjectError: the database is newer than the last of `migrations`.
+    """
+    version = connection.exec_driver_sql("PRAGMA user_version").scalar_one()
+    newest = migrations[-1].version
+    if version > newest:
+        raise ProjectError(
+            f"{path}: was written by a newer annotator (database version {version}, this one knows up to {newest}); "
+            "update annotator"
+        )
+    for migration in migrations:
+        if migration.version > version:
+            for statement in migration.statements:
+                connection.exec_driver_sql(statement)
+            connection.exec_driver_sql(f"PRAGMA user_version = {migration.version}")

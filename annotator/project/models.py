@@ -1,0 +1,172 @@
+"""The registry of trained detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from pydantic import TypeAdapter
+from sqlalchemy import Connection, insert, select, update
+
+from annotator.project.schema import AnyRow, models
+from annotator.project.store import Store
+from annotator.types import BoxKind
+from annotator.types.errors import ProjectError
+
+_METRICS: TypeAdapter[dict[str, float]] = TypeAdapter(dict[str, float], config={"ser_json_inf_nan": "strings"})
+_LABELS: TypeAdapter[tuple[str, ...]] = TypeAdapter(tuple[str, ...])
+
+
+class Role(StrEnum):
+    """Which of a project's two detectors a model is."""
+
+    IMAGE = "image"
+    VIEW = "view"
+
+
+@dataclass(frozen=True)
+class StoredModel:
+    """A trained detector.
+
+    Attributes:
+        id: within the project.
+        role: what it looks at.
+        path: of the weights; absolute.
+        created_ns: UTC nanoseconds since the epoch.
+        labels: the class names that it finds.
+        box_kind: what its boxes measure, as its labels did.
+        metrics: by name, from the training.
+        manifest: which labels it was trained on, or None; absolute.
+        fingerprint: as its detector gives it.
+        active: True for the one that its role uses now.
+    """
+
+    id: int
+    role: Role
+    path: Path
+    created_ns: int
+    labels: tuple[str, ...]
+    box_kind: BoxKind
+    metrics: dict[str, float]
+    manifest: Path | None
+    fingerprint: str
+    active: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Models:
+    """Registers models and chooses the active one of each role.
+
+    Attributes:
+        store: the database.
+        folder: the project's folder; paths inside it are kept relative, so that the project can be moved.
+    """
+
+    store: Store
+    folder: Path
+
+    def register(
+        self,
+        role: Role,
+        path: Path,
+        *,
+        labels: Sequence[str],
+        box_kind: BoxKind,
+        metrics: Mapping[str, float],
+        fingerprint: str,
+        manifest: Path | None = None,
+        activate: bool = True,
+    ) -> StoredModel:
+        """Add a trained model; by default its role uses it from now on.
+
+        Raises:
+            ProjectError: a file is missing.
+        """
+        for file in (path, manifest):
+            if file is not None and not file.exists():
+                raise ProjectError(f"{file}: is missing, so that the {role} model cannot be registered")
+        row = {
+            "role": role.value,
+            "path": self._kept(path),
+            "created_ns": self.store.clock(),
+            "labels": _LABELS.dump_json(tuple(labels)).decode(),
+            "box_kind": box_kind.value,
+            "metrics": _METRICS.dump_json(dict(metrics)).decode(),
+            "manifest": None if manifest is None else self._kept(manifest),
+            "fingerprint": fingerprint,
+            "active": False,
+        }
+        with self.store.write() as connection:
+            key = connection.execute(insert(models), row).inserted_primary_key
+            assert key is not None  # one row was inserted
+            if activate:
+                _activate(connection, role, key[0])
+            return self._read(connection, key[0])
+
+    def activate(self, model_id: int) -> StoredModel:
+        """Let the model's role use it from now on.
+
+        Raises:
+            ProjectError: no such model.
+        """
+        with self.store.write() as connection:
+            _activate(connection, self._read(connection, model_id).role, model_id)
+            return self._read(connection, model_id)
+
+    def all(self, role: Role | None = None) -> tuple[StoredModel, ...]:
+        """Every model (of one role), the oldest first."""
+        query = select(models).order_by(models.c.id)
+        if role is not None:
+            query = query.where(models.c.role == role.value)
+        with self.store.read() as connection:
+            return tuple(map(self._stored, connection.execute(query)))
+
+    def get(self, model_id: int) -> StoredModel:
+        """One model.
+
+        Raises:
+            ProjectError: no such model.
+        """
+        with self.store.read() as connection:
+            return self._read(connection, model_id)
+
+    def latest(self, role: Role) -> StoredModel | None:
+        """The model of a role that was registered last, or None."""
+        return next(reversed(self.all(role)), None)
+
+    def active(self, role: Role) -> StoredModel | None:
+        """The model that a role uses now, or None."""
+        return next((model for model in self.all(role) if model.active), None)
+
+    def _kept(self, path: Path) -> str:
+        path, folder = path.resolve(), self.folder.resolve()
+        return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
+
+    def _read(self, connection: Connection, model_id: int) -> StoredModel:
+        row = connection.execute(select(models).where(models.c.id == model_id)).first()
+        if row is None:
+            raise ProjectError(f"the project has no model with id {model_id}")
+        return self._stored(row)
+
+    def _stored(self, row: AnyRow) -> StoredModel:
+        folder = self.folder.resolve()
+        return StoredModel(
+            row.id,
+            Role(row.role),
+            folder / row.path,
+            row.created_ns,
+            _LABELS.validate_json(row.labels),
+            BoxKind(row.box_kind),
+            _METRICS.validate_json(row.metrics),
+            None if row.manifest is None else folder / row.manifest,
+            row.fingerprint,
+            row.active,
+        )
+
+
+def _activate(connection: Connection, role: Role, model_id: int) -> None:
+    # one statement for each half: never two active models of a role, which an index forbids
+    connection.execute(update(models).where(models.c.role == role.value).values(active=False))
+    connection.execute(update(models).where(models.c.id == model_id).values(active=True))

@@ -1,0 +1,176 @@
+"""What an event says: one model a kind.
+
+Events are never rewritten, so a model here is a promise about every database in the field: a field may be added with a
+default; a change of meaning is a new kind.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field, TypeAdapter, model_validator
+
+from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
+from annotator.types import Box2D, BoxKind, LostObject, ReviewState
+
+ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Uid = Annotated[str, Field(min_length=1, max_length=64)]
+ClassName = Annotated[str, Field(min_length=1)]
+
+
+class _Payload(BaseModel):
+    model_config = EXACT
+
+    def classes(self) -> set[str]:
+        """The class names that the event brings in."""
+        return set()
+
+
+class ImageBoxesSet(_Payload):
+    """All 2D boxes on the camera image, in place of the ones before; none of them = nothing to be found here."""
+
+    kind: Literal["image_boxes_set"] = "image_boxes_set"
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.boxes}
+
+
+class ViewBoxesSet(_Payload):
+    """All 2D boxes on one pseudo-view, in place of the ones before.
+
+    Attributes:
+        view: SHA-256 of the view's PNG, as `Views.store` gives it.
+        step: the step of the recursion that drew the view, from 0, where known.
+        geometry: how the view lies in space, where known.
+    """
+
+    kind: Literal["view_boxes_set"] = "view_boxes_set"
+    view: ViewId
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    step: int | None = None
+    geometry: ViewGeometry | None = None
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.boxes}
+
+
+class ProposedObject(BaseModel):
+    """One proposal of an automatic pass.
+
+    Attributes:
+        uid: of the label that it became.
+        covered_by: uid of the reviewed label that says the same already, so that no label was made; else None.
+    """
+
+    model_config = EXACT
+
+    uid: Uid
+    proposal: ProposalRecord
+    covered_by: Uid | None = None
+
+
+class ProposalsReplaced(_Payload):
+    """An automatic pass: its proposals in place of all labels that nobody has reviewed.
+
+    Attributes:
+        run: id of the batch run, where it was one.
+        objects: every proposal with its trace, also those that became no label.
+        lost: frustums that led to no box.
+    """
+
+    kind: Literal["proposals_replaced"] = "proposals_replaced"
+    run: int | None = None
+    objects: tuple[ProposedObject, ...]
+    lost: tuple[LostObject, ...] = ()
+
+    def classes(self) -> set[str]:
+        return {entry.proposal.label for entry in self.objects}
+
+
+class LabelCreated(_Payload):
+    """A 3D box that no automatic pass proposed: drawn by an operator, or imported."""
+
+    kind: Literal["label_created"] = "label_created"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    score: Finite | None = None
+    track_id: int | None = None
+    state: ReviewState = ReviewState.ACCEPTED
+
+    @model_validator(mode="after")
+    def _reviewed(self) -> LabelCreated:
+        # the next automatic pass would silently remove it
+        if self.state is ReviewState.PROPOSED:
+            raise ValueError("a created label cannot be in state 'proposed'; only an automatic pass proposes")
+        return self
+
+    def classes(self) -> set[str]:
+        return {self.label}
+
+
+class LabelAccepted(_Payload):
+    """The label is right as it stands."""
+
+    kind: Literal["label_accepted"] = "label_accepted"
+    uid: Uid
+
+
+class LabelEdited(_Payload):
+    """The label's class, box and track from now on."""
+
+    kind: Literal["label_edited"] = "label_edited"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    track_id: int | None = None
+
+    def classes(self) -> set[str]:
+        return {self.label}
+
+
+class LabelRejected(_Payload):
+    """There is no such object; kept, so that a later pass does not propose it again."""
+
+    kind: Literal["label_rejected"] = "label_rejected"
+    uid: Uid
+
+
+class LabelDeleted(_Payload):
+    """The label is gone, and a later pass may propose the object again."""
+
+    kind: Literal["label_deleted"] = "label_deleted"
+    uid: Uid
+
+
+class FrameFinalised(_Payload):
+    """The operator is done with the frame; automatic passes leave it alone."""
+
+    kind: Literal["frame_finalised"] = "frame_finalised"
+
+
+class FrameReopened(_Payload):
+    """The frame may change again."""
+
+    kind: Literal["frame_reopened"] = "frame_reopened"
+
+
+LabelChange = LabelAccepted | LabelEdited | LabelRejected | LabelDeleted
+
+Payload = (
+    ImageBoxesSet
+    | ViewBoxesSet
+    | ProposalsReplaced
+    | LabelCreated
+    | LabelAccepted
+    | LabelEdited
+    | LabelRejected
+    | LabelDeleted
+    | FrameFinalised
+    | FrameReopened
+)
+
+PAYLOAD: TypeAdapter[Payload] = TypeAdapter(Annotated[Payload, Field(discriminator="kind")])

@@ -1,0 +1,186 @@
+"""What automatic passes proposed: new proposals in place of old ones, next to what has been reviewed."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from sqlalchemy import select
+
+from annotator.geometry.iou import iou_3d_matrix
+from annotator.project.events import Event, event_of
+from annotator.project.jobs import record_result
+from annotator.project.labels import read_labels
+from annotator.project.payloads import ProposalsReplaced, ProposedObject
+from annotator.project.records import ProposalRecord, storable
+from annotator.project.schema import events, labels
+from annotator.project.writing import Change, Receipt, Writer, require_writable
+from annotator.types import Label, LostObject, Proposal, ReviewState
+from annotator.types.errors import ProjectError
+
+SAME_OBJECT_IOU = 0.5
+
+
+@dataclass(frozen=True)
+class RunShare:
+    """The part of a batch run that one frame was: the run's id, and the seconds that the frame took."""
+
+    run_id: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Replaced:
+    """What an automatic pass changed.
+
+    Attributes:
+        uids: of the new labels, in the proposals' order, None for each that a reviewed label covers.
+        covered: how many those are.
+        receipt: as of every write.
+    """
+
+    uids: tuple[str | None, ...]
+    covered: int
+    receipt: Receipt
+
+
+@dataclass(frozen=True, eq=False)
+class PassObject:
+    """One proposal of a pass.
+
+    Attributes:
+        uid: of the label that it became.
+        covered_by: uid of the reviewed label that said the same already, so that no label was made; else None.
+        proposal: with its whole trace.
+    """
+
+    uid: str
+    covered_by: str | None
+    proposal: Proposal
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """One automatic pass over one frame.
+
+    Attributes:
+        event_id, author, time_ns: of its event.
+        run_id: the batch run, where it was one.
+        objects: all that it proposed.
+        lost: frustums that led to no box.
+    """
+
+    event_id: int
+    author: str
+    time_ns: int
+    run_id: int | None
+    objects: tuple[PassObject, ...]
+    lost: tuple[LostObject, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """Takes in the proposals of automatic passes, and reads their traces back."""
+
+    writer: Writer
+
+    def replace(
+        self,
+        frame_id: int,
+        proposals: Sequence[Proposal],
+        change: Change,
+        *,
+        lost: Sequence[LostObject] = (),
+        run: RunShare | None = None,
+    ) -> Replaced:
+        """Put new proposals in place of those that nobody has reviewed.
+
+        Accepted, edited and rejected labels stay. A proposal whose exact 3D IoU with one of them, of the same class,
+        is 0.5 or more says nothing new and becomes no label; the log keeps it with the uid of that label.
+
+        Args:
+            change: its source is normally AUTO, which a finalised frame refuses.
+            run: where given, the frame is noted as done for that run, in the same transaction.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
+        """
+        with self.writer.store.write() as connection:
+            # the cheap refusals before the geometry
+            where = require_writable(connection, frame_id, change)
+            reviewed = [label for label in read_labels(connection, frame_id) if label.state is not ReviewState.PROPOSED]
+            covering = covered_by(proposals, reviewed)
+            with storable(f"{where}: a proposal"):
+                objects = tuple(
+                    ProposedObject(uid=uuid.uuid4().hex, proposal=ProposalRecord.of(proposal), covered_by=cover)
+                    for proposal, cover in zip(proposals, covering, strict=True)
+                )
+                payload = ProposalsReplaced(run=run.run_id if run else None, objects=objects, lost=tuple(lost))
+            receipt = self.writer.to_frame_in(connection, frame_id, (payload,), change)
+            if run is not None:
+                time_ns = self.writer.store.clock()
+                record_result(connection, run.run_id, frame_id, run.seconds, time_ns=time_ns, proposals=len(proposals))
+        uids = tuple(entry.uid if entry.covered_by is None else None for entry in objects)
+        return Replaced(uids, uids.count(None), receipt)
+
+    def of_label(self, uid: str) -> Proposal | None:
+        """The proposal that a label came from, as it was before any edit; None for a label that was not proposed.
+
+        Raises:
+            ProjectError: no such label.
+        """
+        query = (
+            select(labels.c.proposal_event_id, events)
+            .outerjoin(events, events.c.id == labels.c.proposal_event_id)
+            .where(labels.c.uid == uid)
+        )
+        with self.writer.store.read() as connection:
+            row = connection.execute(query).first()
+        if row is None:
+            raise ProjectError(f"the project has no label {uid} (any more)")
+        if row.proposal_event_id is None:
+            return None
+        return next(entry.proposal.proposal() for entry in _payload(event_of(row)).objects if entry.uid == uid)
+
+    def latest(self, frame_id: int) -> Pass | None:
+        """The latest automatic pass over a frame, or None."""
+        query = (
+            select(events)
+            .where(events.c.frame_id == frame_id, events.c.kind == "proposals_replaced")
+            .order_by(events.c.revision.desc())
+            .limit(1)
+        )
+        with self.writer.store.read() as connection:
+            row = connection.execute(query).first()
+        return None if row is None else _pass(event_of(row))
+
+
+def covered_by(proposals: Sequence[Proposal], reviewed: Iterable[Label]) -> list[str | None]:
+    """For each proposal the uid of the reviewed label of its class that overlaps it most, if by 0.5 or more."""
+    found: list[str | None] = [None] * len(proposals)
+    known = list(reviewed)
+    for name in {label.label for label in known}:
+        mine = [index for index, proposal in enumerate(proposals) if proposal.label == name]
+        theirs = [label for label in known if label.label == name]
+        if not mine:
+            continue
+        iou = iou_3d_matrix([proposals[index].box for index in mine], [label.box for label in theirs])
+        for index, row in zip(mine, iou, strict=True):
+            best = int(np.argmax(row))
+            if row[best] >= SAME_OBJECT_IOU:
+                found[index] = theirs[best].uid
+    return found
+
+
+def _payload(event: Event) -> ProposalsReplaced:
+    if not isinstance(event.payload, ProposalsReplaced):
+        raise ProjectError(f"event {event.id} should hold proposals, but is {event.payload.kind}; rebuild the project")
+    return event.payload
+
+
+def _pass(event: Event) -> Pass:
+    payload = _payload(event)
+    objects = tuple(PassObject(entry.uid, entry.covered_by, entry.proposal.proposal()) for entry in payload.objects)
+    return Pass(event.id, event.author, event.time_ns, payload.run, objects, payload.lost)

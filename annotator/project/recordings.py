@@ -1,0 +1,202 @@
+"""The recordings of a project and the frames in them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, bindparam, func, insert, select, update
+
+from annotator.project.schema import AnyRow, frames, recordings
+from annotator.project.store import Store
+from annotator.types.errors import ProjectError
+
+
+@dataclass(frozen=True)
+class StoredRecording:
+    """A recording that belongs to the project.
+
+    Attributes:
+        id: within the project.
+        path: absolute.
+        format: name of the reader.
+        name: unique within the project.
+        is_sequence: True where the frames follow each other in time.
+        up: unit vector against gravity in the camera frame, where it is the same for the whole recording and known.
+        added_ns: UTC nanoseconds since the epoch.
+        frames: number of frames in the latest scan.
+    """
+
+    id: int
+    path: Path
+    format: str
+    name: str
+    is_sequence: bool
+    up: tuple[float, float, float] | None
+    added_ns: int
+    frames: int
+
+
+@dataclass(frozen=True)
+class Rescan:
+    """What a new look at a recording changed: keys that are new, and keys that are gone (their labels stay)."""
+
+    added: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Registers recordings; files of a recording are never touched."""
+
+    store: Store
+
+    def add(
+        self,
+        path: Path,
+        format: str,
+        name: str,
+        keys: Sequence[str],
+        is_sequence: bool,
+        up: Sequence[float | int] | np.ndarray | None = None,
+    ) -> StoredRecording:
+        """Register a recording and its frames, at revision 0.
+
+        Args:
+            path: where it is; kept absolute.
+            name: what to call it; where another recording has that name, "-2", "-3" ... is appended.
+            keys: the frames' keys, in the recording's order.
+            up: vector against gravity in the camera frame (3,), any length.
+
+        Raises:
+            ProjectError: the recording is in the project already, a key comes twice, or `up` is not a direction.
+        """
+        path = path.resolve()
+        _require_unique(path, keys)
+        with self.store.write() as connection:
+            if connection.execute(select(recordings.c.id).where(recordings.c.path == str(path))).first():
+                raise ProjectError(f"{path} is in the project already; scan it again to find new frames")
+            row = {
+                "path": str(path),
+                "format": format,
+                "name": _free_name(connection, name),
+                "is_sequence": is_sequence,
+                "up": None if up is None else json.dumps(_unit(path, up)),
+                "added_ns": self.store.clock(),
+            }
+            key = connection.execute(insert(recordings), row).inserted_primary_key
+            assert key is not None  # one row was inserted
+            _insert_frames(connection, key[0], list(enumerate(keys)))
+            return _recording(connection, key[0])
+
+    def rescan(self, recording_id: int, keys: Sequence[str]) -> Rescan:
+        """Take over the present frames of a recording: new ones are added, gone ones stay but have no index.
+
+        Raises:
+            ProjectError: no such recording, or a key comes twice.
+        """
+        with self.store.write() as connection:
+            _require_unique(_recording(connection, recording_id).path, keys)
+            own = frames.c.recording_id == recording_id
+            known = {row.key: row.position for row in connection.execute(select(frames).where(own))}
+            _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
+            new = [(index, key) for index, key in enumerate(keys) if key not in known]
+            _insert_frames(connection, recording_id, new)
+        present = set(keys)
+        return Rescan(tuple(key for _, key in new), tuple(key for key in known if key not in present))
+
+    def all(self) -> tuple[StoredRecording, ...]:
+        """Every recording, in the order they were added."""
+        with self.store.read() as connection:
+            return tuple(map(_stored, connection.execute(_query().order_by(recordings.c.id))))
+
+    def get(self, recording_id: int) -> StoredRecording:
+        """One recording.
+
+        Raises:
+            ProjectError: no such recording.
+        """
+        with self.store.read() as connection:
+            return _recording(connection, recording_id)
+
+    def find(self, name: str) -> StoredRecording:
+        """The recording of that name.
+
+        Raises:
+            ProjectError: no such recording; the message lists those there are.
+        """
+        known = self.all()
+        for recording in known:
+            if recording.name == name:
+                return recording
+        names = ", ".join(recording.name for recording in known) or "none yet"
+        raise ProjectError(f"the project has no recording {name!r}; it has: {names}")
+
+
+def _query() -> Any:
+    count = (
+        select(func.count())
+        .where(frames.c.recording_id == recordings.c.id, frames.c.position.is_not(None))
+        .scalar_subquery()
+    )
+    return select(recordings, count.label("frames"))
+
+
+def _recording(connection: Connection, recording_id: int) -> StoredRecording:
+    row = connection.execute(_query().where(recordings.c.id == recording_id)).first()
+    if row is None:
+        raise ProjectError(f"the project has no recording with id {recording_id}")
+    return _stored(row)
+
+
+def _stored(row: AnyRow) -> StoredRecording:
+    up = None if row.up is None else tuple(json.loads(row.up))
+    return StoredRecording(row.id, Path(row.path), row.format, row.name, row.is_sequence, up, row.added_ns, row.frames)
+
+
+def _require_unique(path: Path, keys: Sequence[str]) -> None:
+    if len(set(keys)) < len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ProjectError(f"{path}: frame key {twice!r} comes twice; keys must be unique within a recording")
+
+
+def _free_name(connection: Connection, name: str) -> str:
+    taken = set(connection.execute(select(recordings.c.name)).scalars())
+    free, number = name, 1
+    while free in taken:
+        number += 1
+        free = f"{name}-{number}"
+    return free
+
+
+def _unit(path: Path, up: Sequence[float | int] | np.ndarray) -> list[float]:
+    vector = np.asarray(up, np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
+        raise ProjectError(f"{path}: the up direction must be three finite numbers, not all zero, not {up}")
+    return (vector / np.linalg.norm(vector)).tolist()
+
+
+def _insert_frames(connection: Connection, recording_id: int, places: list[tuple[int, str]]) -> None:
+    if places:
+        rows = [
+            {"recording_id": recording_id, "key": key, "position": index, "revision": 0, "finalised": False}
+            for index, key in places
+        ]
+        connection.execute(insert(frames), rows)
+
+
+def _move_frames(
+    connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int]
+) -> None:
+    moved = [
+        {"of": recording_id, "named": key, "to": present.get(key)}
+        for key, position in known.items()
+        if present.get(key) != position
+    ]
+    if moved:
+        chosen = (frames.c.recording_id == bindparam("of")) & (frames.c.key == bindparam("named"))
+        connection.execute(update(frames).where(chosen).values(position=bindparam("to")), moved)

@@ -1,0 +1,144 @@
+"""The tables of the newest database version, as SQLAlchemy Core sees them (a test holds them to the migrations)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import Boolean, Column, Float, ForeignKey, Integer, MetaData, Table, Text
+
+# a row that a query gives, with its columns as attributes (SQLAlchemy's `Row` cannot be checked at run time)
+AnyRow = Any
+
+METADATA = MetaData()
+
+recordings = Table(
+    "recordings",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("path", Text, nullable=False),
+    Column("format", Text, nullable=False),
+    Column("name", Text, nullable=False),
+    Column("is_sequence", Boolean, nullable=False),
+    Column("up", Text),
+    Column("added_ns", Integer, nullable=False),
+)
+
+frames = Table(
+    "frames",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("recording_id", Integer, ForeignKey("recordings.id"), nullable=False),
+    Column("key", Text, nullable=False),
+    Column("position", Integer),
+    Column("revision", Integer, nullable=False),
+    Column("finalised", Boolean, nullable=False),
+)
+
+events = Table(
+    "events",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("frame_id", Integer, ForeignKey("frames.id")),
+    Column("view_id", Text),
+    Column("revision", Integer, nullable=False),
+    Column("kind", Text, nullable=False),
+    Column("payload", Text, nullable=False),
+    Column("author", Text, nullable=False),
+    Column("time_ns", Integer, nullable=False),
+    Column("source", Text, nullable=False),
+)
+
+labels = Table(
+    "labels",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("uid", Text, nullable=False),
+    Column("frame_id", Integer, ForeignKey("frames.id"), nullable=False),
+    Column("label", Text, nullable=False),
+    Column("box", Text, nullable=False),
+    Column("score", Float),
+    Column("source", Text, nullable=False),
+    Column("state", Text, nullable=False),
+    Column("author", Text, nullable=False),
+    Column("time_ns", Integer, nullable=False),
+    Column("track_id", Integer),
+    Column("view_disagreement", Float),
+    Column("kept_share", Float),
+    Column("last_change", Float),
+    Column("proposal_event_id", Integer, ForeignKey("events.id")),
+    Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
+)
+
+image_labels = Table(
+    "image_labels",
+    METADATA,
+    Column("frame_id", Integer, ForeignKey("frames.id"), primary_key=True),
+    Column("box_kind", Text, nullable=False),
+    Column("boxes", Text, nullable=False),
+    Column("count", Integer, nullable=False),
+    Column("author", Text, nullable=False),
+    Column("time_ns", Integer, nullable=False),
+    Column("source", Text, nullable=False),
+    Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
+)
+
+view_labels = Table(
+    "view_labels",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("view_id", Text, nullable=False),
+    Column("frame_id", Integer, ForeignKey("frames.id")),
+    Column("revision", Integer, nullable=False),
+    Column("box_kind", Text, nullable=False),
+    Column("boxes", Text, nullable=False),
+    Column("count", Integer, nullable=False),
+    Column("step", Integer),
+    Column("geometry", Text),
+    Column("author", Text, nullable=False),
+    Column("time_ns", Integer, nullable=False),
+    Column("source", Text, nullable=False),
+    Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
+)
+
+runs = Table(
+    "runs",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("key", Text, nullable=False),
+    Column("image_detector", Text, nullable=False),
+    Column("view_detector", Text, nullable=False),
+    Column("config", Text, nullable=False),
+    Column("started_ns", Integer, nullable=False),
+    Column("finished_ns", Integer),
+)
+
+frame_results = Table(
+    "frame_results",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("frame_id", Integer, ForeignKey("frames.id"), nullable=False),
+    Column("key", Text, nullable=False),
+    Column("run_id", Integer, ForeignKey("runs.id"), nullable=False),
+    Column("status", Text, nullable=False),
+    Column("reason", Text),
+    Column("seconds", Float, nullable=False),
+    Column("proposals", Integer, nullable=False),
+    Column("time_ns", Integer, nullable=False),
+)
+
+models = Table(
+    "models",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("role", Text, nullable=False),
+    Column("path", Text, nullable=False),
+    Column("created_ns", Integer, nullable=False),
+    Column("labels", Text, nullable=False),
+    Column("box_kind", Text, nullable=False),
+    Column("metrics", Text, nullable=False),
+    Column("manifest", Text),
+    Column("fingerprint", Text, nullable=False),
+    Column("active", Boolean, nullable=False),
+)
+
+DERIVED = (labels, image_labels, view_labels)

@@ -1,0 +1,127 @@
+"""How far a project is, in numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy import Connection, FromClause, Select, distinct, func, select
+
+from annotator.project.jobs import Status, latest_results
+from annotator.project.schema import (
+    events,
+    frame_results,
+    frames,
+    image_labels,
+    labels,
+    models,
+    recordings,
+    runs,
+    view_labels,
+)
+from annotator.project.store import Store
+from annotator.types import ReviewState, Source
+
+
+class LabelCounts(BaseModel):
+    """3D labels, counted in three ways; every state and source is named, also with none."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    total: int
+    by_state: dict[ReviewState, int]
+    by_class: dict[str, int]
+    by_source: dict[Source, int]
+
+
+class BoxCounts(BaseModel):
+    """2D boxes and the pictures that they are on (a picture labelled as empty counts too)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pictures: int
+    boxes: int
+    boxes_by_source: dict[Source, int]
+
+
+class Statistics(BaseModel):
+    """Counts of one project at one moment.
+
+    Attributes:
+        frames: those that the latest scans found.
+        frames_with_proposals: with at least one proposal still waiting for its review.
+        frames_failed: whose latest automatic pass failed.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recordings: int
+    frames: int
+    frames_finalised: int
+    frames_with_labels: int
+    frames_with_proposals: int
+    frames_failed: int
+    labels: LabelCounts
+    image_boxes: BoxCounts
+    view_boxes: BoxCounts
+    events: int
+    runs: int
+    models: int
+
+
+def read_statistics(store: Store) -> Statistics:
+    """Count everything, within one transaction.
+
+    Raises:
+        ProjectError: the database cannot be read.
+    """
+    here = select(func.count()).where(frames.c.position.is_not(None))
+    proposed = labels.c.state == ReviewState.PROPOSED.value
+    failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
+    with store.read() as connection:
+        return Statistics(
+            recordings=_rows(connection, recordings),
+            frames=_number(connection, here),
+            frames_finalised=_number(connection, here.where(frames.c.finalised.is_(True))),
+            frames_with_labels=_number(connection, select(func.count(distinct(labels.c.frame_id)))),
+            frames_with_proposals=_number(connection, select(func.count(distinct(labels.c.frame_id))).where(proposed)),
+            frames_failed=_number(connection, select(func.count()).where(failed)),
+            labels=_label_counts(connection),
+            image_boxes=_box_counts(connection, image_labels),
+            view_boxes=_box_counts(connection, view_labels),
+            events=_rows(connection, events),
+            runs=_rows(connection, runs),
+            models=_rows(connection, models),
+        )
+
+
+def _number(connection: Connection, query: Select[Any]) -> int:
+    return int(connection.execute(query).scalar_one())
+
+
+def _rows(connection: Connection, table: FromClause) -> int:
+    return _number(connection, select(func.count()).select_from(table))
+
+
+def _grouped(connection: Connection, table: FromClause, column: str, number: Any) -> dict[str, int]:
+    query = select(table.c[column], number).group_by(table.c[column]).order_by(table.c[column])
+    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def _by_source(counts: dict[str, int]) -> dict[Source, int]:
+    return {source: counts.get(source.value, 0) for source in Source}
+
+
+def _label_counts(connection: Connection) -> LabelCounts:
+    states = _grouped(connection, labels, "state", func.count())
+    return LabelCounts(
+        total=_rows(connection, labels),
+        by_state={state: states.get(state.value, 0) for state in ReviewState},
+        by_class=_grouped(connection, labels, "label", func.count()),
+        by_source=_by_source(_grouped(connection, labels, "source", func.count())),
+    )
+
+
+def _box_counts(connection: Connection, table: FromClause) -> BoxCounts:
+    by_source = _by_source(_grouped(connection, table, "source", func.sum(table.c["count"])))
+    return BoxCounts(pictures=_rows(connection, table), boxes=sum(by_source.values()), boxes_by_source=by_source)

@@ -1,0 +1,98 @@
+"""Pictures of labelled pseudo-views, each named by the hash of its content."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.project.files import write_atomic
+from annotator.types.errors import ProjectError
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_ID = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Views:
+    """The folder of pictures.
+
+    Attributes:
+        folder: holds one `<id>.png` a view.
+    """
+
+    folder: Path
+
+    def store(self, picture: bytes | UInt8[np.ndarray, "h w 3"]) -> str:
+        """Keep a picture, once however often it comes; returns its id, the SHA-256 (hex) of its PNG.
+
+        Args:
+            picture: the bytes of a PNG file, or (H, W, 3) uint8, RGB order.
+
+        Raises:
+            ProjectError: not a PNG, or it cannot be written.
+        """
+        content = picture if isinstance(picture, bytes) else _encode(picture)
+        if not content.startswith(_PNG):
+            raise ProjectError(f"{self.folder}: only PNG pictures are kept here; convert the picture first")
+        view_id = hashlib.sha256(content).hexdigest()
+        path = self._file(view_id)
+        if not path.exists():
+            try:
+                write_atomic(path, content)
+            except OSError as error:
+                raise ProjectError(f"{path}: cannot be written: {error}") from error
+        return view_id
+
+    def path(self, view_id: str) -> Path:
+        """The file of a picture.
+
+        Raises:
+            ProjectError: no such picture.
+        """
+        if not _ID.fullmatch(view_id):
+            raise ProjectError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
+        path = self._file(view_id)
+        if not path.is_file():
+            raise ProjectError(f"{path}: the picture is missing; store it first, or restore it from a backup")
+        return path
+
+    def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture, (H, W, 3) uint8, RGB order.
+
+        Raises:
+            ProjectError: it is missing, or its content no longer fits its id.
+        """
+        path = self.path(view_id)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise ProjectError(f"{path}: cannot be read: {error}") from error
+        if hashlib.sha256(content).hexdigest() != view_id:
+            raise ProjectError(f"{path}: is damaged (its content does not fit its name); restore it from a backup")
+        return _decode(path, content)
+
+    def _file(self, view_id: str) -> Path:
+        return self.folder / f"{view_id}.png"
+
+
+def _encode(rgb: np.ndarray) -> bytes:
+    import cv2
+
+    written, content = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
+    if not written:
+        raise ProjectError(f"a picture of shape {rgb.shape} cannot be written as PNG")
+    return content.tobytes()
+
+
+def _decode(path: Path, content: bytes) -> np.ndarray:
+    import cv2
+
+    bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise ProjectError(f"{path}: is not a picture that can be read")
+    return np.ascontiguousarray(bgr[..., ::-1])

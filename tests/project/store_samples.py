@@ -1,0 +1,143 @@
+"""Values for the store's tests, and hypothesis strategies that draw them."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from sqlalchemy import text
+
+from annotator.project import Change, Project
+from annotator.types import (
+    Box2D,
+    BoxTrace,
+    LostObject,
+    OrientedBox,
+    Proposal,
+    Quality,
+    Source,
+    StepTrace,
+    StopReason,
+    ViewTrace,
+)
+
+NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
+DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames")
+
+
+def by_hand(revision: int = 0, author: str = "ann") -> Change:
+    return Change(revision, author, Source.MANUAL)
+
+
+def by_machine(revision: int = 0) -> Change:
+    return Change(revision, "rcv", Source.AUTO)
+
+
+def box_at(x_m: float = 0.0, size_m: float = 1.0) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x_m, 0.1, 3.0]), NOT_AXIS_ALIGNED, np.array([size_m, 0.7, 0.4]))
+
+
+def matrix3(array: np.ndarray) -> tuple[tuple[float, float, float], ...]:
+    return tuple(tuple(row) for row in array.tolist())
+
+
+def view_trace(boxes: int = 1) -> ViewTrace:
+    found = tuple(Box2D("hand", 10.25 + n, 1 / 3, 99.5, 200.125, 0.9) for n in range(boxes))
+    return ViewTrace(matrix3(NOT_AXIS_ALIGNED), 0.00123456789, (-0.4, 0.25), 320, 240, found, 0 if found else None)
+
+
+def step_trace(views: int = 2) -> StepTrace:
+    box = BoxTrace((0.1, 0.2, 0.3), matrix3(NOT_AXIS_ALIGNED), (1.0, 0.5, 0.25))
+    return StepTrace(
+        "normals",
+        ("consensus: too flat",),
+        tuple(view_trace() for _ in range(views)),
+        box,
+        500,
+        432,
+        StopReason.CONTINUES,
+    )
+
+
+def proposal_at(
+    x_m: float = 0.0, label: str = "hand", score: float = 0.75, steps: int = 1, views: int = 2, size_m: float = 1.0
+) -> Proposal:
+    trace = tuple(step_trace(views) for _ in range(steps))
+    image_box = Box2D(label, 1.0, 2.0, 30.5, 40.25, 0.8)
+    return Proposal(label, score, box_at(x_m, size_m), image_box, trace, Quality(0.125, 0.9, 0.01))
+
+
+def lost_object() -> LostObject:
+    step = StepTrace("camera", (), (view_trace(0),), None, 20, 0, StopReason.LOST)
+    return LostObject("hand", Box2D("hand", 0.0, 0.0, 5.0, 5.0, 0.4), (step,))
+
+
+def same_box(a: OrientedBox, b: OrientedBox) -> bool:
+    """Equal to the last bit."""
+    return bool((a.T_camera_box.as_matrix() == b.T_camera_box.as_matrix()).all() and (a.size_m == b.size_m).all())
+
+
+def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
+    """All rows of the derived tables but for their own row numbers, in the order of these."""
+    found: dict[str, list[tuple[object, ...]]] = {}
+    with project.store.read() as connection:
+        for table in DERIVED_TABLES:
+            rows = connection.execute(text(f"SELECT * FROM {table} ORDER BY 1")).mappings().all()
+            named = table != "frames" and "id" in (rows[0] if rows else {})
+            found[table] = [tuple(value for key, value in row.items() if not (named and key == "id")) for row in rows]
+    return found
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+coordinate = st.floats(-1e4, 1e4, allow_subnormal=True)
+words = st.text(min_size=1, max_size=8)
+
+
+@st.composite
+def boxes_2d(draw: st.DrawFn) -> Box2D:
+    x, y = draw(coordinate), draw(coordinate)
+    width, height = draw(st.floats(1e-3, 1e4)), draw(st.floats(1e-3, 1e4))
+    return Box2D(draw(words), x, y, x + width, y + height, draw(st.floats(0, 1)))
+
+
+@st.composite
+def rotations(draw: st.DrawFn) -> np.ndarray:
+    quaternion = np.array([draw(st.floats(-1, 1)) for _ in range(4)])
+    if np.linalg.norm(quaternion) < 1e-3:
+        quaternion = np.array([0.0, 0.0, 0.0, 1.0])
+    return Rotation.from_quat(quaternion).as_matrix()
+
+
+@st.composite
+def oriented_boxes(draw: st.DrawFn) -> OrientedBox:
+    center = np.array([draw(coordinate) for _ in range(3)])
+    size = np.array([draw(st.floats(1e-6, 1e3)) for _ in range(3)])
+    return OrientedBox.from_parts(center, draw(rotations()), size)
+
+
+@st.composite
+def step_traces(draw: st.DrawFn) -> StepTrace:
+    def view() -> ViewTrace:
+        boxes = tuple(draw(st.lists(boxes_2d(), max_size=2)))
+        used = draw(st.sampled_from([None, *range(len(boxes))]))
+        axes = matrix3(draw(rotations()))
+        return ViewTrace(axes, draw(st.floats(1e-9, 10)), (draw(finite), draw(finite)), 320, 200, boxes, used)
+
+    box = draw(oriented_boxes())
+    trace = BoxTrace(tuple(box.center_m.tolist()), matrix3(box.rotation), tuple(box.size_m.tolist()))
+    return StepTrace(
+        draw(words),
+        tuple(draw(st.lists(words, max_size=2))),
+        tuple(view() for _ in range(draw(st.integers(0, 2)))),
+        draw(st.sampled_from([None, trace])),
+        draw(st.integers(0, 10**6)),
+        draw(st.integers(0, 10**6)),
+        draw(st.sampled_from(StopReason)),
+    )
+
+
+@st.composite
+def proposals(draw: st.DrawFn) -> Proposal:
+    quality = Quality(*(draw(st.floats(allow_nan=False)) for _ in range(3)))
+    trace = tuple(draw(st.lists(step_traces(), max_size=2)))
+    return Proposal(draw(words), draw(st.floats(0, 1)), draw(oriented_boxes()), draw(boxes_2d()), trace, quality)

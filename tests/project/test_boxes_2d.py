@@ -1,0 +1,87 @@
+"""2D boxes on camera images and pseudo-views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from store_samples import NOT_AXIS_ALIGNED, by_hand, matrix3
+
+from annotator.project import Change, Project, StoredRecording, ViewGeometry
+from annotator.types import Box2D, BoxKind, Source
+from annotator.types.errors import ProjectError, StaleRevisionError
+
+HANDS = (Box2D("hand", 1.5, 2.0, 3.0, 4.0), Box2D("hand", -3.0, 0.0, 100.25, 1 / 3, 0.5))
+
+
+@pytest.fixture
+def view(project: Project) -> str:
+    return project.views.store(np.full((12, 16, 3), 7, np.uint8))
+
+
+def test_boxes_on_an_image(project: Project, frame: int) -> None:
+    assert project.boxes.on_image(frame) is None
+    project.boxes.set_on_image(frame, HANDS, BoxKind.SILHOUETTE, by_hand())
+    found = project.boxes.on_image(frame)
+    assert found is not None
+    assert (found.boxes, found.box_kind, found.source, found.author) == (
+        HANDS,
+        BoxKind.SILHOUETTE,
+        Source.MANUAL,
+        "ann",
+    )
+    project.boxes.set_on_image(frame, HANDS[:1], BoxKind.BOX, Change(1, "coco", Source.IMPORTED))
+    found = project.boxes.on_image(frame)
+    assert found is not None
+    assert (found.boxes, found.box_kind, found.source) == (HANDS[:1], BoxKind.BOX, Source.IMPORTED)
+
+
+def test_an_image_without_objects_is_labelled_too(project: Project, frame: int) -> None:
+    project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
+    found = project.boxes.on_image(frame)
+    assert found is not None
+    assert found.boxes == ()
+
+
+def test_labelled_images_of_the_project(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
+    for entry in reversed(project.frames.of()[2:]):
+        project.boxes.set_on_image(entry.id, HANDS, BoxKind.BOX, by_hand())
+    assert [entry.frame_id for entry in project.boxes.on_images()] == [entry.id for entry in project.frames.of()[2:]]
+    assert len(project.boxes.on_images([other.id])) == 1
+
+
+def test_boxes_on_a_view_of_a_frame(project: Project, frame: int, view: str) -> None:
+    geometry = ViewGeometry(axes=matrix3(NOT_AXIS_ALIGNED), metres_per_px=0.001, origin_m=(-0.5, 1 / 3))
+    receipt = project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand(), frame_id=frame, step=1, geometry=geometry)
+    assert receipt.revision == project.frames.get(frame).revision == 1
+    (found,) = project.boxes.on_views_of(frame)
+    assert (found.view_id, found.frame_id, found.boxes, found.step) == (view, frame, HANDS, 1)
+    assert found.geometry == geometry
+    assert project.boxes.on_views() == (found,)
+    project.boxes.set_on_view(view, [], BoxKind.BOX, by_hand(1), frame_id=frame)
+    (found,) = project.boxes.on_views_of(frame)
+    assert (found.boxes, found.step, found.geometry) == ((), None, None)
+    assert project.frame_state(frame).view_boxes == (found,)
+
+
+def test_a_view_without_a_frame_has_its_own_revision(project: Project, view: str) -> None:
+    assert project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand()).revision == 1
+    with pytest.raises(StaleRevisionError, match="view "):
+        project.boxes.set_on_view(view, [], BoxKind.BOX, by_hand())
+    project.boxes.set_on_view(view, HANDS[:1], BoxKind.SILHOUETTE, by_hand(1))
+    (found,) = project.boxes.on_views()
+    assert (found.frame_id, found.revision, found.boxes, found.box_kind) == (None, 2, HANDS[:1], BoxKind.SILHOUETTE)
+
+
+def test_one_picture_may_come_from_two_places(project: Project, frame: int, view: str) -> None:
+    project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand())
+    project.boxes.set_on_view(view, HANDS[:1], BoxKind.BOX, by_hand(), frame_id=frame)
+    assert [(found.frame_id, len(found.boxes)) for found in project.boxes.on_views()] == [(None, 2), (frame, 1)]
+
+
+def test_boxes_need_their_picture(project: Project, frame: int) -> None:
+    with pytest.raises(ProjectError, match="the picture is missing"):
+        project.boxes.set_on_view("0" * 64, HANDS, BoxKind.BOX, by_hand(), frame_id=frame)
+    assert project.boxes.on_views() == ()

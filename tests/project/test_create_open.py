@@ -1,0 +1,235 @@
+"""Creating, opening and listing projects; what is wrong is said clearly."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from store_samples import box_at, by_hand
+
+from annotator.project import (
+    BoxRotation,
+    NewLabel,
+    Project,
+    ProjectSettings,
+    create_project,
+    list_projects,
+    open_project,
+)
+from annotator.types import Box2D, BoxKind
+from annotator.types.errors import ConfigError, ProjectError
+
+
+def test_a_project_has_its_files(tmp_path: Path) -> None:
+    settings = ProjectSettings(rotation=BoxRotation.UPRIGHT)
+    create_project(tmp_path / "projects", "hands", ["hand"], settings=settings, clock=lambda: 123).close()
+    folder = tmp_path / "projects" / "hands"
+    assert {path.name for path in folder.iterdir()} == {"project.json", "project.db", "models", "views", "cache"}
+    assert json.loads((folder / "project.json").read_text()) == {
+        "name": "hands",
+        "format_version": 1,
+        "created_ns": 123,
+        "classes": ["hand"],
+        "settings": {"rotation": "upright"},
+    }
+    with open_project(folder) as project:
+        assert project.config.classes == ("hand",)
+        assert project.problems() == []
+
+
+def test_the_database_is_set_up_for_safety(project: Project) -> None:
+    with project.store.read() as connection:
+        wanted = {"journal_mode": "wal", "foreign_keys": 1, "synchronous": 2, "busy_timeout": 10_000}
+        for pragma, value in wanted.items():
+            assert connection.exec_driver_sql(f"PRAGMA {pragma}").scalar_one() == value
+
+
+@pytest.mark.parametrize("name", ["", "Hands", "a b", "../up", "a/b", ".hidden", "-x", "é", "x" * 65, "a\n"])
+def test_a_bad_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match="not a project name"):
+        create_project(tmp_path, name, ["hand"])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("classes", [[], ["hand", "hand"], [""], [" hand"], ["a/b"], ["a\nb"], ["x" * 65]])
+def test_bad_classes_are_refused(tmp_path: Path, classes: list[str]) -> None:
+    with pytest.raises(ConfigError, match="project hands: classes"):
+        create_project(tmp_path, "hands", classes)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_project_is_left_alone(project: Project) -> None:
+    before = (project.path / "project.json").read_bytes()
+    with pytest.raises(ProjectError, match="exists already"):
+        create_project(project.path.parent, "hands", ["other"])
+    assert (project.path / "project.json").read_bytes() == before
+
+
+def test_of_two_that_create_the_same_project_one_wins(tmp_path: Path) -> None:
+    barrier = threading.Barrier(4)
+    outcomes: list[str] = []
+
+    def create() -> None:
+        barrier.wait()
+        try:
+            create_project(tmp_path, "hands", ["hand"]).close()
+            outcomes.append("created")
+        except ProjectError as error:
+            assert "exists already" in str(error)
+            outcomes.append("refused")
+
+    threads = [threading.Thread(target=create) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == ["created", "refused", "refused", "refused"]
+    assert [path.name for path in tmp_path.iterdir()] == ["hands"]
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ProjectError, match="cannot be created"):
+        create_project(tmp_path / "file", "hands", ["hand"])
+
+
+def _overwrite(name: str, content: bytes) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_bytes(content) and None
+
+
+def _truncate(folder: Path) -> None:
+    content = (folder / "project.db").read_bytes()
+    (folder / "project.db").write_bytes(content[: len(content) // 2])
+
+
+def _foreign(folder: Path) -> None:
+    (folder / "project.db").unlink()
+    connection = sqlite3.connect(folder / "project.db")
+    connection.execute("CREATE TABLE notes (a)")
+    connection.close()
+
+
+def _newer(folder: Path) -> None:
+    connection = sqlite3.connect(folder / "project.db")
+    connection.execute("PRAGMA user_version = 99")
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda folder: (folder / "project.json").unlink(), "is not a project: it has no project.json"),
+        (_overwrite("project.json", b"{"), "project.json: .*restore it"),
+        (_overwrite("project.json", b"\xff\xfe"), "project.json: .*restore it"),
+        (_overwrite("project.json", b'{"format_version": 2}'), "format version 2.*update annotator"),
+        (_overwrite("project.json", b'{"format_version": 1, "name": "x"}'), "Field required"),
+        (lambda folder: (folder / "project.db").unlink(), "project.db: is missing"),
+        (_overwrite("project.db", b"x" * 5000), "project.db: is not a project database"),
+        (_overwrite("project.db", b""), "not one of annotator's"),
+        (_truncate, "project.db: is damaged"),
+        (_foreign, "not one of annotator's"),
+        (_newer, r"newer annotator \(database version 99, this one knows up to 2\); update annotator"),
+    ],
+)
+def test_what_is_wrong_is_said_at_opening(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+    create_project(tmp_path, "hands", ["hand"]).close()
+    damage(tmp_path / "hands")
+    with pytest.raises(ProjectError, match=message):
+        open_project(tmp_path / "hands")
+
+
+def test_damage_inside_the_file_is_said_when_it_is_met(project: Project, frame: int) -> None:
+    project.labels.create(frame, [NewLabel("hand", box_at())] * 20, by_hand())
+    project.close()
+    path = project.path / "project.db"
+    content = bytearray(path.read_bytes())
+    for page in range(1, len(content) // 4096):
+        content[page * 4096 : page * 4096 + 64] = b"\xff" * 64
+    path.write_bytes(bytes(content))
+    with (
+        pytest.raises(ProjectError, match=r"project\.db: is damaged; restore it"),
+        open_project(project.path) as broken,
+    ):
+        broken.labels.of_frame(frame)
+
+
+def test_nowhere_is_not_a_project(tmp_path: Path) -> None:
+    with pytest.raises(ProjectError, match="annotator new"):
+        open_project(tmp_path / "none")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_that_stays_is_said(project: Project, frame: int) -> None:
+    other = sqlite3.connect(project.path / "project.db", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    try:
+        with (
+            open_project(project.path, busy_timeout_s=0.1) as waiting,
+            pytest.raises(ProjectError, match="locked by another process"),
+        ):
+            waiting.frames.finalise(frame, by_hand())
+        assert project.frames.get(frame).revision == 0, "readers are not held up"
+    finally:
+        other.rollback()
+        other.close()
+    project.frames.finalise(frame, by_hand())
+
+
+def test_odd_characters_in_the_path_are_no_problem(tmp_path: Path) -> None:
+    root = tmp_path / "a b?c#d%41&mode=memory"
+    create_project(root, "hands", ["hand"]).close()
+    with open_project(root / "hands") as project:
+        assert project.recordings.all() == ()
+    assert (root / "hands" / "project.db").stat().st_size > 0
+
+
+def test_a_moved_project_opens(project: Project, tmp_path: Path) -> None:
+    project.close()
+    moved = project.path.rename(tmp_path / "elsewhere")
+    with open_project(moved) as found:
+        assert found.config.name == "hands"
+
+
+def test_a_missing_sub_folder_is_made_again(project: Project) -> None:
+    (project.path / "cache").rmdir()
+    with open_project(project.path) as found:
+        assert found.cache_folder.is_dir()
+
+
+def test_projects_are_listed_with_their_problems(tmp_path: Path) -> None:
+    for name in ("b", "a", "c"):
+        create_project(tmp_path, name, [name]).close()
+    (tmp_path / "c" / "project.json").write_text("{}")
+    (tmp_path / "other").mkdir()
+    (tmp_path / ".a.0123.unfinished").mkdir()
+    listed = list_projects(tmp_path)
+    assert [entry.path.name for entry in listed] == ["a", "b", "c"]
+    assert [entry.config and entry.config.classes for entry in listed] == [("a",), ("b",), None]
+    assert listed[0].problem is None
+    assert "project.json" in (listed[2].problem or "")
+    assert list_projects(tmp_path / "none") == ()
+
+
+def test_classes_can_be_added_but_not_taken_from_boxes(project: Project, frame: int) -> None:
+    with open_project(project.path) as other:
+        other.configure(classes=["hand", "person", "dog"])
+    receipt = project.labels.create(frame, [NewLabel("dog", box_at())], by_hand()).receipt
+    boxes = [Box2D("person", 0.0, 0.0, 1.0, 1.0)]
+    project.boxes.set_on_image(frame, boxes, BoxKind.SILHOUETTE, by_hand(receipt.revision))
+    for kept, lost in ((["hand", "person"], "'dog'"), (["dog", "hand"], "'person'")):
+        with pytest.raises(ProjectError, match=f"{lost} cannot go"):
+            project.configure(classes=kept)
+    assert project.configure(classes=["dog", "person"]).classes == ("dog", "person")
+    with pytest.raises(ConfigError):
+        project.configure(classes=[])
+    assert project.config.classes == ("dog", "person")
+
+
+def test_settings_can_be_changed(project: Project) -> None:
+    project.configure(settings=ProjectSettings(rotation=BoxRotation.FREE))
+    assert project.config.settings.rotation is BoxRotation.FREE
+    assert project.config.classes == ("hand", "person")

@@ -1,0 +1,126 @@
+"""Which frames a batch run has to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from store_samples import by_hand, by_machine, proposal_at
+
+from annotator.project import Project, Run, RunShare, Status, StoredRecording, open_project, run_key
+from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
+
+
+def _start(project: Project, config: str = "{}") -> Run:
+    return project.jobs.start(image_detector="image-1", view_detector="view-1", config_json=config)
+
+
+def _do(project: Project, run: Run, key: str, proposals: int = 1) -> None:
+    frame = next(frame for frame in project.frames.of() if frame.key == key)
+    found = [proposal_at(5.0 * n) for n in range(proposals)]
+    project.proposals.replace(frame.id, found, by_machine(frame.revision), run=RunShare(run.id, 0.25))
+
+
+def _fail(project: Project, run: Run, key: str) -> None:
+    frame = next(frame for frame in project.frames.of() if frame.key == key)
+    project.jobs.record_failure(run.id, frame.id, "depth/2.png: cut short", 0.1)
+
+
+def _pending(project: Project, run: Run) -> str:
+    return "".join(frame.key for frame in project.jobs.pending(run.key))
+
+
+def test_the_key_depends_on_detectors_and_settings() -> None:
+    key = run_key("a", "b", '{"x": 1, "y": [2]}')
+    assert key == run_key("a", "b", '{"y":[2],"x":1}')
+    others = [("b", "a", '{"x": 1, "y": [2]}'), ("ab", "", '{"x": 1, "y": [2]}'), ("a", "b", '{"x": 1, "y": [3]}')]
+    assert len({key, *(run_key(*other) for other in others)}) == 4
+    with pytest.raises(ConfigError, match="JSON"):
+        run_key("a", "b", "{")
+
+
+def test_frames_that_are_done_are_skipped(project: Project, recording: StoredRecording) -> None:
+    run = _start(project)
+    assert _pending(project, run) == "01234"
+    _do(project, run, "0")
+    _do(project, run, "3", proposals=0)
+    assert _pending(project, run) == "124"
+    assert project.jobs.finish(run.id).finished_ns is not None
+    with open_project(project.path) as later:
+        assert _pending(later, _start(later)) == "124"
+
+
+def test_failed_frames_are_kept_with_their_reason_and_tried_again(project: Project, recording: StoredRecording) -> None:
+    run = _start(project)
+    _fail(project, run, "2")
+    (result,) = project.jobs.results(status=Status.FAILED)
+    assert (result.reason, result.seconds, result.proposals) == ("depth/2.png: cut short", 0.1, 0)
+    assert _pending(project, run) == "01234"
+    again = _start(project)
+    _do(project, again, "2")
+    assert _pending(project, again) == "0134"
+    assert project.jobs.results(status=Status.FAILED) == ()
+    (result,) = project.jobs.results(key=run.key)
+    assert (result.run_id, result.status, result.reason, result.proposals) == (again.id, Status.DONE, None, 1)
+    assert project.jobs.results(run_id=run.id) == ()
+
+
+def test_other_settings_do_all_frames_anew(project: Project, recording: StoredRecording) -> None:
+    first = _start(project)
+    for key in "01234":
+        _do(project, first, key)
+    assert _pending(project, first) == ""
+    second = _start(project, '{"max_steps": 3}')
+    assert _pending(project, second) == "01234"
+    _do(project, second, "1")
+    assert _pending(project, second) == "0234"
+    assert _pending(project, first) == "1", "frame 1 shows the second run's proposals"
+
+
+def test_a_failure_after_a_success_is_tried_again(project: Project, recording: StoredRecording) -> None:
+    run = _start(project)
+    _do(project, run, "1")
+    _fail(project, run, "1")
+    assert _pending(project, run) == "01234"
+    assert project.statistics().frames_failed == 1
+
+
+def test_finalised_and_vanished_frames_are_left_out(project: Project, recording: StoredRecording) -> None:
+    project.frames.finalise(project.frames.find(recording.id, "1").id, by_hand())
+    project.recordings.rescan(recording.id, ["4", "1", "0", "2"])
+    assert _pending(project, _start(project)) == "402"
+
+
+def test_only_the_recordings_asked_for(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
+    key = _start(project).key
+    assert [frame.key for frame in project.jobs.pending(key, [other.id])] == ["x"]
+    assert len(project.jobs.pending(key)) == 6
+    assert project.jobs.pending(key, []) == ()
+
+
+def test_a_refused_pass_leaves_no_result(project: Project, recording: StoredRecording, frame: int) -> None:
+    run = _start(project)
+    share = RunShare(run.id, 1.0)
+    project.frames.finalise(frame, by_hand())
+    with pytest.raises(FinalisedFrameError):
+        project.proposals.replace(frame, [proposal_at()], by_machine(1), run=share)
+    project.frames.reopen(frame, by_hand(1))
+    with pytest.raises(StaleRevisionError):
+        project.proposals.replace(frame, [proposal_at()], by_machine(1), run=share)
+    with pytest.raises(ProjectError, match="no run with id 77"):
+        project.proposals.replace(frame, [proposal_at()], by_machine(2), run=RunShare(77, 1.0))
+    assert project.jobs.results() == ()
+    assert project.labels.of_frame(frame) == ()
+    assert project.frames.get(frame).revision == 2
+
+
+def test_what_is_not_there_is_named(project: Project, recording: StoredRecording) -> None:
+    run = _start(project, '{"a": 1}')
+    with pytest.raises(ProjectError, match="no frame with id 99"):
+        project.jobs.record_failure(run.id, 99, "x", 0.0)
+    with pytest.raises(ProjectError, match="no run with id 99"):
+        project.jobs.finish(99)
+    assert project.jobs.all() == (run,)
+    assert (run.image_detector, run.view_detector, run.config) == ("image-1", "view-1", '{"a": 1}')
+    assert run.finished_ns is None

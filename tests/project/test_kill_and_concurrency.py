@@ -1,0 +1,152 @@
+"""Killed at any moment, and several processes at once: nothing acknowledged is lost, nothing is half-written."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from store_samples import by_hand, state_of
+
+from annotator.project import Project, StoredRecording, open_project
+from annotator.types import BoxKind
+from annotator.types.errors import StaleRevisionError
+
+HERE = Path(__file__).parent
+
+
+@contextmanager
+def _writer(project: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-c", _RUN, str(HERE), str(HERE.parent.parent), str(project)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        with process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            try:
+                yield process
+            finally:
+                process.kill()
+    finally:
+        process.wait()
+
+
+# the helper's folder and the repository are on the path whatever the current directory is
+_RUN = "import sys; sys.path[:0] = sys.argv[1:3]; del sys.argv[1:3]; import writer_process; writer_process.main()"
+
+
+def _tell(process: subprocess.Popen[str], line: str) -> None:
+    assert process.stdin is not None
+    process.stdin.write(line + "\n")
+    process.stdin.flush()
+
+
+def _heard(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline().strip()
+
+
+def _complete_lines(process: subprocess.Popen[str]) -> list[tuple[int, int]]:
+    assert process.stdout is not None
+    # a line without its end was cut by the kill
+    lines = [line for line in process.stdout.read().splitlines(keepends=True) if line.endswith("\n")]
+    return [(int(line.split()[0]), int(line.split()[1])) for line in lines]
+
+
+def test_what_was_acknowledged_survives_a_kill_at_any_moment(project: Project, recording: StoredRecording) -> None:
+    moments = random.Random(5)
+    frames = [frame.id for frame in project.frames.of()]
+    project.close()
+    acknowledged = 0
+    for round_ in range(6):
+        frame = frames[round_ % len(frames)]
+        with _writer(project.path) as process:
+            _tell(process, f"loop {frame}")
+            time.sleep(moments.uniform(0.05, 0.5))
+            process.kill()
+            written = _complete_lines(process)
+        acknowledged += len(written)
+        with open_project(project.path) as reopened:
+            assert reopened.problems() == []
+            events = {event.id: event.revision for event in reopened.log.since()}
+            assert all(events.get(number) == revision for number, revision in written)
+            log = reopened.log.of_frame(frame)
+            # at most one write was committed but not yet acknowledged
+            assert len(log) - max((revision for _, revision in written), default=len(log)) in (0, 1)
+            assert reopened.frames.get(frame).revision == len(log)
+            maintained = state_of(reopened)
+            assert reopened.log.rebuild() == len(events)
+            assert state_of(reopened) == maintained
+    assert acknowledged > 20, "the kills came after some work"
+
+
+def test_two_processes_write_to_different_frames(project: Project, recording: StoredRecording) -> None:
+    frames = [frame.id for frame in project.frames.of()][:2]
+    writes = 40
+    with _writer(project.path) as one, _writer(project.path) as two:
+        for revision in range(writes):
+            for process, frame in ((one, frames[0]), (two, frames[1])):
+                _tell(process, f"once {frame} {revision}")
+        for process in (one, two):
+            assert [_heard(process) for _ in range(writes)] == ["won"] * writes
+    assert [project.frames.get(frame).revision for frame in frames] == [writes, writes]
+
+
+def test_of_two_processes_on_one_revision_exactly_one_wins(project: Project, frame: int) -> None:
+    rounds = 30
+    wins = [0, 0]
+    with _writer(project.path) as one, _writer(project.path) as two:
+        for revision in range(rounds):
+            pair = (one, two) if revision % 2 else (two, one)
+            for process in pair:
+                _tell(process, f"once {frame} {revision}")
+            answers = [_heard(process) for process in (one, two)]
+            assert sorted(answers) == ["stale", "won"]
+            wins[answers.index("won")] += 1
+    assert sum(wins) == rounds
+    assert [event.revision for event in project.log.of_frame(frame)] == list(range(1, rounds + 1))
+
+
+def test_threads_share_a_project(project: Project, frame: int) -> None:
+    rounds, threads = 10, 6
+    barrier = threading.Barrier(threads)
+    outcomes: list[str] = []
+
+    def write() -> None:
+        for revision in range(rounds):
+            barrier.wait()
+            try:
+                project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand(revision))
+                outcomes.append("won")
+            except StaleRevisionError:
+                outcomes.append("stale")
+
+    workers = [threading.Thread(target=write) for _ in range(threads)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert outcomes.count("won") == rounds
+    assert outcomes.count("stale") == rounds * (threads - 1)
+
+
+def test_a_reader_sees_one_moment(project: Project, frame: int) -> None:
+    with project.store.read() as connection:
+        before = connection.exec_driver_sql("SELECT count(*) FROM events").scalar_one()
+        project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
+        assert connection.exec_driver_sql("SELECT count(*) FROM events").scalar_one() == before
+    with project.store.read() as connection:
+        assert connection.exec_driver_sql("SELECT count(*) FROM events").scalar_one() == before + 1
+
+
+def test_an_error_inside_a_write_takes_all_of_it_back(project: Project, frame: int) -> None:
+    with pytest.raises(ZeroDivisionError), project.store.write() as connection:
+        connection.exec_driver_sql("UPDATE frames SET revision = 7")
+        _ = 1 // 0
+    assert project.frames.get(frame).revision == 0

@@ -1,0 +1,123 @@
+"""Old databases are upgraded, whole or not at all; new ones are refused."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from sqlalchemy.exc import OperationalError
+from store_samples import by_hand, lost_object, proposal_at, state_of
+
+from annotator.project import Role, create_project, open_project
+from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration
+from annotator.project.payloads import FrameFinalised, ProposalsReplaced, ProposedObject
+from annotator.project.records import ProposalRecord
+from annotator.project.schema import METADATA
+from annotator.project.store import open_store
+from annotator.types import BoxKind, Source
+from annotator.types.errors import ProjectError
+
+
+def version_one(path: Path) -> None:
+    """A database as the first migration made it, with a little of everything, written without the store."""
+    path.unlink()
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    for statement in MIGRATIONS[0].statements:
+        connection.execute(statement)
+    connection.execute("PRAGMA user_version = 1")
+    connection.execute("INSERT INTO recordings VALUES (1, '/take', 'rgbd', 'take', 1, NULL, 7)")
+    connection.execute("INSERT INTO frames VALUES (1, 1, 'a', 0, 2, 1), (2, 1, 'b', 1, 0, 0)")
+    passed = ProposalsReplaced(
+        objects=(ProposedObject(uid="u", proposal=ProposalRecord.of(proposal_at())),), lost=(lost_object(),)
+    )
+    for number, payload in enumerate((passed, FrameFinalised()), 1):
+        connection.execute(
+            "INSERT INTO events VALUES (?, 1, NULL, ?, ?, ?, 'ann', 5, 'auto')",
+            (number, number, payload.kind, payload.model_dump_json()),
+        )
+    connection.commit()
+    connection.close()
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    create_project(tmp_path, "old", ["hand"]).close()
+    version_one(tmp_path / "old" / "project.db")
+    return tmp_path / "old"
+
+
+def _version(path: Path) -> int:
+    connection = sqlite3.connect(path)
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    connection.close()
+    return version
+
+
+def test_a_version_1_database_is_upgraded_and_keeps_what_it_holds(old: Path) -> None:
+    with open_project(old) as project:
+        assert [frame.revision for frame in project.frames.of()] == [2, 0]
+        project.log.rebuild()
+        (label,) = project.labels.of_frame(1)
+        assert label.uid == "u"
+        assert label.source is Source.AUTO
+        assert project.frames.get(1).finalised
+        run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
+        assert [frame.key for frame in project.jobs.pending(run.key)] == ["b"]
+        weights = project.models_folder / "w.pt"
+        weights.write_bytes(b"w")
+        project.models.register(Role.IMAGE, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="f")
+        before = state_of(project)
+    assert _version(old / "project.db") == MIGRATIONS[-1].version
+    with open_project(old) as project:
+        assert state_of(project) == before
+        assert project.problems() == []
+
+
+def test_an_upgraded_database_has_the_same_tables_as_a_new_one(old: Path) -> None:
+    create_project(old.parent, "new", ["hand"]).close()
+    open_project(old).close()
+    schemas = []
+    for folder in (old, old.parent / "new"):
+        connection = sqlite3.connect(folder / "project.db")
+        schemas.append(connection.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall())
+        connection.close()
+    assert schemas[0] == schemas[1]
+
+
+def test_the_tables_are_as_the_code_believes(tmp_path: Path) -> None:
+    with create_project(tmp_path, "new", ["hand"]) as project, project.store.read() as connection:
+        for name, table in METADATA.tables.items():
+            found = {
+                row["name"]: (row["type"], bool(row["notnull"] or row["pk"]))
+                for row in connection.exec_driver_sql(f"PRAGMA table_info({name})").mappings()
+            }
+            types = {"INTEGER": "INTEGER", "BOOLEAN": "INTEGER", "TEXT": "TEXT", "FLOAT": "REAL"}
+            wanted = {column.name: (types[str(column.type)], not column.nullable) for column in table.columns}
+            assert found == wanted, name
+
+
+def test_a_newer_database_is_refused_and_not_touched(old: Path) -> None:
+    open_project(old).close()
+    path = old / "project.db"
+    with pytest.raises(ProjectError, match=r"newer annotator \(database version 2, this one knows up to 1\)"):
+        open_store(path, migrations=MIGRATIONS[:1])
+    assert _version(path) == 2
+
+
+def test_a_migration_that_fails_leaves_the_database_as_it_was(old: Path) -> None:
+    path = old / "project.db"
+    bad = (*MIGRATIONS, Migration(3, ("CREATE TABLE half (a)", "CREATE TABLE frames (a)")))
+    with pytest.raises(OperationalError, match="already exists"):
+        open_store(path, migrations=bad)
+    assert _version(path) == 1
+    with open_project(old) as project, project.store.read() as connection:
+        names = connection.exec_driver_sql("SELECT name FROM sqlite_master").scalars().all()
+        assert "half" not in names
+        project.frames.finalise(2, by_hand())
+
+
+def test_versions_are_numbered_without_gaps() -> None:
+    assert [migration.version for migration in MIGRATIONS] == list(range(1, len(MIGRATIONS) + 1))

@@ -1,0 +1,94 @@
+"""Registering recordings and frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from store_samples import by_hand
+
+from annotator.project import Project, StoredRecording
+from annotator.types.errors import ProjectError
+
+
+def _keys(project: Project) -> list[tuple[str, int | None]]:
+    return [(frame.key, frame.index) for frame in project.frames.of()]
+
+
+def test_a_recording_comes_with_its_frames(project: Project, tmp_path: Path) -> None:
+    added = project.recordings.add(tmp_path / "walk", "kitti", "walk", ["a", "b"], True, [0, -2, 0])
+    assert added.path == tmp_path / "walk"
+    assert (added.format, added.name, added.is_sequence, added.frames) == ("kitti", "walk", True, 2)
+    assert added.up == (0.0, -1.0, 0.0)
+    assert project.recordings.get(added.id) == added
+    assert project.recordings.find("walk") == added
+    assert [(frame.key, frame.index, frame.revision, frame.finalised) for frame in project.frames.of()] == [
+        ("a", 0, 0, False),
+        ("b", 1, 0, False),
+    ]
+
+
+def test_the_direction_of_gravity_may_be_unknown(project: Project, tmp_path: Path) -> None:
+    assert project.recordings.add(tmp_path, "kitti", "walk", [], False).up is None
+
+
+@pytest.mark.parametrize("up", [[0, 0, 0], [1, 2], [np.nan, 0, 1], np.zeros((2, 3))])
+def test_an_impossible_direction_is_refused(project: Project, tmp_path: Path, up: object) -> None:
+    with pytest.raises(ProjectError, match="up direction"):
+        project.recordings.add(tmp_path, "kitti", "walk", ["a"], True, up)
+    assert project.recordings.all() == ()
+
+
+def test_the_same_recording_twice_is_refused(project: Project, recording: StoredRecording) -> None:
+    detour = recording.path.parent / "x" / ".." / recording.path.name
+    with pytest.raises(ProjectError, match="is in the project already"):
+        project.recordings.add(detour, "rgbd", "other", ["a"], True)
+    assert len(project.recordings.all()) == 1
+
+
+def test_recordings_of_one_name_are_told_apart(project: Project, tmp_path: Path) -> None:
+    names = [project.recordings.add(tmp_path / str(n), "rgbd", "seq", ["a"], True).name for n in range(3)]
+    assert names == ["seq", "seq-2", "seq-3"]
+
+
+def test_a_key_that_comes_twice_is_refused(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+    with pytest.raises(ProjectError, match="'a' comes twice"):
+        project.recordings.add(tmp_path, "rgbd", "x", ["a", "b", "a"], True)
+    with pytest.raises(ProjectError, match="'b' comes twice"):
+        project.recordings.rescan(recording.id, ["b", "b"])
+    assert len(project.frames.of()) == 5
+
+
+def test_a_new_look_finds_new_frames_and_misses_gone_ones(project: Project, recording: StoredRecording) -> None:
+    project.frames.finalise(project.frames.find(recording.id, "1").id, by_hand())
+    rescan = project.recordings.rescan(recording.id, ["00", "0", "2", "1", "9"])
+    assert (rescan.added, rescan.missing) == (("00", "9"), ("3", "4"))
+    assert _keys(project) == [("00", 0), ("0", 1), ("2", 2), ("1", 3), ("9", 4), ("3", None), ("4", None)]
+    assert project.frames.find(recording.id, "1").finalised
+    assert project.recordings.get(recording.id).frames == 5
+    again = project.recordings.rescan(recording.id, ["00", "0", "2", "1", "9", "3"])
+    assert (again.added, again.missing) == ((), ("4",))
+    assert _keys(project)[5] == ("3", 5)
+
+
+def test_what_is_not_there_is_named(project: Project, recording: StoredRecording) -> None:
+    with pytest.raises(ProjectError, match="no recording 'x'; it has: take"):
+        project.recordings.find("x")
+    for call in (
+        lambda: project.recordings.get(99),
+        lambda: project.recordings.rescan(99, ["a"]),
+        lambda: project.frames.get(99),
+        lambda: project.frames.find(recording.id, "99"),
+        lambda: project.frame_state(99),
+        lambda: project.frames.finalise(99, by_hand()),
+    ):
+        with pytest.raises(ProjectError, match="99"):
+            call()
+
+
+def test_frames_of_some_recordings(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
+    assert [frame.key for frame in project.frames.of([other.id])] == ["x"]
+    assert project.frames.of([]) == ()
+    assert len(project.frames.of([recording.id, other.id])) == 6

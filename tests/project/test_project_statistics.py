@@ -1,0 +1,65 @@
+"""Counts of a project."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from store_samples import box_at, by_hand, by_machine, proposal_at
+
+from annotator.project import Change, NewLabel, Project, RunShare, StoredRecording
+from annotator.types import Box2D, BoxKind, Source
+
+
+def test_an_empty_project_counts_nothing(project: Project) -> None:
+    numbers = json.loads(project.statistics().model_dump_json())
+    assert numbers["recordings"] == numbers["frames"] == numbers["events"] == 0
+    assert numbers["labels"] == {
+        "total": 0,
+        "by_state": {"proposed": 0, "accepted": 0, "edited": 0, "rejected": 0},
+        "by_class": {},
+        "by_source": {"manual": 0, "auto": 0, "imported": 0},
+    }
+    assert numbers["image_boxes"] == {
+        "pictures": 0,
+        "boxes": 0,
+        "boxes_by_source": {"manual": 0, "auto": 0, "imported": 0},
+    }
+
+
+def test_everything_is_counted(project: Project, recording: StoredRecording) -> None:
+    frames = [frame.id for frame in project.frames.of()]
+    run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
+    uids = project.proposals.replace(
+        frames[0], [proposal_at(0.0), proposal_at(5.0)], by_machine(), run=RunShare(run.id, 1.0)
+    ).uids
+    project.labels.accept(frames[0], uids[0], by_hand(1))
+    project.jobs.record_failure(run.id, frames[1], "broken", 0.1)
+    project.labels.create(frames[2], [NewLabel("person", box_at())], Change(0, "file", Source.IMPORTED))
+    project.frames.finalise(frames[2], by_hand(1))
+    boxes = [Box2D("hand", 0.0, 0.0, 1.0, 1.0)] * 2
+    project.boxes.set_on_image(frames[3], boxes, BoxKind.BOX, by_hand())
+    project.boxes.set_on_image(frames[4], [], BoxKind.BOX, Change(0, "file", Source.IMPORTED))
+    view = project.views.store(np.zeros((4, 4, 3), np.uint8))
+    project.boxes.set_on_view(view, boxes + boxes[:1], BoxKind.BOX, Change(0, "file", Source.IMPORTED))
+
+    numbers = json.loads(project.statistics().model_dump_json())
+    assert numbers == {
+        "recordings": 1,
+        "frames": 5,
+        "frames_finalised": 1,
+        "frames_with_labels": 2,
+        "frames_with_proposals": 1,
+        "frames_failed": 1,
+        "labels": {
+            "total": 3,
+            "by_state": {"proposed": 1, "accepted": 2, "edited": 0, "rejected": 0},
+            "by_class": {"hand": 2, "person": 1},
+            "by_source": {"manual": 0, "auto": 2, "imported": 1},
+        },
+        "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},
+        "view_boxes": {"pictures": 1, "boxes": 3, "boxes_by_source": {"manual": 0, "auto": 0, "imported": 3}},
+        "events": 7,
+        "runs": 1,
+        "models": 0,
+    }

@@ -1,0 +1,115 @@
+"""Automatic passes: what is replaced, what survives, what is not proposed again."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from store_samples import box_at, by_hand, by_machine, lost_object, proposal_at, same_box
+
+from annotator.project import NewLabel, Project, RunShare
+from annotator.types import Proposal, ReviewState
+from annotator.types.errors import ProjectError
+
+
+def test_a_new_pass_replaces_only_what_nobody_has_reviewed(project: Project, frame: int) -> None:
+    first = project.proposals.replace(frame, [proposal_at(x) for x in (0.0, 5.0, 10.0, 15.0)], by_machine()).uids
+    project.labels.accept(frame, first[0], by_hand(1))
+    project.labels.edit(frame, first[1], by_hand(2), label="hand", box=box_at(6.0))
+    project.labels.reject(frame, first[2], by_hand(3))
+    second = project.proposals.replace(frame, [proposal_at(30.0)], by_machine(4))
+    assert second.covered == 0
+    assert [(label.uid, label.state) for label in project.labels.of_frame(frame)] == [
+        (first[0], ReviewState.ACCEPTED),
+        (first[1], ReviewState.EDITED),
+        (first[2], ReviewState.REJECTED),
+        (second.uids[0], ReviewState.PROPOSED),
+    ]
+    assert project.proposals.replace(frame, [], by_machine(5)).uids == ()
+    assert len(project.labels.of_frame(frame)) == 3
+
+
+@pytest.mark.parametrize("state", [ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED])
+def test_what_has_been_reviewed_is_not_proposed_again(project: Project, frame: int, state: ReviewState) -> None:
+    created = project.labels.create(frame, [NewLabel("hand", box_at(0.0), state=state)], by_hand())
+    again = [proposal_at(0.01), proposal_at(3.0), proposal_at(0.01, "person")]
+    replaced = project.proposals.replace(frame, again, by_machine(1))
+    assert replaced.covered == 1
+    assert replaced.uids[0] is None
+    assert [label.uid for label in project.labels.of_frame(frame)] == [created.uids[0], *replaced.uids[1:]]
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    assert [entry.covered_by for entry in latest.objects] == [created.uids[0], None, None]
+
+
+@pytest.mark.parametrize(("length_m", "covered"), [(0.51, 1), (0.49, 0), (1.96, 1), (2.04, 0)])
+def test_half_an_overlap_is_the_limit(project: Project, frame: int, length_m: float, covered: int) -> None:
+    # boxes of one centre that differ only in length overlap by the ratio of the lengths
+    project.labels.create(frame, [NewLabel("hand", box_at(0.0, 1.0))], by_hand())
+    assert project.proposals.replace(frame, [proposal_at(0.0, size_m=length_m)], by_machine(1)).covered == covered
+
+
+def test_a_deleted_label_may_be_proposed_again(project: Project, frame: int) -> None:
+    (uid,) = project.proposals.replace(frame, [proposal_at()], by_machine()).uids
+    project.labels.delete(frame, uid, by_hand(1))
+    assert project.proposals.replace(frame, [proposal_at()], by_machine(2)).covered == 0
+
+
+def test_the_trace_can_be_read_back(project: Project, frame: int) -> None:
+    given: list[Proposal] = [proposal_at(0.0, steps=3, views=4), proposal_at(9.0, steps=1)]
+    run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
+    uids = project.proposals.replace(frame, given, by_machine(), lost=[lost_object()], run=RunShare(run.id, 0.5)).uids
+    project.labels.edit(frame, uids[0], by_hand(1), label="person", box=box_at(4.0))
+    for uid, proposal in zip(uids, given, strict=True):
+        back = project.proposals.of_label(uid)
+        assert back is not None
+        assert (back.label, back.score, back.image_box, back.quality) == (
+            proposal.label,
+            proposal.score,
+            proposal.image_box,
+            proposal.quality,
+        )
+        assert back.trace == proposal.trace
+        assert same_box(back.box, proposal.box)
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    assert (latest.author, latest.run_id) == ("rcv", run.id)
+    assert [entry.uid for entry in latest.objects] == list(uids)
+    assert [dataclasses.astuple(lost) for lost in latest.lost] == [dataclasses.astuple(lost_object())]
+
+
+def test_the_latest_pass_counts(project: Project, frame: int) -> None:
+    assert project.proposals.latest(frame) is None
+    for number in range(3):
+        project.proposals.replace(frame, [proposal_at(n * 5.0) for n in range(number)], by_machine(number))
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    assert len(latest.objects) == 2
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("score", math.nan), ("score", "high"), ("trace", ("not a step",)), ("quality", None), ("image_box", np.zeros(4))],
+)
+def test_what_would_not_come_back_is_refused(project: Project, frame: int, field: str, value: object) -> None:
+    bad = proposal_at()
+    object.__setattr__(bad, field, value)  # past the type's own check
+    with pytest.raises(ProjectError, match=r"frame 2 of recording take: .*cannot be stored"):
+        project.proposals.replace(frame, [bad], by_machine())
+    assert project.frames.get(frame).revision == 0
+
+
+def test_numbers_of_other_libraries_deep_in_a_trace(project: Project, frame: int) -> None:
+    proposal = proposal_at()
+    object.__setattr__(proposal.trace[0], "points_in", np.array([3]))
+    with pytest.raises(ProjectError, match=r"frame 2 of recording take: .*cannot be stored"):
+        project.proposals.replace(frame, [proposal], by_machine())
+    assert project.log.of_frame(frame) == ()
+    object.__setattr__(proposal.trace[0], "points_in", np.int64(3))
+    (uid,) = project.proposals.replace(frame, [proposal], by_machine()).uids
+    back = project.proposals.of_label(uid)
+    assert back is not None
+    assert type(back.trace[0].points_in) is int
+    assert back.trace[0].points_in == 3

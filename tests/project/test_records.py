@@ -1,0 +1,110 @@
+"""What goes into an event comes back exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from scipy.spatial.transform import RigidTransform
+from store_samples import boxes_2d, lost_object, oriented_boxes, proposal_at, proposals, same_box
+
+from annotator.project.payloads import PAYLOAD, ImageBoxesSet, LabelCreated, ProposalsReplaced
+from annotator.project.records import BoxRecord, ProposalRecord, ViewGeometry, storable
+from annotator.types import Box2D, BoxKind, LostObject, OrientedBox, PseudoView, ReviewState
+from annotator.types.errors import ProjectError
+
+
+@given(oriented_boxes())
+def test_a_box_comes_back_to_the_last_bit(box: OrientedBox) -> None:
+    assert same_box(BoxRecord.model_validate_json(BoxRecord.of(box).model_dump_json()).box(), box)
+
+
+@settings(max_examples=60, deadline=None)
+@given(proposals())
+def test_a_proposal_comes_back_exactly(proposal) -> None:
+    back = ProposalRecord.model_validate_json(ProposalRecord.of(proposal).model_dump_json()).proposal()
+    assert same_box(back.box, proposal.box)
+    for field in ("label", "score", "image_box", "trace", "quality"):
+        assert getattr(back, field) == getattr(proposal, field)
+
+
+@given(st.lists(boxes_2d(), max_size=4).map(tuple), st.sampled_from(BoxKind))
+def test_boxes_come_back_exactly(boxes: tuple[Box2D, ...], kind: BoxKind) -> None:
+    payload = ImageBoxesSet(boxes=boxes, box_kind=kind)
+    assert PAYLOAD.validate_json(payload.model_dump_json()) == payload
+
+
+def test_a_lost_object_comes_back_exactly() -> None:
+    lost = lost_object()
+    back = PAYLOAD.validate_json(ProposalsReplaced(objects=(), lost=(lost,)).model_dump_json())
+    assert isinstance(back, ProposalsReplaced)
+    assert isinstance(back.lost[0], LostObject)
+    assert dataclasses.astuple(back.lost[0]) == dataclasses.astuple(lost)
+
+
+def test_a_signal_without_a_value_survives() -> None:
+    proposal = proposal_at()
+    odd = dataclasses.replace(
+        proposal, quality=dataclasses.replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf)
+    )
+    quality = ProposalRecord.model_validate_json(ProposalRecord.of(odd).model_dump_json()).quality
+    assert math.isnan(quality.view_disagreement)
+    assert quality.last_change == math.inf
+
+
+def test_the_geometry_of_a_view_is_kept() -> None:
+    axes = np.eye(3)[[1, 2, 0]]
+    view = PseudoView(np.zeros((4, 5, 3), np.uint8), axes, 0.01, np.array([-1.0, 0.5]), np.zeros((0, 3), np.float32))
+    geometry = ViewGeometry.model_validate_json(ViewGeometry.of(view).model_dump_json())
+    assert np.array_equal(np.array(geometry.axes), axes)
+    assert (geometry.metres_per_px, geometry.origin_m) == (0.01, (-1.0, 0.5))
+
+
+NEW = LabelCreated(uid="a", label="hand", box=BoxRecord.of(OrientedBox(RigidTransform.identity(), np.ones(3))))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"uid":"a"', '"uid":"a","extra":1'),
+        ('"kind":"label_created"', '"kind":"label_painted"'),
+        ('"size_m":[1.0,1.0,1.0]', '"size_m":[1.0,1.0,-1.0]'),
+        ('"size_m":[1.0,1.0,1.0]', '"size_m":[1.0,1.0,"NaN"]'),
+        ("[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]", "[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,-1.0]]"),
+        ("[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.0,1.0]]", "[[1.0,0.0,0.0],[0.0,1.0,0.0],[0.0,0.1,1.0]]"),
+        ('"state":"accepted"', '"state":"proposed"'),
+    ],
+)
+def test_an_event_that_says_nonsense_is_refused(old: str, new: str) -> None:
+    content = NEW.model_dump_json()
+    assert old in content
+    assert PAYLOAD.validate_json(content) == NEW
+    with pytest.raises(ValidationError):
+        PAYLOAD.validate_json(content.replace(old, new))
+
+
+def test_unknown_fields_deep_in_a_trace_are_refused() -> None:
+    content = ProposalRecord.of(proposal_at()).model_dump_json()
+    assert '"metres_per_px"' in content
+    with pytest.raises(ValidationError, match="Unexpected keyword"):
+        ProposalRecord.model_validate_json(content.replace('"metres_per_px"', '"typo":1,"metres_per_px"', 1))
+
+
+def test_a_pose_that_is_no_rotation_is_refused_in_words() -> None:
+    sheared = np.eye(4)
+    sheared[0, 1] = 0.5
+    with (
+        pytest.raises(ProjectError, match=r"this box cannot be stored: rotation: .*not a rotation"),
+        storable("this box"),
+    ):
+        BoxRecord.of(OrientedBox(RigidTransform(sheared, normalize=False), np.ones(3)))
+
+
+def test_only_a_pass_can_propose() -> None:
+    with pytest.raises(ValidationError, match="only an automatic pass proposes"):
+        LabelCreated(uid="a", label="hand", box=NEW.box, state=ReviewState.PROPOSED)

@@ -1,0 +1,134 @@
+"""The review of 3D labels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
+
+from annotator.project import REVIEWED, Change, NewLabel, Project, StoredRecording
+from annotator.types import Label, ReviewState, Source
+from annotator.types.errors import ProjectError
+
+
+def _only(project: Project, frame: int) -> Label:
+    (label,) = project.labels.of_frame(frame)
+    return label
+
+
+@pytest.fixture
+def uid(project: Project, frame: int) -> str:
+    (uid,) = project.proposals.replace(frame, [proposal_at(0.0, score=0.6)], by_machine()).uids
+    assert uid is not None
+    return uid
+
+
+def test_a_proposal_becomes_a_label(project: Project, frame: int, uid: str) -> None:
+    label = _only(project, frame)
+    assert (label.uid, label.label, label.score, label.track_id) == (uid, "hand", 0.6, None)
+    assert (label.state, label.source, label.author) == (ReviewState.PROPOSED, Source.AUTO, "rcv")
+    assert same_box(label.box, box_at(0.0))
+    assert label.time_ns == project.log.of_frame(frame)[0].time_ns
+
+
+def test_accepting_keeps_everything_but_the_state(project: Project, frame: int, uid: str) -> None:
+    project.labels.accept(frame, uid, by_hand(1, "bea"))
+    label = _only(project, frame)
+    assert (label.state, label.source, label.author) == (ReviewState.ACCEPTED, Source.AUTO, "bea")
+    assert (label.uid, label.label, label.score) == (uid, "hand", 0.6)
+    assert same_box(label.box, box_at(0.0))
+
+
+def test_editing_sets_class_box_and_track(project: Project, frame: int, uid: str) -> None:
+    project.labels.edit(frame, uid, by_hand(1), label="person", box=box_at(2.0), track_id=4)
+    label = _only(project, frame)
+    assert (label.state, label.source) == (ReviewState.EDITED, Source.AUTO)
+    assert (label.uid, label.label, label.score, label.track_id) == (uid, "person", 0.6, 4)
+    assert same_box(label.box, box_at(2.0))
+
+
+def test_a_rejected_label_stays_and_can_be_accepted_after_all(project: Project, frame: int, uid: str) -> None:
+    project.labels.reject(frame, uid, by_hand(1))
+    assert _only(project, frame).state is ReviewState.REJECTED
+    project.labels.accept(frame, uid, by_hand(2))
+    assert _only(project, frame).state is ReviewState.ACCEPTED
+
+
+def test_a_deleted_label_is_gone(project: Project, frame: int, uid: str) -> None:
+    project.labels.delete(frame, uid, by_hand(1))
+    assert project.labels.of_frame(frame) == ()
+    for again in (
+        lambda: project.labels.accept(frame, uid, by_hand(2)),
+        lambda: project.labels.delete(frame, uid, by_hand(2)),
+        lambda: project.labels.edit(frame, uid, by_hand(2), label="hand", box=box_at()),
+        lambda: project.labels.get(uid),
+        lambda: project.proposals.of_label(uid),
+    ):
+        with pytest.raises(ProjectError, match=uid):
+            again()
+    assert project.frames.get(frame).revision == 2
+
+
+def test_a_label_cannot_be_changed_through_another_frame(project: Project, frame: int, uid: str) -> None:
+    other = next(entry.id for entry in project.frames.of() if entry.id != frame)
+    with pytest.raises(ProjectError, match="is not in this frame"):
+        project.labels.accept(other, uid, by_hand())
+    assert _only(project, frame).state is ReviewState.PROPOSED
+
+
+@pytest.mark.parametrize("source", [Source.MANUAL, Source.IMPORTED])
+def test_drawn_and_imported_labels_stand_as_accepted(project: Project, frame: int, source: Source) -> None:
+    new = [NewLabel("hand", box_at(0.0), track_id=3), NewLabel("person", box_at(1.0), 0.5, state=ReviewState.EDITED)]
+    created = project.labels.create(frame, new, Change(0, "ann", source))
+    labels = project.labels.of_frame(frame)
+    assert tuple(label.uid for label in labels) == created.uids
+    assert [label.source for label in labels] == [source, source]
+    assert [label.state for label in labels] == [ReviewState.ACCEPTED, ReviewState.EDITED]
+    assert [(label.score, label.track_id) for label in labels] == [(None, 3), (0.5, None)]
+    assert project.labels.get(created.uids[0]).quality is None
+    assert project.proposals.of_label(created.uids[0]) is None
+
+
+def test_a_created_label_cannot_pose_as_a_proposal(project: Project, frame: int) -> None:
+    with pytest.raises(ProjectError, match="only an automatic pass proposes"):
+        project.labels.create(frame, [NewLabel("hand", box_at(), state=ReviewState.PROPOSED)], by_hand())
+
+
+def test_the_signals_of_a_proposal_are_at_hand(project: Project, frame: int) -> None:
+    proposal = proposal_at()
+    odd = replace(proposal, quality=replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf))
+    uids = project.proposals.replace(frame, [proposal, odd], by_machine()).uids
+    assert project.labels.get(uids[0]).quality == proposal.quality
+    quality = project.labels.get(uids[1]).quality
+    assert quality is not None
+    assert math.isnan(quality.view_disagreement)
+    assert (quality.kept_share, quality.last_change) == (0.9, math.inf)
+
+
+def test_labels_are_selected_over_the_project(project: Project, recording: StoredRecording, tmp_path) -> None:
+    other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
+    for number, entry in enumerate(project.frames.of()):
+        uids = project.proposals.replace(
+            entry.id, [proposal_at(n, "hand" if n else "person") for n in (0, 9)], by_machine()
+        ).uids
+        if number % 2 == 0:
+            project.labels.accept(entry.id, uids[0], by_hand(1))
+    select = project.labels.select
+    assert len(select()) == 12
+    assert {entry.label.label for entry in select(states=REVIEWED)} == {"person"}
+    assert len(select(states=REVIEWED)) == 3
+    assert len(select(recordings=[other.id])) == 2
+    assert len(select(classes=["hand"], states=[ReviewState.PROPOSED])) == 6
+    assert select(states=[]) == ()
+    frames = [entry.frame_id for entry in select()]
+    assert frames == sorted(frames)
+
+
+def test_the_state_of_a_frame_is_of_one_moment(project: Project, frame: int, uid: str) -> None:
+    state = project.frame_state(frame)
+    assert state.frame.revision == 1
+    assert [label.uid for label in state.labels] == [uid]
+    assert state.image_boxes is None
+    assert state.view_boxes == ()
