@@ -1,0 +1,61 @@
+"""`annotator inspect`"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from annotator.cli.output import print_facts, print_json
+from annotator.types.errors import RecordingError
+from annotator.workflows.inspect import FrameReport, RecordingReport, inspect_recording
+
+
+def run(path: Path, /, *, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
+    """Say what a recording holds: format, frames, camera, points, labels.
+
+    Args:
+        path: of the recording.
+        as_json: print one JSON object.
+    """
+    report = inspect_recording(path)
+    if as_json:
+        print_json(report)
+    else:
+        print_facts(_rows(report))
+    if report.frame is None:
+        raise RecordingError(f"{path}: none of its first {len(report.broken)} frames can be read; see above")
+
+
+def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
+    yield "recording", report.path
+    yield "format", report.format
+    order = "in time order" if report.is_sequence else "unrelated"
+    yield "frames", f"{report.frames} ({report.first_key} to {report.last_key}), {order}"
+    for key, problem in report.broken.items():
+        yield f"frame {key}", f"cannot be read: {problem}"
+    if report.frame is not None:
+        yield from _frame_rows(report.frame)
+
+
+def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
+    yield "first frame", frame.key
+    yield "image", f"{frame.width_px} x {frame.height_px} px" + (", with depth image" if frame.has_depth_image else "")
+    yield "camera", f"fx {frame.fx:g}, fy {frame.fy:g}, cx {frame.cx:g}, cy {frame.cy:g} px"
+    yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
+    extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
+    yield "points", f"{frame.points} with {' and '.join(extras) or 'nothing but their place'}"
+    yield "depth", f"{frame.nearest_m:.2f} to {frame.farthest_m:.2f} m"
+    known = frame.up is not None
+    yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up and known else "not known"
+    if frame.timestamp_ns is not None:
+        yield "time", f"{frame.timestamp_ns / 1e9:.3f} s"
+    if frame.objects_problem is not None:
+        yield "labels", f"cannot be read: {frame.objects_problem}"
+    elif frame.objects is None:
+        yield "labels", "none"
+    else:
+        yield "labels", ", ".join(f"{count} {name}" for name, count in frame.objects.items()) or "no object here"
+    yield "mask", "yes" if frame.has_mask else "none"

@@ -1,0 +1,41 @@
+"""Which project a command means."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from annotator.project import Project, list_projects, open_project
+from annotator.types.errors import ConfigError
+
+ENVIRONMENT = "ANNOTATOR_PROJECTS"
+DEFAULT_ROOT = Path("projects")
+
+Root = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+
+
+def projects_root(root: Path | None) -> Path:
+    """The folder of projects: as given, else as the environment says now, else `projects` in the current folder."""
+    if root is not None:
+        return root
+    return Path(os.environ.get(ENVIRONMENT) or DEFAULT_ROOT)
+
+
+def open_named(name: str, root: Path | None) -> Project:
+    """The project of that name.
+
+    Raises:
+        ConfigError: there is none; the message lists those there are.
+        ProjectError: it cannot be opened.
+    """
+    folder = projects_root(root)
+    if not (folder / name).is_dir():
+        known = ", ".join(project.path.name for project in list_projects(folder)) or "none"
+        raise ConfigError(
+            f"{folder} has no project {name!r} (there: {known}); "
+            f"create it with `annotator new {name} --classes ...`, or name the folder of projects with --root"
+        )
+    return open_project(folder / name)

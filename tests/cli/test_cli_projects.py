@@ -1,0 +1,166 @@
+"""The commands that make projects and look into things."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from annotator.cli.main import main
+
+WIDTH, HEIGHT = 8, 6
+
+
+def write_recording(folder: Path, frames: int = 3) -> Path:
+    """An RGB-D folder of a wall at 1 m."""
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10, 0, 0, 0, 10, 0, 3.5, 2.5, 1]}
+    (folder / "camera_intrinsic.json").write_text(json.dumps(camera))
+    for number in range(frames):
+        add_frame(folder, number)
+    return folder
+
+
+def add_frame(folder: Path, number: int) -> None:
+    cv2.imwrite(str(folder / f"color/{number:06d}.png"), np.full((HEIGHT, WIDTH, 3), 128, np.uint8))
+    cv2.imwrite(str(folder / f"depth/{number:06d}.png"), np.full((HEIGHT, WIDTH), 1000, np.uint16))
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of projects, which the environment names."""
+    folder = tmp_path / "my projects"
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def stats(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
+    capsys.readouterr()
+    assert main(["stats", *words, "--json"]) == 0
+    content: dict[str, object] = json.loads(capsys.readouterr().out)
+    return content
+
+
+def test_from_nothing_to_a_project_with_recordings(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_recording(tmp_path / "hands take 1")
+    assert main(["new", "hands", "--classes", "left hand", "right hand", "--rotation", "free"]) == 0
+    config = json.loads((root / "hands" / "project.json").read_text())
+    assert config["classes"] == ["left hand", "right hand"]
+    assert config["settings"]["rotation"] == "free"
+
+    assert main(["add", "hands", str(recording), str(write_recording(tmp_path / "b", 2))]) == 0
+    assert "added hands take 1: 3 frames (rgbd_folder)" in capsys.readouterr().out
+    counts = stats(capsys, "hands")
+    assert (counts["recordings"], counts["frames"]) == (2, 5)
+
+    add_frame(recording, 7)
+    assert main(["add", "hands", str(recording)]) == 0
+    assert "was there already: 1 new frames" in capsys.readouterr().out
+    assert stats(capsys, "hands")["frames"] == 6
+
+    assert main(["stats", "hands"]) == 0
+    assert "recordings" in capsys.readouterr().out
+
+
+def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--root goes before the environment, and that before ./projects; both are read at call time."""
+    assert main(["new", "a", "--classes", "x", "--root", str(tmp_path / "given")]) == 0
+    assert (tmp_path / "given/a/project.json").is_file()
+    assert main(["new", "b", "--classes", "x"]) == 0
+    assert (root / "b/project.json").is_file()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("ANNOTATOR_PROJECTS")
+        assert main(["new", "c", "--classes", "x"]) == 0
+    assert (tmp_path / "projects/c/project.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["new", "Bad Name", "--classes", "x"], "is not a project name"),
+        (["new", "there", "--classes", "x"], "exists already"),
+        (["new", "n", "--classes"], "at least one class"),
+        (["stats", "nothere"], "no project 'nothere' (there: there); create it with"),
+        (["stats", "../there"], "no project"),
+        (["add", "there"], "which recordings?"),
+        (["add", "there", "nowhere"], "nowhere: no such file or folder"),
+        (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),
+        (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
+        (["add", "there", "good", "--up", "0", "0", "0"], "up direction"),
+        (["add", "there", "broken"], "none of its first 1 frames can be read"),
+        (["inspect", "nowhere"], "no such file or folder"),
+        (["inspect", "."], "no known recording format"),
+        (["inspect", "broken"], "none of its first 1 frames can be read"),
+    ],
+)
+def test_bad_input_is_told_and_changes_nothing(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+) -> None:
+    write_recording(tmp_path / "good", 1)
+    write_recording(tmp_path / "good2", 1)
+    broken = write_recording(tmp_path / "broken", 1)
+    (broken / "depth/000000.png").write_bytes(b"")
+    assert main(["new", "there", "--classes", "x"]) == 0
+    capsys.readouterr()
+
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert says in said
+    assert "Traceback" not in said
+    assert stats(capsys, "there")["recordings"] == 0
+    assert [path.name for path in root.iterdir()] == ["there"]
+
+
+def test_inspect_says_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = write_recording(tmp_path / "wall")
+    (recording / "color/000000.png").unlink()
+    assert main(["inspect", str(recording)]) == 0
+    said = capsys.readouterr().out
+    for text in ("rgbd_folder", "3 (000000 to 000002)", "frame 000000  cannot be read", "8 x 6 px", "48 with colour"):
+        assert text in " ".join(said.split(" ")), said
+
+    assert main(["inspect", str(recording), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["frames"] == 3
+    assert list(report["broken"]) == ["000000"]
+    assert report["frame"]["key"] == "000001"
+    assert report["frame"]["points"] == WIDTH * HEIGHT
+    assert report["frame"]["nearest_m"] == report["frame"]["farthest_m"] == 1.0
+    assert report["has_labels"] is False
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("folder", "format", "frames", "objects"),
+    [
+        ("kitti", "kitti_object", 10, {"Pedestrian": 1}),
+        ("kitti_drive_0005", "kitti_tracking", 20, {"Van": 1, "Cyclist": 1, "Pedestrian": 1}),
+        ("human_turn", "rgbd_folder", 75, {"human": 1}),
+        ("hand_gesture", "rgbd_folder", 24, {"hand": 1}),
+    ],
+)
+def test_inspect_real_recordings(
+    shared: Path, capsys: pytest.CaptureFixture[str], folder: str, format: str, frames: int, objects: dict[str, int]
+) -> None:
+    assert main(["inspect", str(shared / "data" / folder), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["format"], report["frames"]) == (format, frames)
+    assert report["frame"]["objects"] == objects
+    assert report["broken"] == {}
+
+
+def test_json_is_one_line_on_standard_output(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "a", "--classes", "x"]) == 0
+    capsys.readouterr()
+    assert main(["stats", "a", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out.count("\n") == 1
