@@ -32,7 +32,7 @@ class Hull:
         vertices: (v, 3) corners.
         normals: (f, 3) outward unit normals of the triangles.
         areas: (f,) areas of the triangles.
-        edges: (e, 3) vectors along the edges.
+        edges: (e, 3) unit vectors along the edges.
         sides: (e, 2) the two triangles of each edge.
     """
 
@@ -82,12 +82,14 @@ def _simplified(hull: ConvexHull) -> Hull:
     face = np.repeat(np.arange(len(triangles)), 3)
     # the neighbour that Qhull lists k-th shares the edge opposite the k-th corner; keep each edge once
     once = face < hull.neighbors.reshape(-1)
-    start, end = triangles[:, [1, 2, 0]].reshape(-1, 3), triangles[:, [2, 0, 1]].reshape(-1, 3)
+    along = (triangles[:, [2, 0, 1]] - triangles[:, [1, 2, 0]]).reshape(-1, 3)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    once &= length[:, 0] > 0
     return Hull(
         vertices=hull.points[hull.vertices],
         normals=hull.equations[:, :3],
         areas=0.5 * np.linalg.norm(cross, axis=1),
-        edges=(end - start)[once],
+        edges=along[once] / length[once],
         sides=np.stack([face, hull.neighbors.reshape(-1)], axis=1)[once],
     )
 
@@ -123,7 +125,9 @@ def _turned_about(hull: Hull, axis: Float64[np.ndarray, "3"]) -> tuple[float, Fl
     up = hull.normals @ axis > 0
     across = hull.edges[up[hull.sides[:, 0]] != up[hull.sides[:, 1]]] @ turn
     length = np.sqrt((across * across).sum(axis=1))
-    across = across[length > 0] / length[length > 0, None]
+    # an edge along the axis has no direction across it but rounding's
+    usable = length > 1e-6
+    across = across[usable] / length[usable, None]
     along = across @ turn
     seen = np.concatenate([across, along, axis[None]]) @ hull.vertices.T
     spans = seen.max(axis=1) - seen.min(axis=1)

@@ -17,8 +17,10 @@ from annotator.types.errors import GeometryError
 OFFSETS_PX = (-4, -2, 0, 2, 4)
 REACH_PX = max(OFFSETS_PX)
 
-# A neighbour whose depth differs by more than this share lies on another surface.
-JUMP = 0.02
+# A neighbour lies on another surface if the way to it is steeper than this (depth after distance across; 68
+# degrees off the image plane), on top of a share of the depth for the sensor's noise.
+MAX_SLOPE = 2.5
+NOISE = 0.003
 
 # A fit is trusted if its neighbours spread in both directions: smallest determinant of their second moments,
 # as a share of a round cloud's.
@@ -56,7 +58,7 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Flo
     normals = np.empty((height_px, width_px, 3), np.float32)
     for top in range(0, height_px, ROWS):
         rows = slice(top, min(top + ROWS, height_px))
-        slope_u, slope_v = _slopes(inverse[top : rows.stop + 2 * REACH_PX])
+        slope_u, slope_v = _slopes(inverse[top : rows.stop + 2 * REACH_PX], MAX_SLOPE / min(camera.fx, camera.fy))
         normals[rows] = _plane_normals(inside[rows], slope_u, slope_v, rays[rows], per_px[rows])
     return normals
 
@@ -93,20 +95,27 @@ def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndar
     return np.where(known[:, None], normals, 0.0).astype(np.float32)
 
 
-def _slopes(padded: Float32[np.ndarray, "_a _b"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Least-squares slopes along u and v, a pixel, of an image with a margin of REACH_PX; NaN where unknown."""
+def _slopes(
+    padded: Float32[np.ndarray, "_a _b"], step_per_px: float
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Least-squares slopes along u and v, a pixel, of an image with a margin of REACH_PX; NaN where unknown.
+
+    `step_per_px` is the share of the depth by which a neighbour at that distance may differ.
+    """
     rows, columns = padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX
     center = padded[REACH_PX : REACH_PX + rows, REACH_PX : REACH_PX + columns]
-    limit = JUMP * center
+    squares = {du * du + dv * dv for du in OFFSETS_PX for dv in OFFSETS_PX}
+    # below 1, so that a missing neighbour, whose inverse depth is 0, is always too far
+    shares = {square: min(step_per_px * square**0.5 + NOISE, 0.5) for square in squares}
+    limits = {square: np.float32(share) * center for square, share in shares.items()}
     uu, uv, vv, ud, vd = (np.zeros((rows, columns), np.float32) for _ in range(5))
     for dv in OFFSETS_PX:
         for du in OFFSETS_PX:
             if du == dv == 0:
                 continue
             shifted = padded[REACH_PX + dv : REACH_PX + dv + rows, REACH_PX + du : REACH_PX + du + columns]
-            # a missing neighbour is 0, and so differs by all of the centre's value
             difference = shifted - center
-            same = (np.abs(difference) <= limit).astype(np.float32)
+            same = (np.abs(difference) <= limits[du * du + dv * dv]).astype(np.float32)
             difference *= same
             if du:
                 uu += np.float32(du * du) * same

@@ -1,0 +1,256 @@
+"""Exact 3D IoU: laws, closed formulas, an independent computation, and pairs with known volumes."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_strategies import boxes, random_boxes, rigid_transforms, rotations
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.geometry.iou import (
+    intersection_volume_pairs,
+    iou_3d,
+    iou_3d_chosen,
+    iou_3d_matrix,
+    iou_3d_pairs,
+    near_pairs,
+)
+from annotator.types import OrientedBox
+from annotator.types.errors import GeometryError
+
+# Turns that map a box's axes onto each other: the same box under another name.
+RELABELLINGS = [
+    np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], np.float64),
+    np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float64),
+    np.array([[-1, 0, 0], [0, 1, 0], [0, 0, -1]], np.float64),
+]
+
+
+def box(center, size, rotation: np.ndarray | None = None) -> OrientedBox:
+    turn = np.eye(3) if rotation is None else rotation
+    return OrientedBox.from_parts(np.array(center, np.float64), turn, np.array(size, np.float64))
+
+
+def parts(some: list[OrientedBox]) -> list[np.ndarray]:
+    return [np.array([getattr(one, name) for one in some]) for name in ("center_m", "rotation", "size_m")]
+
+
+def volumes(a: list[OrientedBox], b: list[OrientedBox]) -> np.ndarray:
+    return intersection_volume_pairs(*parts(a), *parts(b))
+
+
+def reference_volume(a: OrientedBox, b: OrientedBox) -> float:
+    """Half-space intersection around the centre of the largest ball inside, then the volume of its hull."""
+    planes = []
+    for one in (a, b):
+        normals = np.concatenate([one.rotation.T, -one.rotation.T])
+        planes.append(np.column_stack([normals, -normals @ one.center_m - 0.5 * np.tile(one.size_m, 2)]))
+    halfspaces = np.concatenate(planes)
+    ball = linprog(
+        [0, 0, 0, -1],
+        A_ub=np.column_stack([halfspaces[:, :3], np.ones(12)]),
+        b_ub=-halfspaces[:, 3],
+        bounds=[(None, None)] * 3 + [(0, None)],
+    )
+    if ball.status != 0 or ball.x[3] < 1e-6:
+        return 0.0
+    try:
+        return float(ConvexHull(HalfspaceIntersection(halfspaces, ball.x[:3]).intersections).volume)
+    except QhullError:
+        return 0.0
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("swapped", [False, True])
+def test_golden_pairs(shared: Path, swapped: bool) -> None:
+    with (shared / "golden" / "iou3d_pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 100
+
+    def columns(*names: str) -> np.ndarray:
+        return np.array([[float(row[name]) for name in names] for row in rows])
+
+    sides = [
+        (
+            columns(*(f"{side}_c{k}" for k in "xyz")),
+            columns(*(f"{side}_r{i}{j}" for i in range(3) for j in range(3))).reshape(-1, 3, 3),
+            columns(*(f"{side}_s{k}" for k in "xyz")),
+        )
+        for side in ("ba" if swapped else "ab")
+    ]
+    smaller = np.minimum(sides[0][2].prod(axis=1), sides[1][2].prod(axis=1))
+    truth = columns("intersection")[:, 0]
+    contact = truth < 1e-12 * smaller
+    assert contact.sum() == 20
+    found = intersection_volume_pairs(*sides[0], *sides[1])
+    np.testing.assert_allclose(found[~contact], truth[~contact], rtol=1e-9)
+    assert (found[contact] <= 1e-9 * smaller[contact]).all()
+    made = [[OrientedBox.from_parts(*values) for values in zip(*side, strict=True)] for side in sides]
+    np.testing.assert_allclose(iou_3d_pairs(*made), columns("iou")[:, 0], rtol=1e-6, atol=1e-9)
+
+
+@settings(deadline=None, max_examples=100)
+@given(boxes(), boxes())
+def test_symmetric_and_within_0_and_1(a: OrientedBox, b: OrientedBox) -> None:
+    assert 0.0 <= iou_3d(a, b) <= 1.0
+    assert iou_3d(a, b) == pytest.approx(iou_3d(b, a), abs=1e-10)
+
+
+@settings(deadline=None, max_examples=100)
+@given(boxes())
+def test_a_box_overlaps_itself_completely_under_every_name(a: OrientedBox) -> None:
+    assert iou_3d(a, a) == pytest.approx(1.0, abs=1e-12)
+    for turn in RELABELLINGS:
+        renamed = box(a.center_m, np.abs(turn.T) @ a.size_m, a.rotation @ turn)
+        assert iou_3d(a, renamed) == pytest.approx(1.0, abs=1e-12)
+
+
+@settings(deadline=None, max_examples=100)
+@given(boxes(), boxes(), rigid_transforms())
+def test_invariant_under_a_common_motion(a: OrientedBox, b: OrientedBox, T_dst_camera: RigidTransform) -> None:
+    moved = iou_3d(a.transformed(T_dst_camera), b.transformed(T_dst_camera))
+    assert moved == pytest.approx(iou_3d(a, b), abs=1e-10)
+
+
+corner = st.tuples(*[st.integers(-3, 3)] * 3)
+extent = st.tuples(*[st.integers(1, 4)] * 3)
+
+
+@settings(deadline=None, max_examples=100)
+@given(corner, extent, corner, extent, rotations(), st.sampled_from(RELABELLINGS))
+def test_aligned_boxes_follow_the_closed_formula(low_a, size_a, low_b, size_b, common: Rotation, turn) -> None:
+    """On a lattice, so that faces, edges and corners coincide in every way; turned as a pair."""
+    low_a, size_a, low_b, size_b = (0.5 * np.array(v) for v in (low_a, size_a, low_b, size_b))
+    overlap = np.minimum(low_a + size_a, low_b + size_b) - np.maximum(low_a, low_b)
+    expected = np.maximum(overlap, 0.0).prod()
+    a = box(common.apply(low_a + 0.5 * size_a), size_a, common.as_matrix())
+    b = box(common.apply(low_b + 0.5 * size_b), np.abs(turn.T) @ size_b, common.as_matrix() @ turn)
+    assert volumes([a], [b])[0] == pytest.approx(expected, rel=1e-10, abs=1e-11)
+
+
+def test_random_pairs_against_an_independent_computation() -> None:
+    a, b = random_boxes(150, 1), random_boxes(150, 2)
+    expected = [reference_volume(one, other) for one, other in zip(a, b, strict=True)]
+    assert np.count_nonzero(expected) > 100
+    np.testing.assert_allclose(volumes(a, b), expected, rtol=1e-9, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=100)
+@given(boxes(0.5), boxes(0.5))
+def test_awkward_pairs_against_an_independent_computation(a: OrientedBox, b: OrientedBox) -> None:
+    """The strategy likes quarter and eighth turns, equal sizes and centres."""
+    assert volumes([a], [b])[0] == pytest.approx(reference_volume(a, b), rel=1e-7, abs=1e-5)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 1e-16, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6])
+def test_boxes_that_differ_by_a_breath_of_rotation(tilt_rad: float) -> None:
+    """Nearly coplanar faces cross somewhere in rounding; what is lost never exceeds what a tilt can cut off."""
+    a = random_boxes(200, 3)
+    axes = np.random.default_rng(4).normal(size=(200, 3))
+    b = [
+        box(one.center_m, one.size_m, one.rotation @ Rotation.from_rotvec(tilt_rad * axis).as_matrix())
+        for one, axis in zip(a, axes, strict=True)
+    ]
+    lost = 1.0 - volumes(a, b) / np.array([one.volume_m3 for one in a])
+    assert lost.min() >= 0.0
+    assert lost.max() < 100 * tilt_rad + 1e-9
+
+
+UNIT = box((0, 0, 0), (1, 1, 1))
+EIGHTH = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_matrix()
+DIAGONAL = Rotation.from_rotvec(np.arctan(np.sqrt(2.0)) * np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)).as_matrix()
+
+
+@pytest.mark.parametrize(
+    ("b", "expected"),
+    [
+        (box((2, 0, 0), (1, 1, 1)), 0.0),
+        (box((1, 0, 0), (1, 1, 1)), 0.0),
+        (box((1, 1, 0), (1, 1, 1)), 0.0),
+        (box((1, 1, 1), (1, 1, 1)), 0.0),
+        (box((0.5, 0, 0), (1, 1, 1)), 0.5),
+        (box((0, 0, 0), (0.5, 0.5, 0.5)), 0.125),
+        (box((0.25, 0.25, 0.25), (0.5, 0.5, 0.5)), 0.125),  # contained, three faces shared
+        (box((0, 0, 0), (1, 1, 1e-6)), 1e-6),
+        (box((0, 0, 0.5), (1, 1, 1e-6)), 0.5e-6),  # a sheet half through a face
+        (box((0, 0, 0), (10, 10, 10), DIAGONAL), 1.0),
+        (box((0, 0, 0), (1, 1, 1), EIGHTH), 2.0 * (np.sqrt(2.0) - 1.0)),  # a regular octagon
+        (box((0, 0, 0), (2**0.5, 2**0.5, 1), EIGHTH), 1.0),  # all four uprights inside faces
+        (box((0, 0, 0), (0.5**0.5, 0.5**0.5, 1), EIGHTH), 0.5),  # all four uprights in the unit box's faces
+        (box((0.5 + 0.5**0.5, 0, 0), (1, 1, 1), EIGHTH), 0.0),  # an upright edge touches a face
+        (box((0, 0, 0), (9, 9, 1e-4), DIAGONAL), 1e-4 * 0.75 * 3**0.5),  # the regular hexagon through the middle
+        (box((0, 0, 0.5), (9, 9, 1.0 - 1e-12)), 0.5),
+    ],
+)
+def test_known_volumes_with_a_unit_box(b: OrientedBox, expected: float) -> None:
+    tolerance = 1e-9 * min(1.0, b.volume_m3)
+    for pair in (([UNIT], [b]), ([b], [UNIT])):
+        assert volumes(*pair)[0] == pytest.approx(expected, rel=1e-6, abs=tolerance)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e-2, 1e2, 1e4])
+def test_volumes_scale_with_the_cube(scale: float) -> None:
+    a, b = parts(random_boxes(50, 5)), parts(random_boxes(50, 6))
+    expected = intersection_volume_pairs(*a, *b)
+    scaled = intersection_volume_pairs(a[0] * scale, a[1], a[2] * scale, b[0] * scale, b[1], b[2] * scale)
+    np.testing.assert_allclose(scaled / scale**3, expected, rtol=1e-9, atol=1e-13)
+
+
+def test_far_from_the_origin_only_the_difference_of_the_centres_counts() -> None:
+    a, b = parts(random_boxes(50, 5)), parts(random_boxes(50, 6))
+    far = np.array([1e3, -2e3, 5e2])
+    moved = intersection_volume_pairs(a[0] + far, a[1], a[2], b[0] + far, b[1], b[2])
+    np.testing.assert_allclose(moved, intersection_volume_pairs(*a, *b), rtol=1e-7, atol=1e-10)
+
+
+def test_a_small_box_in_a_large_one_keeps_its_precision() -> None:
+    small = random_boxes(50, 7, reach=3.0)
+    small = [box(one.center_m, one.size_m * 1e-3, one.rotation) for one in small]
+    large = [box((0, 0, 0), (100, 100, 100), DIAGONAL)] * 50
+    np.testing.assert_allclose(volumes(large, small), [one.volume_m3 for one in small], rtol=1e-12)
+
+
+def test_a_long_list_is_the_same_as_one_pair_at_a_time() -> None:
+    a, b = random_boxes(400, 8), random_boxes(400, 9)
+    together = iou_3d_pairs(a, b)
+    np.testing.assert_allclose(together[::40], [iou_3d(a[i], b[i]) for i in range(0, 400, 40)], rtol=1e-12)
+
+
+def test_matrix_and_chosen_pairs_agree_with_pairs() -> None:
+    a, b = random_boxes(12, 10, reach=1.5), random_boxes(9, 11, reach=1.5)
+    matrix = iou_3d_matrix(a, b)
+    assert matrix.shape == (12, 9)
+    every = iou_3d_pairs([one for one in a for _ in b], b * len(a)).reshape(12, 9)
+    np.testing.assert_allclose(matrix, every, rtol=1e-12)
+    rows, columns = near_pairs(a, b)
+    np.testing.assert_allclose(iou_3d_chosen(a, b, rows, columns), matrix[rows, columns], rtol=1e-12)
+    far = np.ones((12, 9), bool)
+    far[rows, columns] = False
+    assert far.any()
+    assert not matrix[far].any()
+
+
+def test_empty_lists() -> None:
+    assert iou_3d_pairs([], []).shape == (0,)
+    assert iou_3d_matrix([], [UNIT]).shape == (0, 1)
+    assert iou_3d_matrix([UNIT], []).shape == (1, 0)
+
+
+def test_lists_of_different_length_are_refused() -> None:
+    with pytest.raises(GeometryError, match="1 and 2 boxes"):
+        iou_3d_pairs([UNIT], [UNIT, UNIT])
+
+
+@pytest.mark.parametrize(("which", "value"), [(0, np.nan), (1, np.inf), (2, 0.0), (2, -1.0), (2, np.nan)])
+def test_boxes_that_are_none_are_refused(which: int, value: float) -> None:
+    broken = parts([UNIT])
+    broken[which] = np.full_like(broken[which], value)
+    with pytest.raises(GeometryError, match="finite"):
+        intersection_volume_pairs(*broken, *parts([UNIT]))

@@ -1,0 +1,77 @@
+"""Class-wise greedy suppression."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry_strategies import random_boxes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.geometry.iou import iou_3d, iou_3d_matrix
+from annotator.geometry.nms import nms_3d
+from annotator.types import OrientedBox
+from annotator.types.errors import GeometryError
+
+
+def cube(x: float) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x, 0.0, 0.0]), np.eye(3), np.ones(3))
+
+
+# IoU of neighbours 0.2 apart: 0.8 / 1.2 = 0.667; 0.4 apart: 0.6 / 1.4 = 0.429
+ROW = [cube(0.0), cube(0.2), cube(0.4), cube(5.0)]
+
+
+@pytest.mark.parametrize(
+    ("scores", "labels", "threshold", "kept"),
+    [
+        ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.5, [0, 2, 3]),  # what was dropped drops nothing itself
+        ((0.8, 0.9, 0.7, 0.6), "aaaa", 0.5, [1, 3]),
+        ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.3, [0, 3]),
+        ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.7, [0, 1, 2, 3]),
+        ((0.9, 0.8, 0.7, 0.6), "abaa", 0.5, [0, 1, 2, 3]),  # classes do not see each other
+        ((0.5, 0.5, 0.5, 0.5), "aaaa", 0.5, [0, 2, 3]),  # ties: the lower index wins
+        ((0.5, 0.5, 0.5, 0.6), "aaaa", 0.3, [3, 0]),
+        ((0.1, 0.2, 0.3, 0.4), "abab", 0.3, [3, 2, 1]),
+    ],
+)
+def test_cases(scores: tuple[float, ...], labels: str, threshold: float, kept: list[int]) -> None:
+    assert nms_3d(ROW, np.array(scores), list(labels), threshold).tolist() == kept
+
+
+def test_an_iou_on_the_threshold_is_kept() -> None:
+    pair = [cube(0.0), cube(0.0)]
+    iou = iou_3d(*pair)
+    assert nms_3d(pair, np.array([0.5, 0.4]), ["a", "a"], iou).tolist() == [0, 1]
+    assert nms_3d(pair, np.array([0.5, 0.4]), ["a", "a"], np.nextafter(iou, 0)).tolist() == [0]
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 1000), st.integers(0, 25), st.floats(0.05, 0.9))
+def test_laws(seed: int, count: int, threshold: float) -> None:
+    """Kept boxes leave each other alone; each dropped one has a better kept one of its class on top of it."""
+    rng = np.random.default_rng(seed)
+    some = random_boxes(count, seed)
+    scores = rng.integers(0, 5, count) / 4.0
+    labels = ["ab"[k] for k in rng.integers(0, 2, count)]
+    kept = nms_3d(some, scores, labels, threshold).tolist()
+    iou = iou_3d_matrix(some, some)
+    same = np.array([[p == q for q in labels] for p in labels]).reshape(count, count)
+    ranks = [(-scores[i], i) for i in range(count)]
+    assert [ranks[i] for i in kept] == sorted(ranks[i] for i in kept)
+    for i in range(count):
+        above = [j for j in kept if j != i and same[i, j] and iou[i, j] > threshold and ranks[j] < ranks[i]]
+        assert bool(above) == (i not in kept)
+
+
+def test_nothing_is_kept_of_nothing() -> None:
+    assert nms_3d([], np.zeros(0), [], 0.5).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("scores", "labels", "message"),
+    [([0.5], ["a"] * 4, "one score"), ([0.5] * 4, ["a"], "one label"), ([np.nan, 1, 1, 1], ["a"] * 4, "finite")],
+)
+def test_what_cannot_be_ranked_is_refused(scores: list[float], labels: list[str], message: str) -> None:
+    with pytest.raises(GeometryError, match=message):
+        nms_3d(ROW, np.array(scores, np.float64), labels, 0.5)

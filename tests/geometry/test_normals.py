@@ -1,0 +1,158 @@
+"""Normals of depth images and of loose points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry_strategies import cameras, rotations, vectors
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.normals import normals_from_depth, normals_knn
+from annotator.geometry.projection import pixel_rays
+from annotator.geometry.transforms import unit
+from annotator.types import Camera
+from annotator.types.errors import GeometryError
+
+PINHOLE = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+
+
+def plane_depth(camera: Camera, normal: np.ndarray, distance_m: float) -> np.ndarray:
+    """Depth of the plane n.p = distance; 0 where a ray does not hit it."""
+    rays = np.concatenate([pixel_rays(camera), np.ones((camera.height_px, camera.width_px, 1))], axis=-1)
+    slope = rays @ normal
+    return np.where(slope > 0.05, distance_m / np.maximum(slope, 0.05), 0.0).astype(np.float32)
+
+
+def degrees_off(normals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(normals, truth), axis=-1), (normals * truth).sum(axis=-1)))
+
+
+def known(normals: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(normals, axis=-1) > 0.5
+
+
+@settings(deadline=None, max_examples=30)
+@given(cameras(), vectors(), st.floats(0.3, 5.0))
+def test_normals_of_a_plane_point_towards_the_camera(camera: Camera, normal: np.ndarray, distance_m: float) -> None:
+    assume(np.linalg.norm(normal) > 0.01)
+    normal = unit(normal)
+    depth = plane_depth(camera, normal, distance_m)
+    normals = normals_from_depth(camera, depth)
+    seen = known(normals)
+    assert not normals[depth == 0].any()
+    np.testing.assert_allclose(np.linalg.norm(normals[seen], axis=-1), 1.0, atol=1e-5)
+    # depth after distance across, where the plane is not too steep to be told from a jump
+    steepness = np.linalg.norm(normal[:2]) * depth / distance_m
+    fair = (depth > 0) & (steepness < 1.8)
+    assert seen[fair].all()
+    # 64 pixels across, so the window is as wide as 100 of a real camera's
+    assert degrees_off(normals[fair], -normal).max(initial=0.0) < 1.0
+
+
+def test_normals_stay_sharp_at_a_depth_jump() -> None:
+    """The edge of a box before a wall: no pixel sees the slope between the two."""
+    depth = np.full((120, 160), 2.0, np.float32)
+    depth[40:80, 60:100] = 1.5
+    normals = normals_from_depth(PINHOLE, depth)
+    np.testing.assert_allclose(normals, np.broadcast_to([0.0, 0.0, -1.0], normals.shape), atol=1e-4)
+
+
+def test_normals_bend_at_a_crease_only() -> None:
+    """Two walls that meet in a corner: each keeps its normal up to the reach of the window."""
+    left, right = unit(np.array([1.0, 0.0, 1.0])), unit(np.array([-1.0, 0.0, 1.0]))
+    depth = np.minimum(plane_depth(PINHOLE, left, 2.0), plane_depth(PINHOLE, right, 2.0))
+    normals = normals_from_depth(PINHOLE, depth)
+    # the ray x = 0 hits both walls, between columns 79 and 80; each plane is nearer on its own side
+    assert degrees_off(normals[:, 84:], -left).max() < 0.5
+    assert degrees_off(normals[:, :75], -right).max() < 0.5
+
+
+def test_normals_average_a_depth_camera_s_noise() -> None:
+    normal = unit(np.array([0.3, -0.4, 1.0]))
+    depth = plane_depth(Camera(640, 480, 525.0, 525.0, 319.5, 239.5), normal, 0.8)
+    noisy = depth + np.random.default_rng(0).normal(size=depth.shape) * 0.0015 * depth**2
+    steps = (np.round(noisy * 1000.0) / 1000.0).astype(np.float32)
+    normals = normals_from_depth(Camera(640, 480, 525.0, 525.0, 319.5, 239.5), steps)
+    off = degrees_off(normals[known(normals)], -normal)
+    assert np.median(off) < 4.0
+    assert np.percentile(off, 95) < 9.0
+    assert known(normals).mean() > 0.99
+
+
+def test_pixels_without_neighbours_have_no_normal() -> None:
+    depth = np.zeros((120, 160), np.float32)
+    depth[60, 80] = 1.0  # alone
+    depth[20, :] = 1.0  # a line
+    depth[100, 100] = np.nan
+    assert not normals_from_depth(PINHOLE, depth).any()
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_missing_depth_has_no_normal_and_does_not_disturb_others(bad: float) -> None:
+    depth = np.full((120, 160), 2.0, np.float32)
+    depth[::7, ::5] = bad
+    normals = normals_from_depth(PINHOLE, depth)
+    assert not normals[::7, ::5].any()
+    full = normals[known(normals)]
+    assert len(full) == np.count_nonzero(depth == 2.0)
+    np.testing.assert_allclose(full, np.broadcast_to([0.0, 0.0, -1.0], full.shape), atol=1e-5)
+
+
+def test_depth_of_another_size_is_refused() -> None:
+    with pytest.raises(GeometryError, match="px"):
+        normals_from_depth(PINHOLE, np.ones((120, 161), np.float32))
+
+
+def sphere(count: int, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    outward = np.random.default_rng(0).normal(size=(count, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    return (outward + center).astype(np.float32), outward
+
+
+def test_normals_of_loose_points_on_a_sphere() -> None:
+    points, outward = sphere(5000, np.array([0.0, 1.0, 4.0]))
+    normals = normals_knn(points)
+    assert normals.dtype == np.float32
+    assert ((normals * points).sum(axis=1) <= 0).all()
+    towards_sensor = np.where((outward * points).sum(axis=1, keepdims=True) > 0, -outward, outward)
+    assert np.median(degrees_off(normals, towards_sensor)) < 1.5
+
+
+@settings(deadline=None, max_examples=30)
+@given(rotations(), st.integers(3, 40))
+def test_normals_of_loose_points_turn_with_the_cloud(rotation: Rotation, k: int) -> None:
+    points, _ = sphere(60, np.array([0.0, 0.0, 5.0]))
+    turned = rotation.apply(points.astype(np.float64))
+    expected = rotation.apply(normals_knn(points, k).astype(np.float64))
+    # rounding may decide between two nearly equal directions of least spread, but not often
+    assert np.mean(degrees_off(normals_knn(turned, k), expected) < 0.1) > 0.95
+
+
+@pytest.mark.parametrize(
+    ("points", "why"),
+    [
+        (np.zeros((0, 3)), "nothing"),
+        (np.ones((2, 3)), "two points"),
+        (np.ones((30, 3)), "one spot"),
+        (np.linspace(0, 1, 30)[:, None] * [1.0, 2.0, 3.0] + [0.0, 0.0, 5.0], "a line"),
+    ],
+)
+def test_degenerate_clouds_have_no_normals(points: np.ndarray, why: str) -> None:
+    normals = normals_knn(points)
+    assert normals.shape == points.shape
+    assert not normals.any(), why
+
+
+def test_fewer_points_than_neighbours_use_all_of_them() -> None:
+    square = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
+    np.testing.assert_allclose(normals_knn(square, 16), [[0, 0, -1]] * 4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("points", "k", "message"), [(np.full((5, 3), np.nan), 16, "finite"), (np.ones((5, 3)), 2, "at least 3")]
+)
+def test_what_cannot_be_used_is_refused(points: np.ndarray, k: int, message: str) -> None:
+    with pytest.raises(GeometryError, match=message):
+        normals_knn(points, k)
