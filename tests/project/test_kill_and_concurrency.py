@@ -12,11 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from store_samples import by_hand, state_of
+from store_samples import by_hand, proposal_at, state_of
 
 from annotator.project import Project, StoredRecording, open_project
 from annotator.types import BoxKind
-from annotator.types.errors import StaleRevisionError
+from annotator.types.errors import ProjectError, StaleRevisionError
 
 HERE = Path(__file__).parent
 
@@ -64,7 +64,7 @@ def test_what_was_acknowledged_survives_a_kill_at_any_moment(project: Project, r
     frames = [frame.id for frame in project.frames.of()]
     project.close()
     acknowledged = 0
-    for round_ in range(6):
+    for round_ in range(5):
         frame = frames[round_ % len(frames)]
         with _writer(project.path) as process:
             _tell(process, f"loop {frame}")
@@ -150,3 +150,18 @@ def test_an_error_inside_a_write_takes_all_of_it_back(project: Project, frame: i
         connection.exec_driver_sql("UPDATE frames SET revision = 7")
         _ = 1 // 0
     assert project.frames.get(frame).revision == 0
+
+
+def test_a_full_disk_is_said_and_loses_nothing(project: Project, frame: int) -> None:
+    project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
+    before = state_of(project)
+    with project.store.read() as connection:  # the pool's only connection so far, and so the next one too
+        pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
+        connection.exec_driver_sql(f"PRAGMA max_page_count = {pages + 2}")
+    many = [proposal_at(5.0 * n, steps=2, views=8) for n in range(10)]
+    with pytest.raises(ProjectError, match=r"project\.db: cannot grow, the disk is full; nothing was changed"):
+        project.proposals.replace(frame, many, by_hand(1))
+    assert state_of(project) == before
+    assert project.problems() == []
+    with open_project(project.path) as reopened:
+        reopened.proposals.replace(frame, many, by_hand(1))

@@ -28,7 +28,7 @@ STEPS = st.lists(
         st.integers(0, 3),
     ),
     min_size=1,
-    max_size=25,
+    max_size=16,
 )
 
 
@@ -87,7 +87,7 @@ def _take(project: Project, views: list[str], step: tuple[str, int, int, int]) -
         assert not labels, "only a change of a label that is not there may be refused"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(STEPS)
 def test_rebuilt_and_maintained_state_agree(steps: list[tuple[str, int, int, int]]) -> None:
     with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:

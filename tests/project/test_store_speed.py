@@ -26,7 +26,7 @@ def test_ten_thousand_frames(project: Project, tmp_path: Path) -> None:
 def test_events_are_appended_quickly(project: Project, tmp_path: Path) -> None:
     recording = project.recordings.add(tmp_path / "long", "rgbd", "long", [str(n) for n in range(100)], True)
     proposals = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
-    start = time.perf_counter()
+    start = time.process_time()
     for frame in project.frames.of([recording.id]):
         project.proposals.replace(frame.id, proposals, by_machine())
-    assert (time.perf_counter() - start) / 100 < 0.1, "seconds a frame"
+    assert (time.process_time() - start) / 100 < 0.1, "processor seconds a frame"
