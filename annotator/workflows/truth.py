@@ -74,7 +74,8 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
 
 
 def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return list(_boxes(path, path.stat().st_mtime_ns).get(key, ()))
+    known = path.stat()
+    return list(_boxes(path, known.st_mtime_ns, known.st_size).get(key, ()))
 
 
 def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -88,7 +89,7 @@ def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
 
 
 @lru_cache(maxsize=4)
-def _boxes(path: Path, changed_ns: int) -> dict[str, list[Truth]]:
+def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
     """The whole file, kept: it would be parsed again for every frame otherwise."""
     return read_boxes(path)
 
