@@ -47,8 +47,11 @@ def test_normals_of_a_plane_point_towards_the_camera(camera: Camera, normal: np.
     steepness = np.linalg.norm(normal[:2]) * depth / distance_m
     fair = (depth > 0) & (steepness < 1.8)
     assert seen[fair].all()
-    # 64 pixels across, so the window is as wide as 100 of a real camera's
-    assert degrees_off(normals[fair], -normal).max(initial=0.0) < 1.0
+    # 64 pixels across, so the lens bends as much within a window as within 100 pixels of a real camera; at the
+    # border the window reaches to one side only
+    off = np.where(fair, degrees_off(normals, -normal), 0.0)
+    assert off.max() < 2.0
+    assert off[4:-4, 4:-4].max() < 0.5
 
 
 def test_normals_stay_sharp_at_a_depth_jump() -> None:
