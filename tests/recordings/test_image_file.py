@@ -1,0 +1,63 @@
+"""Complete images pass, cut-off ones do not, wherever they are cut."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.recordings.image_file import image_problem, read_rgb
+from annotator.types.errors import FrameError
+
+PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
+BASELINE = cv2.imencode(".jpg", PICTURE)[1].tobytes()
+PROGRESSIVE = cv2.imencode(".jpg", PICTURE, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+RESTARTS = cv2.imencode(".jpg", PICTURE, [cv2.IMWRITE_JPEG_RST_INTERVAL, 2])[1].tobytes()
+PNG = cv2.imencode(".png", PICTURE)[1].tobytes()
+FILES = {"baseline": BASELINE, "progressive": PROGRESSIVE, "restarts": RESTARTS, "png": PNG}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_complete_files_pass_also_with_something_behind(kind: str):
+    assert image_problem(FILES[kind]) == ""
+    assert image_problem(FILES[kind] + b"\0appended by a camera") == ""
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(sorted(FILES)), st.data())
+def test_a_file_cut_anywhere_is_truncated(kind: str, data: st.DataObject):
+    whole = FILES[kind]
+    length = data.draw(st.integers(9, len(whole) - 1))
+    assert image_problem(whole[:length]).endswith("truncated")
+
+
+def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
+    # an application segment may hold a whole small JPEG, end marker included
+    thumbnail = b"\xff\xe1" + (2 + 6).to_bytes(2, "big") + b"AB\xff\xd8\xff\xd9"
+    with_thumbnail = BASELINE[:2] + thumbnail + BASELINE[2:]
+    assert image_problem(with_thumbnail) == ""
+    assert image_problem(with_thumbnail[:-2]) == "the JPEG image is truncated"
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(8, len(PNG) - 1), st.integers(1, 255))
+def test_any_flipped_byte_of_a_png_is_found(at: int, flip: int):
+    data = bytearray(PNG)
+    data[at] ^= flip
+    assert image_problem(bytes(data))
+
+
+def test_a_missing_image_is_named(tmp_path: Path):
+    with pytest.raises(FrameError, match=r"nothing\.png: cannot be read"):
+        read_rgb(tmp_path / "nothing.png")
+
+
+@pytest.mark.shared
+def test_real_images_are_complete(shared: Path):
+    files = [path for path in (shared / "data").rglob("*") if path.suffix in (".png", ".jpg")]
+    assert len(files) > 100
+    assert [path for path in files if image_problem(path.read_bytes())] == []

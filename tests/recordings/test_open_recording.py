@@ -1,0 +1,109 @@
+"""Which reader gets a path, and what a user hears when none does."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from annotator.recordings import Recording, detect_format, open_recording
+from annotator.recordings.table import READERS
+from annotator.types.errors import RecordingError, UnknownFormatError
+
+REAL = [
+    ("hand_gesture", "rgbd_folder", 24, True),
+    ("human_turn", "rgbd_folder", 75, True),
+    ("rgbd_open3d_testdata/RGBD", "rgbd_folder", 5, True),
+    ("kitti", "kitti_object", 10, False),
+    ("kitti/training", "kitti_object", 10, False),
+    ("kitti_drive_0005", "kitti_tracking", 20, True),
+]
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("folder", "name", "frames", "is_sequence"), REAL)
+def test_real_folders_are_recognised_and_their_frames_load(
+    shared: Path, folder: str, name: str, frames: int, is_sequence: bool
+):
+    path = shared / "data" / folder
+    recording = open_recording(path)
+    assert isinstance(recording, Recording)
+    assert (recording.format, len(recording), recording.is_sequence) == (name, frames, is_sequence)
+    assert detect_format(path) == name
+    assert recording.path == path
+    for i in range(0, len(recording), 5):
+        frame = recording.frame(i)
+        assert (frame.key, frame.index) == (recording.keys[i], i)
+        assert len(frame.cloud) > 1000
+        assert frame.cloud.rgb is not None
+
+
+@pytest.mark.shared
+def test_a_raw_sun_rgbd_folder_is_not_taken_for_an_rgbd_folder(shared: Path):
+    # its depth is encoded otherwise: read as millimetres it would be nonsense
+    assert detect_format(shared / "data" / "sunrgbd" / "raw") is None
+
+
+def test_an_unknown_folder_lists_what_each_reader_looked_for(tmp_path: Path):
+    (tmp_path / "color").mkdir()
+    with pytest.raises(UnknownFormatError) as caught:
+        open_recording(tmp_path)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path}: no known recording format in this folder")
+    assert all(f"\n  {name}: folders" in message for name in READERS)
+    assert detect_format(tmp_path) is None
+
+
+def test_a_folder_of_recordings_names_them(tmp_path: Path):
+    for name in ("b", "a"):
+        (tmp_path / name / "color").mkdir(parents=True)
+        (tmp_path / name / "depth").mkdir()
+        (tmp_path / name / "color" / "0.png").touch()
+    (tmp_path / "empty" / "color").mkdir(parents=True)
+    (tmp_path / "empty" / "depth").mkdir()
+    with pytest.raises(UnknownFormatError, match=r"give one of its sub-folders instead: a, b$"):
+        open_recording(tmp_path)
+
+
+def test_a_file_and_a_missing_path_are_told_apart(tmp_path: Path):
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(UnknownFormatError, match="in this file"):
+        open_recording(tmp_path / "notes.txt")
+    with pytest.raises(UnknownFormatError, match="no such file or folder"):
+        open_recording(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("folders", [("color", "depth"), ("image_2", "velodyne"), ("image_02", "velodyne")])
+def test_a_recording_without_frames_is_an_error(tmp_path: Path, folders: tuple[str, str]):
+    for folder in folders:
+        (tmp_path / folder).mkdir()
+    (tmp_path / folders[0] / "readme.txt").touch()
+    (tmp_path / folders[0] / ".hidden.png").touch()
+    with pytest.raises(RecordingError, match="no frames; expected"):
+        open_recording(tmp_path)
+
+
+def test_opening_reads_no_frame(tmp_path: Path):
+    for folder in ("color", "depth"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "7.png").write_bytes(b"no image")
+    assert open_recording(tmp_path).keys == ("7",)
+
+
+def test_frames_come_in_the_order_of_their_numbers(tmp_path: Path):
+    for folder in ("color", "depth"):
+        (tmp_path / folder).mkdir()
+        for key in ("10", "2", "a9", "a10", "1"):
+            (tmp_path / folder / f"{key}.png").touch()
+    recording = open_recording(tmp_path)
+    assert recording.keys == ("1", "2", "10", "a9", "a10")
+    for i in (-1, 5):
+        with pytest.raises(IndexError, match="5 frames"):
+            recording.frame(i)
+
+
+@pytest.mark.parametrize("target", READERS.values())
+def test_the_table_names_functions_that_exist(target: str):
+    module, function = target.split(":")
+    assert callable(getattr(import_module(module), function))

@@ -1,0 +1,177 @@
+"""RGB-D folders: what a frame holds, and what each kind of damage says."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.types.errors import FrameError
+
+WIDTH, HEIGHT = 12, 8
+INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
+
+
+def png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+@pytest.fixture
+def color() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+
+
+@pytest.fixture
+def depth() -> np.ndarray:
+    depth = np.random.default_rng(1).integers(500, 4000, (HEIGHT, WIDTH)).astype(np.uint16)
+    depth[2, 3] = depth[0] = 0
+    return depth
+
+
+@pytest.fixture
+def folder(tmp_path: Path, color: np.ndarray, depth: np.ndarray) -> Path:
+    """A recording of the frames 000000 and 000001, the same picture twice."""
+    for name in ("color", "depth"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS))
+    for key in ("000000", "000001"):
+        (tmp_path / "color" / f"{key}.png").write_bytes(png(color[:, :, ::-1]))
+        (tmp_path / "depth" / f"{key}.png").write_bytes(png(depth))
+    return tmp_path
+
+
+def test_a_frame_has_its_image_depth_and_coloured_cloud(folder: Path, color: np.ndarray, depth: np.ndarray):
+    recording = open_recording(folder)
+    frame = recording.frame(1)
+    assert (recording.name, frame.key, frame.index) == (folder.name, "000001", 1)
+    np.testing.assert_array_equal(frame.rgb, color)  # RGB, not OpenCV's order
+    np.testing.assert_allclose(frame.depth_m, depth / 1000, atol=1e-6)
+    camera = frame.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (10.0, 11.0, 5.5, 3.5)  # column by column
+    assert (frame.up, frame.T_camera_label, frame.timestamp_ns) == (None, None, None)
+    cloud = frame.cloud
+    assert len(cloud) == np.count_nonzero(depth)
+    v, u = np.divmod(cloud.pixel_index, WIDTH)
+    np.testing.assert_array_equal(cloud.rgb, color[v, u])
+    np.testing.assert_allclose(cloud.xyz_m[:, 2], depth[v, u] / 1000, atol=1e-6)
+    np.testing.assert_allclose(project(camera, cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-4)
+
+
+def test_depth_scale_is_in_units_a_metre(folder: Path, depth: np.ndarray):
+    (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | {"depth_scale": 5000}))
+    np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth / 5000, atol=1e-6)
+
+
+def test_distortion_goes_into_the_camera(folder: Path):
+    distortion = [0.1, -0.2, 0.001, 0.002, 0.03]
+    (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | {"distortion": distortion}))
+    frame = open_recording(folder).frame(0)
+    assert frame.camera.distortion == tuple(distortion)
+    v, u = np.divmod(frame.cloud.pixel_index, WIDTH)
+    np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-3)
+
+
+def test_gravity_becomes_a_unit_vector(folder: Path):
+    (folder / "gravity.json").write_text('{"up": [0, -3, 4]}')
+    np.testing.assert_allclose(open_recording(folder).frame(0).up, [0, -0.6, 0.8])
+
+
+@pytest.mark.parametrize("place", [".", ".."], ids=["in-the-folder", "one-level-above"])
+def test_another_camera_file_is_found_where_it_is_the_only_one(folder: Path, tmp_path: Path, place: str):
+    inner = folder / "scene"
+    inner.mkdir()
+    for name in ("color", "depth"):
+        (folder / name).rename(inner / name)
+    (folder / "camera_intrinsic.json").rename(inner / place / "camera_primesense.json")
+    (inner / place / "camera_to_person.json").write_text("{}")  # no camera: has no intrinsic matrix
+    assert open_recording(inner).frame(0).camera.fx == 10.0
+    (inner / place / "camera_other.json").write_text(json.dumps(INTRINSICS))
+    with pytest.raises(FrameError, match=r"several cameras \(camera_other.json, camera_primesense.json\)"):
+        open_recording(inner).frame(0)
+
+
+def test_image_is_a_colour_folder_beside_a_camera_file(folder: Path):
+    (folder / "color").rename(folder / "image")
+    assert len(open_recording(folder).frame(0).cloud) > 0
+
+
+def test_unpaired_images_are_frames_that_fail_alone(folder: Path):
+    (folder / "depth" / "000000.png").unlink()
+    (folder / "color" / "000001.png").rename(folder / "color" / "000002.png")
+    (folder / "depth" / "000002.png").write_bytes((folder / "depth" / "000001.png").read_bytes())
+    recording = open_recording(folder)
+    assert recording.keys == ("000000", "000001", "000002")
+    with pytest.raises(FrameError, match=r"depth/000000\.png: missing; put 000000\.png beside color/000000\.png"):
+        recording.frame(0)
+    with pytest.raises(FrameError, match=r"color/000001\.png: missing; .* beside depth/000001\.png"):
+        recording.frame(1)
+    assert recording.frame(2).key == "000002"
+
+
+def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):
+    (folder / "color" / "000000.jpg").write_bytes(cv2.imencode(".jpg", color)[1].tobytes())
+    with pytest.raises(FrameError, match=r"ambiguous, the folder holds 000000\.jpg, 000000\.png"):
+        open_recording(folder).frame(0)
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def corrupt(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(bytes(data))
+
+
+def intrinsics(**change: object) -> Callable[[Path], None]:
+    return lambda path: path.write_text(json.dumps(INTRINSICS | change)) and None
+
+
+def image(array: np.ndarray) -> Callable[[Path], None]:
+    return lambda path: path.write_bytes(png(array)) and None
+
+
+COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
+DAMAGES = [
+    pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
+    pytest.param(DEPTH, truncate, "the PNG image is truncated", id="truncated-depth"),
+    pytest.param(DEPTH, corrupt, "damaged", id="corrupt-depth"),
+    pytest.param(COLOR, lambda p: p.write_bytes(b""), "the file is empty", id="empty-colour"),
+    pytest.param(COLOR, lambda p: p.write_text("hello"), "cannot be decoded", id="no-image"),
+    pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
+    pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH, 3), np.uint16)), "16-bit with 3", id="colour-depth"),
+    pytest.param(DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8, the colour", id="depth-size"),
+    pytest.param(COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6, the camera in", id="colour-size"),
+    pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
+    pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
+    pytest.param(CAMERA, lambda p: p.write_text("{"), "not a camera file", id="camera-no-json"),
+    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[1, 2]), "intrinsic_matrix", id="camera-short"),
+    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
+    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[0, 0, 0, 0, 9, 0, 5, 4, 1]), "focal lengths", id="no-focus"),
+    pytest.param(CAMERA, intrinsics(distortion=[1, 2, 3]), "distortion must have", id="camera-distortion"),
+    pytest.param(CAMERA, intrinsics(depth_scale=0), "depth_scale", id="camera-scale"),
+    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 1]}'), "up", id="gravity-short"),
+    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "no length", id="gravity-zero"),
+]
+
+
+@pytest.mark.parametrize(("name", "damage", "complaint"), DAMAGES)
+def test_damage_is_named_and_says_what_to_do(
+    folder: Path, name: str, damage: Callable[[Path], object], complaint: str, capfd: pytest.CaptureFixture[str]
+):
+    damage(folder / name)
+    recording = open_recording(folder)
+    with pytest.raises(FrameError, match=complaint) as caught:
+        recording.frame(0)
+    assert caught.value.path == folder / name
+    assert str(caught.value).startswith(f"{folder / name}: ")
+    assert "; " in str(caught.value)  # what to do
+    if "/" in name:
+        assert recording.frame(1).key == "000001"  # the other frame is fine
