@@ -51,6 +51,21 @@ def test_half_an_overlap_is_the_limit(project: Project, frame: int, length_m: fl
     assert project.proposals.replace(frame, [proposal_at(0.0, size_m=length_m)], by_machine(1)).covered == covered
 
 
+def test_only_a_label_of_the_same_class_covers(project: Project, frame: int) -> None:
+    new = [NewLabel("person", box_at(0.0)), NewLabel("hand", box_at(5.0)), NewLabel("hand", box_at(5.1))]
+    uids = project.labels.create(frame, new, by_hand()).uids
+    again = [
+        proposal_at(0.0, "hand"),
+        proposal_at(5.0, "person"),
+        proposal_at(0.0, "person"),
+        proposal_at(5.09, "hand"),
+    ]
+    project.proposals.replace(frame, again, by_machine(3))
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    assert [entry.covered_by for entry in latest.objects] == [None, None, uids[0], uids[2]]
+
+
 def test_a_deleted_label_may_be_proposed_again(project: Project, frame: int) -> None:
     (uid,) = project.proposals.replace(frame, [proposal_at()], by_machine()).uids
     project.labels.delete(frame, uid, by_hand(1))
