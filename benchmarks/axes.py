@@ -1,6 +1,6 @@
 """How good can each axes strategy be? Perfect (or jittered) 2D boxes in place of a detector, on true 3D boxes.
 
-    python -m benchmarks.axes DIR [--jitter 0.02] [--upright | --free] [--json]
+python -m benchmarks.axes DIR [--jitter 0.02] [--upright | --free] [--json]
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def run(args: Arguments) -> dict[str, object]:
 
 
 def main() -> None:
-    args = tyro.cli(Arguments, description=__doc__)
+    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
     result = run(args)
     table = Table("class", "axes", "objects", "mean IoU", ">= 0.5", ">= 0.7", "steps", "ms/object")
     for row in result["results"]:  # type: ignore[attr-defined]

@@ -20,7 +20,9 @@ class Table:
         self._table.add_row(*(f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells))
 
     def show(self) -> None:
-        Console().print(self._table)
+        # Where no terminal says how wide it is, nothing shall be cut.
+        console = Console()
+        (console if console.is_terminal else Console(width=140)).print(self._table)
 
 
 def finish(result: Mapping[str, object], as_json: bool, *tables: Table) -> None:

@@ -103,6 +103,8 @@ class ViewGeometry(BaseModel):
         axes: rows = the view's x, y, z axes as unit vectors in the camera frame.
         metres_per_px: one uniform scale.
         origin_m: view coordinates, metres, of the centre of pixel (0, 0).
+        image_box: the box on the camera image whose frustum the view shows, where known; it tells whose views belong
+            together.
     """
 
     model_config = EXACT
@@ -110,6 +112,7 @@ class ViewGeometry(BaseModel):
     axes: Rotation3
     metres_per_px: Positive
     origin_m: tuple[Finite, Finite]
+    image_box: Box2D | None = None
 
     @classmethod
     def of(cls, view: PseudoView) -> ViewGeometry:

@@ -30,7 +30,7 @@ class ViewConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    size_px: int = Field(320, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
+    size_px: int = Field(224, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
     min_extent_m: float = Field(0.02, gt=0, description="a view never shows less than this, metres")
     max_splat_px: int = Field(9, ge=1, le=31, description="largest square that one point is drawn as, pixels")

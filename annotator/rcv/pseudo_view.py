@@ -56,14 +56,17 @@ def fit_window(low_m: np.ndarray, high_m: np.ndarray, config: ViewConfig) -> Win
     center = (low_m + high_m) / 2
     extent = extent * (1 + 2 * config.padding)
     scale = float(extent.max()) / config.size_px
-    size = np.maximum(np.ceil(extent / scale), 8).astype(int)
+    size = np.clip(np.ceil(extent / scale), min(8, config.size_px), config.size_px).astype(int)
     return Window(center - (size - 1) / 2 * scale, scale, int(size[0]), int(size[1]))
 
 
 def splat_px(n_points: int, window: Window, largest: int) -> int:
     """Odd side length of the square that a point is drawn as: about the spacing of points spread over the picture."""
     spacing = np.sqrt(window.width_px * window.height_px / max(n_points, 1))
-    return int(np.clip(2 * int(np.round(0.5 * spacing)) - 1, 1, largest)) | 1
+    # The object fills only part of the picture, so its points lie denser; but single rows of missing pixels, where
+    # the sensor's grid and the picture's beat against each other, are worth closing.
+    radius = int(np.round(0.5 * spacing - 0.15))
+    return min(2 * radius + 1, largest - (1 - largest % 2))
 
 
 def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt32[np.ndarray, "packed"] | None:

@@ -7,7 +7,7 @@ seen from anywhere, then what a nearly right box keeps seen from nearly its own 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
@@ -95,28 +95,47 @@ def teach_views(
     for target, mask in zip(objects, masks, strict=True):
         if mask.sum() < MIN_POINTS:
             continue
+        scene = _Scene(frame, objects, masks)
+        # All crops but the frustum stay near the object: the rest of a large cloud need not be looked at each time.
+        near = scene.near(target.box)
         for _ in range(draws):
-            taught.extend(_draw(frame, target, objects, masks, kind, config, up, rng))
+            taught.extend(_draw(scene, near, target, kind, config, up, rng))
     return taught
 
 
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """A frame, its objects, and which points are whose."""
+
+    frame: Frame
+    objects: Sequence[TaughtObject]
+    masks: Sequence[np.ndarray]
+
+    def near(self, box: OrientedBox) -> _Scene:
+        """The part of the scene within reach of any crop around a box; shares of points stay those of the whole."""
+        distance = np.linalg.norm(self.frame.cloud.xyz_m - box.center_m.astype(np.float32), axis=1)
+        keep = distance < 1.5 * np.linalg.norm(box.size_m)
+        frame = replace(self.frame, cloud=self.frame.cloud.select(keep))
+        return _Scene(frame, self.objects, [mask[keep] for mask in self.masks])
+
+
 def _draw(
-    frame: Frame,
+    whole: _Scene,
+    near: _Scene,
     target: TaughtObject,
-    objects: Sequence[TaughtObject],
-    masks: Sequence[np.ndarray],
     kind: BoxKind,
     config: RcvConfig,
     up: np.ndarray | None,
     rng: np.random.Generator,
 ) -> list[TaughtView]:
-    xyz = frame.cloud.xyz_m
-    choice = rng.random()
+    scene, choice = near, rng.random()
+    xyz = scene.frame.cloud.xyz_m
     if choice < FRUSTUM_SHARE:
-        box = _image_box(frame, target, rng)
+        box = _image_box(whole.frame, target, rng)
         if box is None:
             return []
-        keep, axes, show = in_frustum(frame.camera, xyz, box), camera_frame(up), None
+        scene, xyz = whole, whole.frame.cloud.xyz_m
+        keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_frame(up), None
     elif choice < FRUSTUM_SHARE + WIDE_SHARE:
         crop = _camera_crop(target.box, up, rng)
         keep, axes, show = contains(crop, xyz), look_from_camera(_random_turn(up, rng), up), box_corners(crop)
@@ -125,27 +144,23 @@ def _draw(
         keep, axes, show = contains(crop, xyz), look_from_camera(_near_turn(crop, up, rng), up), box_corners(crop)
     if keep.sum() < MIN_POINTS:
         return []
-    views = render_pairs(frame.cloud.select(keep), [axes], config.view, show)
-    return [TaughtView(view, _label(view, xyz, keep, objects, masks, kind)) for view in views]
+    views = render_pairs(scene.frame.cloud.select(keep), [axes], config.view, show)
+    totals = [int(mask.sum()) for mask in whole.masks]
+    return [TaughtView(view, _label(view, scene, keep, totals, kind)) for view in views]
 
 
 def _label(
-    view: PseudoView,
-    xyz: np.ndarray,
-    keep: np.ndarray,
-    objects: Sequence[TaughtObject],
-    masks: Sequence[np.ndarray],
-    kind: BoxKind,
+    view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[int], kind: BoxKind
 ) -> tuple[Box2D, ...]:
     boxes = []
-    for item, mask in zip(objects, masks, strict=True):
+    for item, mask, total in zip(scene.objects, scene.masks, totals, strict=True):
         shown = mask & keep
-        if shown.sum() < max(MIN_POINTS, MIN_SHARE * mask.sum()):
+        if shown.sum() < max(MIN_POINTS, MIN_SHARE * total):
             continue
         if kind is BoxKind.BOX:
             box = project_box(view, item.box, item.label)
         else:
-            box = span_on_view(view, xyz[shown], item.label)
+            box = span_on_view(view, scene.frame.cloud.xyz_m[shown], item.label)
         if box is not None:
             boxes.append(box)
     return tuple(boxes)

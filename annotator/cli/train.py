@@ -1,0 +1,87 @@
+"""`annotator train`"""
+
+from __future__ import annotations
+
+from annotator.cli.output import print_line
+from annotator.cli.progress import progress_bar
+from annotator.cli.projects import Root, open_named
+from annotator.detection.training import TrainingConfig, TrainingProgress
+from annotator.project import Role
+from annotator.workflows.samples import SampleConfig
+from annotator.workflows.train import Trained, TrainPlan, train
+
+
+def run(
+    project: str,
+    /,
+    *,
+    only: Role | None = None,
+    epochs: int | None = None,
+    image_epochs: int | None = None,
+    size: int | None = None,
+    image_size: int | None = None,
+    model: str | None = None,
+    weights: str = "auto",
+    views: int = SampleConfig.views,
+    seed: int = 0,
+    root: Root = None,
+) -> None:
+    """Train the two detectors, one for camera images and one for pseudo-views, from the project's boxes.
+
+    An interrupted training of the same labels with the same settings goes on where it was.
+
+    Args:
+        project: the project's name.
+        only: train this one only.
+        epochs: of the pseudo-view detector; default: what measured best.
+        image_epochs: of the image detector; default: what measured best.
+        size: side of the pseudo-views in training, pixels.
+        image_size: longer side of the camera images in training, pixels.
+        model: YOLO model by ultralytics' name, such as yolo11n.
+        weights: auto (pretrained weights where they are found or can be downloaded, else random ones), never, or a
+            file.
+        views: about how many pseudo-views are made of objects that are known in 3D.
+        seed: of the split and the training.
+        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+    """
+    image, view = TrainingConfig.for_role("image"), TrainingConfig.for_role("view")
+    shared = {"model": model, "weights": weights, "seed": seed}
+    plan = TrainPlan(
+        image=_with(image, epochs=image_epochs, image_size_px=image_size, **shared),
+        view=_with(view, epochs=epochs, image_size_px=size, **shared),
+        samples=SampleConfig(views=views, seed=seed),
+        seed=seed,
+    )
+    roles = (Role.IMAGE, Role.VIEW) if only is None else (only,)
+    with open_named(project, root) as opened, progress_bar() as bar:
+        tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
+
+        def tell(role: Role, step: TrainingProgress) -> None:
+            bar.update(tasks[role], completed=step.epoch, total=step.epochs, note=_note(step))
+
+        trained = train(opened, plan, roles=roles, progress=tell)
+    for result in trained:
+        print_line(_told(result))
+    print_line(f"next: annotator annotate {project}")
+
+
+def _with(config: TrainingConfig, **changes: object) -> TrainingConfig:
+    """A copy with the settings that were given, checked."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    return TrainingConfig.model_validate({**config.model_dump(), **given})
+
+
+def _note(step: TrainingProgress) -> str:
+    return "" if step.map50_95 is None else f"mAP50-95 {step.map50_95:.2f}"
+
+
+def _told(result: Trained) -> str:
+    figures = ", ".join(f"{name} {value:.3f}" for name, value in result.model.metrics.items())
+    lines = [
+        f"{result.role} detector: {result.manifest.images} pictures, {result.manifest.boxes} boxes, "
+        f"{result.seconds:.0f} s; {figures}",
+        f"  {result.model.path}",
+    ]
+    if result.result.note:
+        lines.append(f"  {result.result.note}")
+    return "\n".join(lines)

@@ -1,0 +1,67 @@
+"""The 3D labels that a recording brings, as imported labels of a project."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from annotator.project import Change, NewLabel, Project
+from annotator.types import Source
+from annotator.types.errors import FrameError, RecordingError
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.truth import has_truth, load_truth
+
+AUTHOR = "import"
+
+
+@dataclass
+class OwnLabels:
+    """What was taken over.
+
+    Attributes:
+        labels: by class.
+        other_classes: left out because the project has no such class, by class.
+        unreadable: frames whose labels could not be read, as `key: reason`.
+    """
+
+    labels: Counter[str] = field(default_factory=Counter)
+    other_classes: Counter[str] = field(default_factory=Counter)
+    unreadable: list[str] = field(default_factory=list)
+
+
+def import_own_labels(
+    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
+) -> OwnLabels:
+    """Takes over the true boxes of a recording, for every frame that has no label yet.
+
+    A frame that cannot be read is told and left out; a broken label file is an error.
+
+    Args:
+        progress: called with (frames looked at, frames).
+
+    Raises:
+        FormatError: the label file is broken.
+    """
+    source, found = FrameSource(project), OwnLabels()
+    recording = source.recording(recording_id)
+    if not has_truth(recording):
+        return found
+    classes = set(project.config.classes)
+    places = {key: index for index, key in enumerate(recording.keys)}
+    frames = [frame for frame in project.frames.of([recording_id]) if frame.key in places]
+    for number, stored in enumerate(frames, 1):
+        if not project.labels.of_frame(stored.id):
+            try:
+                truths = load_truth(recording, places[stored.key], source.read(stored))
+            except (FrameError, RecordingError) as error:
+                found.unreadable.append(f"{stored.key}: {error}")
+                continue
+            found.other_classes.update(t.label for t in truths if t.label not in classes)
+            new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
+            if new:
+                project.labels.create(stored.id, new, Change(stored.revision, AUTHOR, Source.IMPORTED))
+                found.labels.update(label.label for label in new)
+        if progress is not None:
+            progress(number, len(frames))
+    return found

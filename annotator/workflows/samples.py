@@ -1,0 +1,196 @@
+"""Everything a project's detectors can learn from, as training samples.
+
+The image detector learns from the boxes on camera images, and from 3D labels projected onto them. The pseudo-view
+detector learns from the boxes drawn on pseudo-views, and from every object whose 3D extent is known: an accepted,
+edited or imported 3D box, or the points that an operator's drags cut out, seen along several random axes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from annotator.detection.dataset import TrainingSample
+from annotator.geometry.fit import aligned_box
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.projection import project as project_points
+from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, ViewBoxes
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.operator import LABELLED_STEPS
+from annotator.rcv.recursion import held_direction
+from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
+from annotator.types import Box2D, BoxKind, Frame, Label
+from annotator.types.errors import DetectionError
+from annotator.workflows.frames import FrameSource, orientation_for
+
+DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
+
+
+@dataclass(frozen=True)
+class SampleConfig:
+    """How many pictures are made from what is known.
+
+    Attributes:
+        views: about how many taught pseudo-views in all, however few objects there are.
+        most_draws: pairs of views an object, at most.
+        seed: of the random axes and crops.
+    """
+
+    views: int = 480
+    most_draws: int = 20
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a project holds to learn from.
+
+    Attributes:
+        images: labelled camera images, by frame.
+        views: labelled pseudo-views.
+        labels: reviewed 3D labels, by frame.
+        kind: what the view detector's boxes will measure.
+        left_out: view labels of the other kind, which would teach the opposite.
+    """
+
+    images: dict[int, ImageBoxes]
+    views: tuple[ViewBoxes, ...]
+    labels: dict[int, tuple[Label, ...]]
+    kind: BoxKind
+    left_out: int
+
+    @property
+    def image_kind(self) -> BoxKind:
+        """What most boxes on camera images measure."""
+        kinds = Counter(boxes.box_kind for boxes in self.images.values())
+        return kinds.most_common(1)[0][0] if kinds else BoxKind.BOX
+
+
+def gather(project: Project) -> Material:
+    """What the project holds now.
+
+    Raises:
+        DetectionError: nothing to learn from, saying what to do.
+    """
+    images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
+    views = project.boxes.on_views()
+    reviewed: dict[int, list[Label]] = defaultdict(list)
+    for stored in project.labels.select(states=REVIEWED):
+        reviewed[stored.frame_id].append(stored.label)
+    if not reviewed and not (images and views):
+        missing = "camera images" if not images else "pseudo-views"
+        raise DetectionError(
+            f"project {project.config.name} has no boxes on {missing} to learn from; draw some, import them with "
+            "`annotator import`, let `annotator simulate` draw them from a recording's truth, or add a recording "
+            "that brings 3D labels"
+        )
+    kinds = Counter(view.box_kind for view in views for _ in view.boxes)
+    kinds[BoxKind.BOX] += 4 * sum(map(len, reviewed.values()))
+    kind = BoxKind.BOX if kinds[BoxKind.BOX] >= kinds[BoxKind.SILHOUETTE] else BoxKind.SILHOUETTE
+    same = tuple(view for view in views if view.box_kind is kind or not view.boxes)
+    labels = {frame: tuple(found) for frame, found in reviewed.items()}
+    return Material(images, same, labels, kind, len(views) - len(same))
+
+
+def image_samples(project: Project, material: Material) -> Iterator[TrainingSample]:
+    """Camera images with their boxes; where only 3D labels are known, with those projected."""
+    for stored, frame in _frames(project, sorted({*material.images, *material.labels})):
+        drawn = material.images.get(stored.id)
+        if drawn is not None:
+            yield TrainingSample(frame.rgb, drawn.boxes, _group(stored), DRAWN)
+        else:
+            boxes = [projected_box(frame, label) for label in material.labels[stored.id]]
+            uids = tuple(label.uid for label in material.labels[stored.id])
+            yield TrainingSample(frame.rgb, tuple(b for b in boxes if b is not None), _group(stored), PROJECTED, uids)
+
+
+def projected_box(frame: Frame, label: Label) -> Box2D | None:
+    """The 2D box of a 3D label on the camera image, clipped; None outside of it, or with a corner behind the camera."""
+    px = project_points(frame.camera, box_corners(label.box))
+    if not np.isfinite(px).all():
+        return None
+    low = np.maximum(px.min(axis=0), -0.5)
+    high = np.minimum(px.max(axis=0), [frame.camera.width_px - 0.5, frame.camera.height_px - 0.5])
+    if (high - low < 2).any():
+        return None
+    return Box2D(label.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def view_samples(
+    project: Project, material: Material, rcv: RcvConfig, config: SampleConfig
+) -> Iterator[TrainingSample]:
+    """Drawn pseudo-views, then views along random axes of every object whose extent is known."""
+    groups = {stored.id: _group(stored) for stored in project.frames.of()}
+    for view in material.views:
+        group = groups.get(view.frame_id, f"view/{view.view_id[:12]}") if view.frame_id is not None else view.view_id
+        yield TrainingSample(project.views.load(view.view_id), view.boxes, group, DRAWN)
+    drags = drawn_objects(material)
+    total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
+    if total == 0:
+        return
+    draws = int(np.clip(round(config.views / (2 * total)), 1, config.most_draws))
+    for stored, frame in _frames(project, sorted({*material.labels, *drags})):
+        known = [TaughtObject(label.label, label.box) for label in material.labels.get(stored.id, ())]
+        cuts = [cut_out(frame, views) for views in drags.get(stored.id, ())]
+        known += [cut for cut in cuts if cut is not None]
+        rng = np.random.default_rng([config.seed, stored.id])
+        orientation = orientation_for(project.config.settings.rotation, frame)
+        settings = rcv.model_copy(update={"orientation": orientation})
+        up = held_direction(frame.up, settings)
+        for taught in teach_views(frame, known, material.kind, draws, settings, up, rng):
+            yield TrainingSample(taught.view.rgb, taught.boxes, _group(stored), TAUGHT)
+
+
+def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
+    """By frame, the views of each object that an operator has finished with a box on every one, for silhouettes.
+
+    The drags cut the object's points out of the cloud, and those show its silhouette from anywhere. (Boxes of the
+    other kind include unseen parts; from other directions they are known only once the 3D box is.)
+    """
+    finished: dict[int, list[tuple[ViewBoxes, ...]]] = defaultdict(list)
+    if material.kind is not BoxKind.SILHOUETTE:
+        return finished
+    by_object: dict[tuple[int, Box2D], list[ViewBoxes]] = defaultdict(list)
+    for view in material.views:
+        if view.frame_id is not None and view.geometry is not None and view.geometry.image_box is not None:
+            by_object[view.frame_id, view.geometry.image_box].append(view)
+    for (frame_id, _), views in by_object.items():
+        if len(views) >= 2 * LABELLED_STEPS and all(len(view.boxes) == 1 for view in views):
+            finished[frame_id].append(tuple(views))
+    return finished
+
+
+def cut_out(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | None:
+    """The object whose views carry one box each: the points of the frustum that lie within all of them."""
+    geometries = [view.geometry for view in views if view.geometry is not None]
+    image_box = geometries[0].image_box
+    assert image_box is not None  # drawn_objects takes no others
+    mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
+    for view, geometry in zip(views, geometries, strict=True):
+        box, scale = view.boxes[0], geometry.metres_per_px
+        low = np.array(geometry.origin_m) + np.array([box.x_min, box.y_min]) * scale
+        high = np.array(geometry.origin_m) + np.array([box.x_max, box.y_max]) * scale
+        seen = frame.cloud.xyz_m @ np.array(geometry.axes)[:2].T
+        mask &= ((seen >= low - scale / 2) & (seen <= high + scale / 2)).all(axis=1)
+    if mask.sum() < MIN_POINTS:
+        return None
+    last = max(views, key=lambda view: view.step or 0)
+    assert last.geometry is not None  # see above
+    box_3d = aligned_box(frame.cloud.xyz_m[mask], np.array(last.geometry.axes).T)
+    return TaughtObject(views[0].boxes[0].label, box_3d, mask)
+
+
+def _group(stored: StoredFrame) -> str:
+    return f"{stored.recording_id}/{stored.key}"
+
+
+def _frames(project: Project, frame_ids: Sequence[int]) -> Iterator[tuple[StoredFrame, Frame]]:
+    """Frames by id, one in memory at a time."""
+    source = FrameSource(project)
+    for frame_id in frame_ids:
+        stored = project.frames.get(frame_id)
+        yield stored, source.read(stored)

@@ -1,0 +1,188 @@
+"""A simulated operator: labels a recording from its truth exactly as a person would with a mouse, five boxes an object.
+
+`silhouette` draws around the object's visible points, as a person does. `box` stands for a folder whose 3D labels are
+imported (RCV paper, Fig. 5): the true box is projected onto the same pictures, and kept as an imported 3D label.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.projection import project
+from annotator.project import Change, NewLabel, Project, StoredFrame, ViewGeometry
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.operator import DrawnObject, draw_object
+from annotator.rcv.teach import TaughtObject, project_box, span_on_view
+from annotator.recordings import Recording
+from annotator.types import Box2D, BoxKind, Frame, PointCloud, PseudoView, Source, Truth
+from annotator.types.errors import ConfigError
+from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.truth import load_mask, load_truth
+
+AUTHOR = "simulated operator"
+# An operator cannot see an object of fewer points.
+MIN_VISIBLE_POINTS = 20
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What the simulated operator did.
+
+    Attributes:
+        frames: labelled.
+        objects: finished with all five boxes.
+        boxes: 2D boxes drawn in all.
+    """
+
+    frames: int
+    objects: int
+    boxes: int
+
+
+def visible_objects(recording: Recording, index: int, frame: Frame, classes: Sequence[str]) -> list[TaughtObject]:
+    """The true objects of the project's classes that have enough points, each with the points that are its own."""
+    truths = [t for t in load_truth(recording, index, frame) if t.label in classes]
+    mask = load_mask(recording, frame)
+    objects = [
+        TaughtObject(t.label, t.box, _own_points(t, number, frame.cloud, mask)) for number, t in enumerate(truths)
+    ]
+    return [o for o in objects if o.points is not None and o.points.sum() >= MIN_VISIBLE_POINTS]
+
+
+def _own_points(truth: Truth, number: int, cloud: PointCloud, mask: np.ndarray | None) -> np.ndarray:
+    """The object's points: by the mask where there is one, else those in its true box."""
+    if mask is None or cloud.pixel_index is None:
+        return contains(truth.box, cloud.xyz_m)
+    return mask.ravel()[cloud.pixel_index] == number + 1
+
+
+def draw_frame(
+    frame: Frame, objects: Sequence[TaughtObject], kind: BoxKind, config: RcvConfig
+) -> tuple[list[Box2D], list[DrawnObject]]:
+    """The boxes on the image, and the objects that could be finished."""
+    on_image: list[Box2D] = []
+    finished: list[DrawnObject] = []
+    for item in objects:
+        image_box = _image_box(frame, item, kind)
+        if image_box is None:
+            continue
+        on_image.append(image_box)
+        drawn = draw_object(frame, image_box, partial(_draw, frame=frame, item=item, kind=kind), config)
+        if drawn is not None:
+            finished.append(drawn)
+    return on_image, finished
+
+
+def _image_box(frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:
+    seen = frame.cloud.xyz_m[item.points]
+    px = project(frame.camera, box_corners(item.box) if kind is BoxKind.BOX else seen)
+    if not np.isfinite(px).all():  # a corner behind the camera: what is seen must do
+        px = project(frame.camera, seen)
+    low = np.maximum(px.min(axis=0), -0.5)
+    high = np.minimum(px.max(axis=0), [frame.camera.width_px - 0.5, frame.camera.height_px - 0.5])
+    if (high - low < 2).any():
+        return None
+    return Box2D(item.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _draw(view: PseudoView, frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:
+    if kind is BoxKind.BOX:
+        return project_box(view, item.box, item.label)
+    shown = frame.cloud.xyz_m[item.points]
+    seen = shown[_in_picture(view, shown)]
+    return span_on_view(view, seen, item.label) if len(seen) > 1 else None
+
+
+def _in_picture(view: PseudoView, xyz_m: np.ndarray) -> np.ndarray:
+    low, high = view.origin_m, view.origin_m + view.extent_m
+    seen = xyz_m @ view.axes[:2].T
+    return ((seen >= low) & (seen <= high)).all(axis=1)
+
+
+def simulate_recording(
+    project: Project,
+    recording_id: int,
+    kind: BoxKind,
+    config: RcvConfig,
+    every: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Drawn:
+    """Labels every so many frames of a recording from its truth; the store keeps it like an operator's work.
+
+    Args:
+        config: how pseudo-views are drawn; its orientation is set frame by frame from the project's setting.
+        progress: called with (frames labelled, frames to label).
+
+    Raises:
+        ConfigError: `every` is less than 1, or the recording brings no truth of the project's classes.
+        RecordingError: it brings no truth at all, or cannot be read.
+    """
+    if every < 1:
+        raise ConfigError(f"every {every} frames cannot be labelled; give 1 or more")
+    source = FrameSource(project)
+    recording = source.recording(recording_id)
+    settings = project.config
+    frames = project.frames.of([recording_id])[::every]
+    places = {key: index for index, key in enumerate(recording.keys)}
+    drawn_objects = boxes = 0
+    for number, stored in enumerate(frames, 1):
+        frame = source.read(stored)
+        orientation = orientation_for(settings.settings.rotation, frame)
+        turned = config.model_copy(update={"orientation": orientation})
+        objects = visible_objects(recording, places[stored.key], frame, settings.classes)
+        on_image, finished = draw_frame(frame, objects, kind, turned)
+        revision = _store(project, stored, on_image, finished, kind)
+        if kind is BoxKind.BOX and objects:
+            labels = [NewLabel(item.label, item.box) for item in objects]
+            project.labels.create(stored.id, labels, Change(revision, AUTHOR, Source.IMPORTED))
+        drawn_objects += len(finished)
+        boxes += len(on_image) + sum(len(drawn.views) for drawn in finished)
+        if progress is not None:
+            progress(number, len(frames))
+    if boxes == 0:
+        raise ConfigError(
+            f"{recording.path}: brings no true boxes of {', '.join(settings.classes)}, so nothing can be simulated; "
+            "draw boxes in the browser, or import them: annotator import"
+        )
+    return Drawn(len(frames), drawn_objects, boxes)
+
+
+def _store(
+    project: Project,
+    stored: StoredFrame,
+    on_image: Sequence[Box2D],
+    finished: Sequence[DrawnObject],
+    kind: BoxKind,
+) -> int:
+    """Puts the drawn boxes into the store; the frame's revision afterwards."""
+    revision = stored.revision
+    revision = project.boxes.set_on_image(stored.id, on_image, kind, Change(revision, AUTHOR, Source.MANUAL)).revision
+    for drawn in finished:
+        for item in drawn.views:
+            revision = project.boxes.set_on_view(
+                project.views.store(item.view.rgb),
+                [item.box],
+                kind,
+                Change(revision, AUTHOR, Source.MANUAL),
+                frame_id=stored.id,
+                step=item.step,
+                geometry=view_geometry(item.view, drawn.image_box),
+            ).revision
+    return revision
+
+
+def view_geometry(view: PseudoView, image_box: Box2D) -> ViewGeometry:
+    """How a pseudo-view of a box's frustum lies in space, for the store."""
+    return ViewGeometry.model_validate(
+        {
+            "axes": view.axes.tolist(),
+            "metres_per_px": view.metres_per_px,
+            "origin_m": view.origin_m.tolist(),
+            "image_box": image_box,
+        }
+    )

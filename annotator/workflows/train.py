@@ -1,0 +1,118 @@
+"""Trains a project's two detectors from its labels, and registers them."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import write_dataset
+from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
+from annotator.detection.progress import TrainingProgress
+from annotator.detection.trained import TrainedModel
+from annotator.detection.training import train_detector
+from annotator.project import Project, Role, StoredModel
+from annotator.rcv.config import RcvConfig
+from annotator.workflows.detectors import load_detector
+from annotator.workflows.samples import Material, SampleConfig, gather, image_samples, view_samples
+
+DATASET = "dataset"
+# A camera image shows its objects small, and there are fewer of them than of pseudo-views.
+IMAGE_DEFAULTS = TrainingConfig(image_size_px=320, pictures_seen=2400)
+VIEW_DEFAULTS = TrainingConfig(image_size_px=224, pictures_seen=6000)
+
+ProgressCallback = Callable[[Role, TrainingProgress], None]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """One detector after its training."""
+
+    role: Role
+    model: StoredModel
+    result: TrainedModel
+    manifest: DatasetManifest
+    seconds: float
+
+
+@dataclass(frozen=True)
+class TrainPlan:
+    """What to train and how.
+
+    Attributes:
+        image, view: settings of each detector.
+        samples: how many pictures are made from 3D labels.
+        rcv: how pseudo-views are drawn.
+        val_share: share of the frames that measure instead of teaching.
+        seed: of the split.
+    """
+
+    image: TrainingConfig = IMAGE_DEFAULTS
+    view: TrainingConfig = VIEW_DEFAULTS
+    samples: SampleConfig = field(default_factory=SampleConfig)
+    rcv: RcvConfig = field(default_factory=RcvConfig)
+    val_share: float = 0.15
+    seed: int = 0
+
+
+def train(
+    project: Project,
+    plan: TrainPlan,
+    *,
+    roles: tuple[Role, ...] = (Role.IMAGE, Role.VIEW),
+    progress: ProgressCallback | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> list[Trained]:
+    """Trains the detectors one after the other; each is registered, and active, as soon as it is done.
+
+    Data sets and runs live in the project's `models/` by the hash of what they learn from, so that an interrupted
+    training of the same labels goes on where it was.
+
+    Raises:
+        DetectionError: nothing to learn from, or the training failed.
+    """
+    material = gather(project)
+    return [_train_one(project, material, role, plan, progress, stop) for role in roles]
+
+
+def _train_one(
+    project: Project,
+    material: Material,
+    role: Role,
+    plan: TrainPlan,
+    progress: ProgressCallback | None,
+    stop: Callable[[], bool] | None,
+) -> Trained:
+    begin = time.perf_counter()
+    classes = project.config.classes
+    folder = project.models_folder / role.value
+    if role is Role.IMAGE:
+        samples, kind, config = image_samples(project, material), material.image_kind, plan.image
+    else:
+        samples, kind, config = view_samples(project, material, plan.rcv, plan.samples), material.kind, plan.view
+    manifest = write_dataset(folder / DATASET, samples, classes, plan.val_share, plan.seed, kind)
+    out = folder / run_name(manifest, config)
+    report = None if progress is None else (lambda step: progress(role, step))
+    result = train_detector(folder / DATASET, out, config, report, role.value, stop)
+    kept = out / MANIFEST_NAME
+    # The pictures can be made again from the recordings; which labels they showed is kept with the model.
+    shutil.copyfile(folder / DATASET / MANIFEST_NAME, kept)
+    model = project.models.register(
+        role,
+        result.weights,
+        labels=classes,
+        box_kind=kind,
+        metrics=result.metrics.model_dump(exclude={"measured_on"}),
+        fingerprint=load_detector(result.weights).fingerprint,
+        manifest=kept,
+    )
+    return Trained(role, model, result, manifest, time.perf_counter() - begin)
+
+
+def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
+    """The folder of a training: the same labels and settings give the same one, so that it is found again."""
+    settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
+    return f"{manifest.sha256[:12]}-{settings[:8]}"
