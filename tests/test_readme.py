@@ -1,0 +1,146 @@
+"""The README's commands work: each one in a `console` or `sh` block is run, in order, as a reader would.
+
+A command that takes long gets a smaller stand-in in `INSTEAD`; there is no other way to leave one out.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from annotator.cli.table import COMMANDS
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / "README.md"
+# Blocks of these languages hold commands; in a `console` block only the lines after a prompt.
+SHELL, CONSOLE = ("sh", "bash", "shell"), ("console",)
+BLOCK = re.compile(r"^( *)```(\w+)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+# What a README may call. `scripts/...` and `git` only where INSTEAD knows them.
+PROGRAMS = ("annotator", "python")
+
+
+@dataclass(frozen=True)
+class Instead:
+    """What is run for a command of the README: a smaller one, or (None) nothing because another test does."""
+
+    command: str | None
+    because: str
+
+
+INSTEAD: dict[str, Instead] = {
+    "scripts/test": Instead(None, "it runs this test"),
+    "scripts/demo": Instead(None, "the demo has its own test"),
+}
+
+
+def commands(text: str) -> list[str]:
+    """The commands of all shell and console blocks, in order, without prompts and comments."""
+    found = []
+    for indent, language, body in BLOCK.findall(text):
+        if language not in SHELL + CONSOLE:
+            continue
+        lines = [line.removeprefix(indent) for line in re.sub(r"\\\n\s*", "", body).splitlines()]
+        if language in CONSOLE:
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        stripped = (re.sub(r"(^|\s+)#.*", "", line).strip() for line in lines)
+        found += [line for line in stripped if line]
+    return found
+
+
+def as_run(command: str, shared: Path) -> list[str] | None:
+    """The words that are run for a command of the README, or None where nothing is.
+
+    Raises:
+        AssertionError: a program that this test does not know how to run.
+    """
+    if command in INSTEAD:
+        instead = INSTEAD[command].command
+        if instead is None:
+            return None
+        command = instead
+    words = [re.sub(r"^\.\./shared\b", lambda _: str(shared), word) for word in shlex.split(command)]
+    assert words[0] in PROGRAMS, f"{command!r}: teach tests/test_readme.py how to run it, or leave it out of the README"
+    return words
+
+
+def readme_commands() -> list[str]:
+    text = README.read_text(encoding="utf-8")
+    if not text.strip():
+        pytest.skip("README.md is empty")
+    return commands(text)
+
+
+TEXT = """
+```sh
+annotator new hands --classes hand   # a comment
+# only a comment
+annotator add hands \\
+    "../shared/data/a b"
+```
+- in a list:
+  ```console
+  $ annotator stats hands
+  frames  24
+  $ annotator export hands --format rcv out/3D_HAND
+  ```
+```python
+print("not a command")
+```
+"""
+
+
+def test_commands_are_found() -> None:
+    assert commands(TEXT) == [
+        "annotator new hands --classes hand",
+        'annotator add hands "../shared/data/a b"',
+        "annotator stats hands",
+        "annotator export hands --format rcv out/3D_HAND",
+    ]
+
+
+def test_shared_paths_and_stand_ins() -> None:
+    assert as_run('annotator add x "../shared/data/a b"', Path("/s")) == ["annotator", "add", "x", "/s/data/a b"]
+    assert as_run("scripts/test", Path("/s")) is None
+    with pytest.raises(AssertionError, match="teach tests/test_readme"):
+        as_run("curl example.org", Path("/s"))
+
+
+def test_every_command_of_the_readme_is_known_and_no_stand_in_is_left_over() -> None:
+    found = readme_commands()
+    assert found, "README.md shows no command"
+    for command in found:
+        words = as_run(command, Path("shared"))
+        if words is not None and words[0] == "annotator":
+            assert words[1].startswith("-") or words[1] in COMMANDS, f"{command!r}: no such command"
+    unused = set(INSTEAD) - set(found)
+    assert not unused, f"the README has no such commands any more: {unused}"
+
+
+def test_readme_tells_of_every_command() -> None:
+    readme_commands()
+    text = README.read_text(encoding="utf-8")
+    missing = [name for name in COMMANDS if not re.search(rf"`annotator {name}\b", text)]
+    assert not missing, f"README.md does not mention: {', '.join(missing)}"
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+@pytest.mark.timeout(1800)
+def test_every_command_of_the_readme_runs(shared: Path, tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ANNOTATOR_")}
+    environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment["PATH"]])
+    # `python -m benchmarks.NAME` is meant for the repository's root; everything is written where it is called
+    environment["PYTHONPATH"] = str(ROOT)
+    for command in readme_commands():
+        words = as_run(command, shared.resolve())
+        if words is None:
+            continue
+        result = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, f"{command}\n{result.stdout}\n{result.stderr}"
