@@ -8,8 +8,11 @@ from typing import Annotated
 import tyro
 
 from annotator.cli.output import print_line
+from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named
+from annotator.project import REVIEWED
 from annotator.types.errors import ConfigError
+from annotator.workflows.own_labels import OwnLabels, import_own_labels
 from annotator.workflows.recordings import Added, add_recordings
 
 
@@ -20,11 +23,13 @@ def run(
     *,
     name: str | None = None,
     up: tuple[float, float, float] | None = None,
+    no_labels: bool = False,
     root: Root = None,
 ) -> None:
     """Put recordings into a project. Their files stay where they are.
 
-    A recording that the project has already is looked at again for new frames.
+    3D boxes that a recording brings (label_2, label_02.txt, boxes.json) become imported labels, which the detectors
+    learn from. A recording that the project has already is looked at again for new frames.
 
     Args:
         project: the project's name.
@@ -32,6 +37,7 @@ def run(
         name: what to call the recording; default: its folder's name.
         up: direction against gravity in the camera frame (x right, y down, z forward), for a recording that does not
             know it; a level camera has 0 -1 0.
+        no_labels: leave the recordings' own 3D boxes alone.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     if not paths:
@@ -39,6 +45,24 @@ def run(
     with open_named(project, root) as opened:
         for added in add_recordings(opened, paths, name=name, up=up):
             print_line(_told(added))
+            if not no_labels:
+                with counted("reading labels") as progress:
+                    own = import_own_labels(opened, added.recording.id, progress)
+                for line in _told_labels(own):
+                    print_line(line)
+        if not opened.labels.select(states=REVIEWED):
+            print_line(f"next: draw boxes (annotator simulate, annotator import), then annotator train {project}")
+        else:
+            print_line(f"next: annotator train {project}")
+
+
+def _told_labels(own: OwnLabels) -> list[str]:
+    lines = [f"  {number} boxes of class {label} imported as labels" for label, number in sorted(own.labels.items())]
+    lines += [
+        f"  left out: {number} boxes of class {label}, which the project does not have"
+        for label, number in sorted(own.other_classes.items())
+    ]
+    return lines + [f"  unreadable: {line}" for line in own.unreadable]
 
 
 def _told(added: Added) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from annotator.cli.output import print_line
+from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind
@@ -27,8 +28,8 @@ def run(
         every: label every so many frames, from the first.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
-    with open_named(project, root) as opened:
+    with open_named(project, root) as opened, counted("drawing") as progress:
         stored = opened.recordings.find(recording)
-        drawn = simulate_recording(opened, stored.id, operator, RcvConfig(), every)
+        drawn = simulate_recording(opened, stored.id, operator, RcvConfig(), every, progress)
     print_line(f"{drawn.frames} frames, {drawn.objects} objects, {drawn.boxes} 2D boxes drawn")
     print_line(f"next: annotator train {project}")

@@ -20,5 +20,13 @@ COMMANDS: dict[str, Command] = {
     "new": Command("annotator.cli.new:run", "create a project"),
     "add": Command("annotator.cli.add:run", "put recordings into a project"),
     "inspect": Command("annotator.cli.inspect:run", "say what a recording holds"),
+    "import": Command("annotator.cli.import_boxes:run", "take over 2D boxes drawn elsewhere"),
+    "simulate": Command("annotator.cli.simulate:run", "let a simulated operator draw 2D boxes from known truth"),
+    "views": Command("annotator.cli.views:run", "write pseudo-views as pictures, to be labelled elsewhere"),
+    "train": Command("annotator.cli.train:run", "train the two 2D detectors"),
+    "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
+    "export": Command("annotator.cli.export:run", "write a dataset"),
     "stats": Command("annotator.cli.stats:run", "say how far a project is"),
+    "generate": Command("annotator.cli.generate:run", "make a recording of a generated room, with its truth"),
+    "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),
 }

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
 from annotator.cli.projects import Root, open_named
-from annotator.detection.training import TrainingConfig, TrainingProgress
+from annotator.detection.config import TrainingConfig
+from annotator.detection.progress import TrainingProgress
 from annotator.project import Role
 from annotator.workflows.samples import SampleConfig
-from annotator.workflows.train import Trained, TrainPlan, train
+from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
 
 def run(
@@ -44,11 +47,11 @@ def run(
         seed: of the split and the training.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
-    image, view = TrainingConfig.for_role("image"), TrainingConfig.for_role("view")
-    shared = {"model": model, "weights": weights, "seed": seed}
+    start = weights if weights in ("auto", "never") else Path(weights)
+    shared = {"model": model, "pretrained": start, "seed": seed}
     plan = TrainPlan(
-        image=_with(image, epochs=image_epochs, image_size_px=image_size, **shared),
-        view=_with(view, epochs=epochs, image_size_px=size, **shared),
+        image=_with(IMAGE_DEFAULTS, epochs=image_epochs, image_size_px=image_size, **shared),
+        view=_with(VIEW_DEFAULTS, epochs=epochs, image_size_px=size, **shared),
         samples=SampleConfig(views=views, seed=seed),
         seed=seed,
     )
@@ -57,7 +60,8 @@ def run(
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
 
         def tell(role: Role, step: TrainingProgress) -> None:
-            bar.update(tasks[role], completed=step.epoch, total=step.epochs, note=_note(step))
+            whole = step.epoch + (step.batch / step.batches if step.batches and step.epoch < step.epochs else 0)
+            bar.update(tasks[role], completed=whole, total=step.epochs, note=_note(step))
 
         trained = train(opened, plan, roles=roles, progress=tell)
     for result in trained:
@@ -77,11 +81,12 @@ def _note(step: TrainingProgress) -> str:
 
 def _told(result: Trained) -> str:
     figures = ", ".join(f"{name} {value:.3f}" for name, value in result.model.metrics.items())
-    lines = [
-        f"{result.role} detector: {result.manifest.images} pictures, {result.manifest.boxes} boxes, "
-        f"{result.seconds:.0f} s; {figures}",
-        f"  {result.model.path}",
-    ]
-    if result.result.note:
-        lines.append(f"  {result.result.note}")
-    return "\n".join(lines)
+    measured = f"on {result.result.metrics.measured_on} pictures"
+    return "\n".join(
+        [
+            f"{result.role} detector: learnt from {result.manifest.images['train']} pictures in "
+            f"{result.seconds:.0f} s; {figures} {measured}",
+            f"  {result.result.note}",
+            f"  {result.model.path}",
+        ]
+    )

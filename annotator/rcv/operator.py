@@ -6,26 +6,30 @@ steps: five 2D boxes an object.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool
 
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.rcv import cross_view
 from annotator.rcv.axes import camera_frame, find_axes
-from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import RcvConfig, Strategy
+from annotator.rcv.cross_view import span_box
 from annotator.rcv.normals import with_normals
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.recursion import held_direction
-from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView
+from annotator.types import Box2D, Frame, PseudoView
 
 LABELLED_STEPS = 2
 
 DrawOnView = Callable[[PseudoView], Box2D | None]
 """Draws the one box of the object on a pseudo-view; None where it cannot be seen."""
+
+Views = tuple[PseudoView, PseudoView]
+Span = tuple[np.ndarray, np.ndarray]
+"""A view's axes (3, 3), and the view coordinates (2, 2), metres, that the box on it spans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,51 +48,70 @@ class DrawnObject:
     Attributes:
         image_box: on the camera image.
         views: front and side of each step.
-        cut: the last step's cross-view box: it holds the object's points.
     """
 
     image_box: Box2D
     views: tuple[DrawnView, ...]
-    cut: OrientedBox
 
 
 def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvConfig) -> DrawnObject | None:
-    """Goes through the first two steps with one object.
+    """Goes through both steps with one object.
 
     Returns:
         None where the object gets lost: too few points, or a view on which nothing could be drawn.
     """
+    drawn: list[DrawnView] = []
+    views = first_views(frame, image_box, config)
+    for step in range(LABELLED_STEPS):
+        boxes = None if views is None else [draw(view) for view in views]
+        if views is None or boxes is None or boxes[0] is None or boxes[1] is None:
+            return None
+        drawn += [DrawnView(view, step, box) for view, box in zip(views, boxes, strict=True) if box is not None]
+        if step + 1 < LABELLED_STEPS:
+            spans = [(d.view.axes, d.view.interval_m(d.box)) for d in drawn]
+            views = next_views(frame, image_box, spans, config)
+    return DrawnObject(image_box, tuple(drawn))
+
+
+def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | None:
+    """Front and side view of a box's frustum along the camera axes; None with too few points in it."""
+    cloud = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, image_box))
+    if len(cloud) < config.min_points:
+        return None
+    front, side = render_pairs(cloud, [camera_frame(held_direction(frame.up, config))], config.view)
+    return front, side
+
+
+def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: RcvConfig) -> Views | None:
+    """The views after a step: what the front and the side box have cut out, along the normals' axes.
+
+    Args:
+        spans: of the front and the side view's box, in this order.
+
+    Returns:
+        None where too few points are left.
+    """
+    (front_axes, front_span), (_, side_span) = spans
+    box = span_box(front_axes, np.stack([front_span[0], (front_span[1] + side_span[1]) / 2, side_span[0]]))
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
+    mask &= contains(box, frame.cloud.xyz_m, config.keep_margin * float(box.size_m.mean()))
+    if mask.sum() < config.min_points:
+        return None
     cloud = with_normals(frame, mask).select(mask)
     up = held_direction(frame.up, config)
-    axes, box = camera_frame(up), None
-    drawn: list[DrawnView] = []
-    for step in range(LABELLED_STEPS):
-        if len(cloud) < config.min_points:
-            return None
-        if step > 0:
-            axes = find_axes(cloud, Strategy.NORMALS, axes, up, config).frame
-        box = _draw_step(cloud, axes, box, step, draw, drawn, config)
-        if box is None:
-            return None
-        cloud = cloud.select(contains(box, cloud.xyz_m, config.keep_margin * float(box.size_m.mean())))
-    assert box is not None  # LABELLED_STEPS is not zero
-    return DrawnObject(image_box, tuple(drawn), canonical_box(box, up))
+    axes = find_axes(cloud, Strategy.NORMALS, front_axes, up, config).frame
+    front, side = render_pairs(cloud, [axes], config.view, box_corners(box))
+    return front, side
 
 
-def _draw_step(
-    cloud: PointCloud,
-    axes: np.ndarray,
-    last: OrientedBox | None,
-    step: int,
-    draw: DrawOnView,
-    drawn: list[DrawnView],
-    config: RcvConfig,
-) -> OrientedBox | None:
-    views = render_pairs(cloud, [axes], config.view, None if last is None else box_corners(last))
-    boxes = [draw(view) for view in views]
-    front, side = boxes
-    if front is None or side is None:
-        return None
-    drawn.extend(DrawnView(view, step, box) for view, box in zip(views, (front, side), strict=True))
-    return cross_view.make_pair(axes, (views[0], views[1]), [front], [side], 0, 0).box
+def cut_out(frame: Frame, image_box: Box2D, spans: Sequence[tuple[Span, float]]) -> Bool[np.ndarray, "n"]:
+    """Which points an object's drags leave: those of the frustum that lie within every box.
+
+    Args:
+        spans: of each view's box, with the margin that a drag may be off, metres.
+    """
+    mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
+    for (axes, span), margin_m in spans:
+        seen = frame.cloud.xyz_m @ axes[:2].T
+        mask &= ((seen >= span[:, 0] - margin_m) & (seen <= span[:, 1] + margin_m)).all(axis=1)
+    return mask

@@ -111,7 +111,7 @@ def draw(
     np.minimum.at(nearest, row * window.width_px + column, key)
     grown = nearest.reshape(window.height_px, window.width_px)
     if (splat := splat_px(n, window, largest_splat_px)) > 1:
-        grown = _grow(grown, splat // 2)
+        grown = _grow(grown, splat // 2, empty)
     if packed is not None:
         index = (grown & np.uint32((1 << index_bits) - 1)).astype(np.intp)
         four = np.take(packed, index).view(np.uint8).reshape(*grown.shape, 4)
@@ -122,17 +122,17 @@ def draw(
     return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
 
 
-def _grow(nearest: UInt32[np.ndarray, "h w"], radius: int) -> UInt32[np.ndarray, "h w"]:
-    """Each point drawn as a square of 2 radius + 1: a separable minimum filter, so near points cover far ones."""
-    for axis in (0, 1):
-        source, nearest = nearest, nearest.copy()
-        for shift in range(1, radius + 1):
-            ahead = [slice(None), slice(None)]
-            behind = [slice(None), slice(None)]
-            ahead[axis], behind[axis] = slice(shift, None), slice(None, -shift)
-            np.minimum(nearest[tuple(ahead)], source[tuple(behind)], out=nearest[tuple(ahead)])
-            np.minimum(nearest[tuple(behind)], source[tuple(ahead)], out=nearest[tuple(behind)])
-    return nearest
+def _grow(nearest: UInt32[np.ndarray, "h w"], radius: int, empty: np.uint32) -> UInt32[np.ndarray, "h w"]:
+    """Each point drawn as a square of 2 radius + 1: a minimum filter, so near points cover far ones."""
+    grown = np.pad(nearest, radius, constant_values=empty)
+    for _ in (0, 1):  # along the rows, then, transposed, along the columns
+        width = 1
+        while width < 2 * radius + 1:  # a window of twice the width is the minimum of two windows
+            shift = min(width, 2 * radius + 1 - width)
+            grown = np.minimum(grown[:-shift], grown[shift:])
+            width += shift
+        grown = np.ascontiguousarray(grown.T)
+    return grown
 
 
 def render_pairs(

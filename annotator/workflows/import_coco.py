@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from annotator.formats.coco import CocoImage, read_coco
-from annotator.project.frames import StoredFrame
-from annotator.project.project import Project
-from annotator.project.writing import Change
+from annotator.project import Change, Project, StoredFrame
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError
+from annotator.workflows.views_out import read_places
 
 AUTHOR = "import"
 
@@ -65,13 +64,16 @@ def import_image_boxes(project: Project, path: Path, kind: BoxKind, recording: s
 def import_view_boxes(project: Project, path: Path, pictures: Path, kind: BoxKind) -> Imported:
     """Boxes on pseudo-views: the COCO file's images lie in the folder `pictures` and are copied into the project.
 
-    A picture that the project knows already (`annotator views` writes such) keeps its frame and its place in space.
+    Pictures that `annotator views` wrote keep their frame and their place in space; a picture on which nothing was
+    drawn is then skipped, since not every view needs to be labelled. Others teach the detector, and no more.
 
     Raises:
         FormatError: not a COCO file, or a picture is missing or of another size.
+        ProjectError: a frame that the project no longer has.
     """
     tally = _Tally(project)
-    known = {view.view_id: view for view in project.boxes.on_views()}
+    places = read_places(pictures)
+    revisions = {view.view_id: view.revision for view in project.boxes.on_views()}
     for image in read_coco(path):
         file = pictures / image.file_name
         if not file.is_file():
@@ -84,16 +86,22 @@ def import_view_boxes(project: Project, path: Path, pictures: Path, kind: BoxKin
                 f"{image.file_name} is {width_px} x {height_px} pixels, the file says {image.width_px} x "
                 f"{image.height_px}; label the picture itself, not a scaled copy",
             )
-        boxes = tally.known(image)
-        view = known.get(view_id)
-        if view is None or view.frame_id is None:
-            change = Change(0 if view is None else view.revision, AUTHOR, Source.IMPORTED)
-            project.boxes.set_on_view(view_id, boxes, kind, change)
-            continue
-        change = Change(project.frames.get(view.frame_id).revision, AUTHOR, Source.IMPORTED)
-        project.boxes.set_on_view(
-            view_id, boxes, kind, change, frame_id=view.frame_id, step=view.step, geometry=view.geometry
-        )
+        place = places.get(image.file_name)
+        if place is None:
+            change = Change(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED)
+            project.boxes.set_on_view(view_id, tally.known(image), kind, change)
+        elif image.boxes:
+            frame = project.frames.find(project.recordings.find(place.recording).id, place.frame)
+            change = Change(frame.revision, AUTHOR, Source.IMPORTED)
+            project.boxes.set_on_view(
+                view_id,
+                tally.known(image),
+                kind,
+                change,
+                frame_id=frame.id,
+                step=place.step,
+                geometry=place.geometry,
+            )
     return Imported(tally.pictures, tally.boxes, tally.other, ())
 
 

@@ -15,17 +15,17 @@ import numpy as np
 
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.fit import aligned_box
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project as project_points
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, ViewBoxes
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.operator import LABELLED_STEPS
+from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.types.errors import DetectionError
 from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.views_out import spans_m
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
 
@@ -135,7 +135,7 @@ def view_samples(
     draws = int(np.clip(round(config.views / (2 * total)), 1, config.most_draws))
     for stored, frame in _frames(project, sorted({*material.labels, *drags})):
         known = [TaughtObject(label.label, label.box) for label in material.labels.get(stored.id, ())]
-        cuts = [cut_out(frame, views) for views in drags.get(stored.id, ())]
+        cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
         known += [cut for cut in cuts if cut is not None]
         rng = np.random.default_rng([config.seed, stored.id])
         orientation = orientation_for(project.config.settings.rotation, frame)
@@ -164,24 +164,17 @@ def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
     return finished
 
 
-def cut_out(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | None:
-    """The object whose views carry one box each: the points of the frustum that lie within all of them."""
-    geometries = [view.geometry for view in views if view.geometry is not None]
-    image_box = geometries[0].image_box
+def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | None:
+    """The object whose views carry one box each; None where its drags leave too few points."""
+    placed = [(view, view.geometry) for view in views if view.geometry is not None]
+    image_box = placed[0][1].image_box
     assert image_box is not None  # drawn_objects takes no others
-    mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
-    for view, geometry in zip(views, geometries, strict=True):
-        box, scale = view.boxes[0], geometry.metres_per_px
-        low = np.array(geometry.origin_m) + np.array([box.x_min, box.y_min]) * scale
-        high = np.array(geometry.origin_m) + np.array([box.x_max, box.y_max]) * scale
-        seen = frame.cloud.xyz_m @ np.array(geometry.axes)[:2].T
-        mask &= ((seen >= low - scale / 2) & (seen <= high + scale / 2)).all(axis=1)
+    spans = [((np.array(g.axes), spans_m(view)), g.metres_per_px / 2) for view, g in placed]
+    mask = cut_out(frame, image_box, spans)
     if mask.sum() < MIN_POINTS:
         return None
-    last = max(views, key=lambda view: view.step or 0)
-    assert last.geometry is not None  # see above
-    box_3d = aligned_box(frame.cloud.xyz_m[mask], np.array(last.geometry.axes).T)
-    return TaughtObject(views[0].boxes[0].label, box_3d, mask)
+    last = max(placed, key=lambda pair: pair[0].step or 0)[1]
+    return TaughtObject(views[0].boxes[0].label, aligned_box(frame.cloud.xyz_m[mask], np.array(last.axes).T), mask)
 
 
 def _group(stored: StoredFrame) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.projection import project
-from annotator.project import Change, NewLabel, Project, StoredFrame, ViewGeometry
+from annotator.project import Change, NewLabel, Project, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import DrawnObject, draw_object
 from annotator.rcv.teach import TaughtObject, project_box, span_on_view
@@ -23,6 +23,7 @@ from annotator.types import Box2D, BoxKind, Frame, PointCloud, PseudoView, Sourc
 from annotator.types.errors import ConfigError
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.truth import load_mask, load_truth
+from annotator.workflows.views_out import geometry_of
 
 AUTHOR = "simulated operator"
 # An operator cannot see an object of fewer points.
@@ -171,18 +172,6 @@ def _store(
                 Change(revision, AUTHOR, Source.MANUAL),
                 frame_id=stored.id,
                 step=item.step,
-                geometry=view_geometry(item.view, drawn.image_box),
+                geometry=geometry_of(item.view, drawn.image_box),
             ).revision
     return revision
-
-
-def view_geometry(view: PseudoView, image_box: Box2D) -> ViewGeometry:
-    """How a pseudo-view of a box's frustum lies in space, for the store."""
-    return ViewGeometry.model_validate(
-        {
-            "axes": view.axes.tolist(),
-            "metres_per_px": view.metres_per_px,
-            "origin_m": view.origin_m.tolist(),
-            "image_box": image_box,
-        }
-    )
