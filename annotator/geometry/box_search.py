@@ -3,8 +3,8 @@
 Freeman and Shapira (1975): the least rectangle around a polygon has a side along one of its edges, found by
 rotating calipers. O'Rourke (1985): the least box has two adjacent faces each flush with an edge of the hull, and
 often one flush with a face. So: calipers about candidate axes (large hull faces, the eigenvectors, a grid of
-directions); from the best of them, calipers about each of the box's own axes in turn until nothing shrinks (after
-Chang, Gorissen and Melchior, 2011); then a pattern search over small rotations for what is left.
+directions); from the best of them a pattern search over small rotations; and last, calipers about each of the box's
+own axes in turn until nothing shrinks (after Chang, Gorissen and Melchior, 2011), which puts faces exactly flush.
 """
 
 from __future__ import annotations
@@ -19,9 +19,12 @@ from scipy.spatial.transform import Rotation
 MAX_VERTICES = 400
 MAX_FACES = 48
 GRID_DIRECTIONS = 40
-STARTS = 6
+STARTS = 12
 ROUNDS = 8
+
+# The pattern search: its steps, and with how many of the starts each is taken.
 PATTERN_STEPS_RAD = tuple(np.radians(4.0) * 0.5**i for i in range(12))
+PATTERN_KEEP = (13, 12, 8, 4, 3, 3, 2, 2, 1, 1, 1, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +69,9 @@ def least_volume_rotation(hull: ConvexHull, eigenvectors: Float64[np.ndarray, "3
     simple = _simplified(hull)
     axes = np.concatenate([_large_faces(simple), eigenvectors.T, _grid(GRID_DIRECTIONS)])
     starts = sorted((_turned_about(simple, axis) for axis in axes), key=lambda found: found[0])
-    best = min((_alternate(simple, rotation) for _, rotation in starts[:STARTS]), key=lambda found: found[0])
-    return _pattern_search(simple.vertices, best[1])
+    tried = [_alternate(simple, starts[0][1]), *starts[:STARTS]]
+    near = _pattern_search(simple.vertices, np.array([rotation for _, rotation in tried]))
+    return _alternate(simple, near)[1]
 
 
 def _simplified(hull: ConvexHull) -> Hull:
@@ -150,19 +154,38 @@ def _alternate(hull: Hull, rotation: Float64[np.ndarray, "3 3"]) -> tuple[float,
 
 
 def _pattern_search(
-    vertices: Float64[np.ndarray, "v 3"], rotation: Float64[np.ndarray, "3 3"]
+    vertices: Float64[np.ndarray, "v 3"], rotations: Float64[np.ndarray, "k 3 3"]
 ) -> Float64[np.ndarray, "3 3"]:
-    """Small rotations about 26 directions, in halving steps, as long as the box around the vertices shrinks."""
+    """Small rotations about 26 directions, in halving steps, as long as a box around the vertices shrinks.
+
+    Searches from every given rotation at once, and returns the best that was found.
+    """
     signs = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 3)
     directions = np.delete(signs, 13, axis=0).astype(np.float64)
-    volume = float(np.prod(np.ptp(vertices @ rotation, axis=0)))
-    for step in PATTERN_STEPS_RAD:
+    volumes = _volumes(vertices, rotations)
+    for step, keep in zip(PATTERN_STEPS_RAD, PATTERN_KEEP, strict=True):
+        best = np.argsort(volumes, kind="stable")[:keep]
+        rotations, volumes = rotations[best], volumes[best]
         turns = Rotation.from_rotvec(step * directions).as_matrix()
+        moving = np.arange(len(rotations))
         for _ in range(ROUNDS):
-            tried = turns @ rotation
-            extents = np.ptp(np.tensordot(vertices, tried, axes=(1, 1)), axis=0)
-            volumes = extents.prod(axis=1)
-            if volumes.min() >= volume:
+            tried = turns @ rotations[moving, None]
+            found = _volumes(vertices, tried)
+            choice = found.argmin(axis=1)
+            smallest = found[np.arange(len(moving)), choice]
+            better = smallest < volumes[moving]
+            tried, moving = tried[better, choice[better]], moving[better]
+            rotations[moving], volumes[moving] = tried, smallest[better]
+            if not len(moving):
                 break
-            volume, rotation = float(volumes.min()), tried[volumes.argmin()]
-    return rotation
+    return rotations[volumes.argmin()]
+
+
+def _volumes(
+    vertices: Float64[np.ndarray, "v 3"], rotations: Float64[np.ndarray, "*k 3 3"]
+) -> Float64[np.ndarray, "*k"]:
+    """Volumes of the boxes around the vertices with each rotation."""
+    axes = np.swapaxes(rotations, -1, -2).reshape(-1, 3)
+    seen = axes @ vertices.T
+    spans = seen.max(axis=1) - seen.min(axis=1)
+    return spans.reshape(rotations.shape[:-1]).prod(axis=-1)

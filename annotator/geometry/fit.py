@@ -46,7 +46,7 @@ def min_volume_box(xyz_m: Float[np.ndarray, "n 3"]) -> OrientedBox:
     """The oriented box of least volume around points, free in rotation.
 
     Its x, y, z are its longest, middle and shortest side. The search (see `box_search`) is exact where a face of
-    the box lies flush with one of the hull's large faces, and otherwise ends in a local minimum close to it.
+    the box lies flush with one of the hull's large faces; otherwise it ends in one of the best local minima.
 
     Args:
         xyz_m: at least three points that are not on one line, metres; points on a plane make a thin box.

