@@ -19,7 +19,8 @@ BODY_RADIUS_M = 0.3
 PERSONAL_SPACE_M = 0.62
 # Metres that a person moves on while the gait's phase runs through 2 pi (two steps).
 GAIT_M = 1.35
-JOINT_DELAY_S = 0.16
+GESTURE_DELAY_S, GAIT_DELAY_S = 0.16, 0.07
+JOINT_RATE_RAD_S = 8.0
 WALK_LIMIT_S = 7.0
 TURN_RATE_RAD_S = 2.6
 
@@ -193,8 +194,10 @@ def _move_joints(walker: Walker, now: float) -> None:
     if walker.gesture >= 0:
         goal = gesturing(walker.gesture, now - walker.started_s)
     # a walking leg must keep up with its foot, so it is filtered less than a gesture
-    delay = JOINT_DELAY_S if walker.gesture >= 0 else 0.07
-    walker.joints = walker.joints + (to_vector(goal) - walker.joints) * (1 - np.exp(-STEP_S / delay))
+    delay = GESTURE_DELAY_S if walker.gesture >= 0 else GAIT_DELAY_S
+    change = (to_vector(goal) - walker.joints) * (1 - np.exp(-STEP_S / delay))
+    limit = JOINT_RATE_RAD_S * STEP_S
+    walker.joints = walker.joints + np.clip(change, -limit, limit)
 
 
 def _outside_distance(place: np.ndarray, box: Footprint) -> float:

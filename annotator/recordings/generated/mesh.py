@@ -15,6 +15,10 @@ from jaxtyping import Float, Float32, Int16, Int32
 SEGMENTS = 18
 RINGS = 5  # in each half of a blob, without the pole
 
+# Whole numbers are welcome too; the run-time checks of the tests tell them apart.
+Number = float | int
+Triple = tuple[Number, Number, Number]
+
 BOX_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
@@ -81,7 +85,7 @@ class Blobs:
     _ends: list[np.ndarray] = field(default_factory=list)
     _radii: list[np.ndarray] = field(default_factory=list)
     _frames: list[np.ndarray] = field(default_factory=list)
-    _numbers: list[tuple[float, int, int]] = field(default_factory=list)
+    _numbers: list[tuple[Number, int, int]] = field(default_factory=list)
 
     def add(
         self,
@@ -92,7 +96,7 @@ class Blobs:
         *,
         end_radii: tuple[float, float] | tuple[float, float, float] | None = None,
         side: np.ndarray | None = None,
-        power: float = 2.0,
+        power: Number = 2.0,
     ) -> None:
         """A blob from `start` to `end`, metres.
 
@@ -115,7 +119,7 @@ class Blobs:
         material: int,
         *,
         frame: np.ndarray | None = None,
-        power: float = 2.0,
+        power: Number = 2.0,
     ) -> None:
         """An ellipsoid (or cushion) with `radii` along the columns of `frame` (default: the axes)."""
         self._ends.append(np.stack([center, center]))
@@ -153,9 +157,7 @@ class Blobs:
         )
 
 
-def box_mesh(
-    center: tuple[float, float, float], size: tuple[float, float, float], material: int, yaw_rad: float = 0.0
-) -> Mesh:
+def box_mesh(center: Triple, size: Triple, material: int, yaw_rad: float = 0.0) -> Mesh:
     """A box with sharp edges that stands upright, turned by `yaw_rad` about z; metres."""
     faces, normals = [], []
     for axis in range(3):

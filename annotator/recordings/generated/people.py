@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from annotator.recordings.generated.looks import Looks
-from annotator.recordings.generated.mesh import Blobs, Mesh, turn_x, turn_y, turn_z
+from annotator.recordings.generated.mesh import Blobs, Mesh, Triple, turn_x, turn_y, turn_z
 from annotator.recordings.generated.pose import Arm, Leg, Pose
 
 FORWARD, LEFT, UP = np.eye(3)
@@ -120,28 +120,34 @@ def _head(blobs: Blobs, looks: Looks, neck: np.ndarray, turn: np.ndarray) -> Non
     middle = neck + turn @ np.array([0.012 * h, 0, (NECK + 0.052) * h])
     blobs.add(neck - 0.02 * h * UP, middle - turn @ (0.03 * h * UP), (0.031 * h, 0.03 * h), looks.skin)
 
-    def ball(
-        x: float, y: float, z: float, radii: tuple[float, float, float], material: int, power: float = 2.0
-    ) -> None:
-        scaled = (radii[0] * h, radii[1] * h, radii[2] * h)
-        blobs.ball(middle + turn @ (np.array([x, y, z]) * h), scaled, material, frame=turn, power=power)
+    for place, (rx, ry, rz), material, power in _head_parts(looks):
+        at = middle + turn @ (np.array(place) * h)
+        blobs.ball(at, (rx * h, ry * h, rz * h), material, frame=turn, power=power)
 
-    ball(0, 0, 0, (0.056, 0.045, 0.068), looks.skin, 2.2)
-    ball(0.056, 0, -0.01, (0.012, 0.008, 0.014), looks.skin)
-    for side in (-1.0, 1.0):
-        ball(0.048, side * 0.018, 0.01, (0.006, 0.009, 0.005), looks.dark)
-        ball(0.049, side * 0.019, 0.022, (0.006, 0.012, 0.0025), looks.hair)
-        ball(-0.004, side * 0.046, 0, (0.009, 0.005, 0.016), looks.skin)
-    ball(0.05, 0, -0.036, (0.005, 0.016, 0.003), looks.dark)
+
+def _head_parts(looks: Looks) -> list[tuple[Triple, Triple, int, float]]:
+    """Place and radii (in body heights, about the head's middle), material and roundness of each part of a head."""
+    parts: list[tuple[Triple, Triple, int, float]] = [
+        ((0, 0, 0), (0.056, 0.045, 0.068), looks.skin, 2.2),
+        ((0.056, 0, -0.01), (0.012, 0.008, 0.014), looks.skin, 2.0),  # nose
+        ((0.05, 0, -0.036), (0.005, 0.016, 0.003), looks.dark, 2.0),  # mouth
+    ]
+    for side in (-1, 1):
+        parts += [
+            ((0.048, side * 0.018, 0.01), (0.006, 0.009, 0.005), looks.dark, 2.0),  # eye
+            ((0.049, side * 0.019, 0.022), (0.006, 0.012, 0.0025), looks.hair, 2.0),  # brow
+            ((-0.004, side * 0.046, 0), (0.009, 0.005, 0.016), looks.skin, 2.0),  # ear
+        ]
+    on_top = looks.bag if looks.hair_style == "cap" else looks.hair
     if looks.hair_style != "bald":
-        material = looks.bag if looks.hair_style == "cap" else looks.hair
-        ball(-0.012, 0, 0.02, (0.055, 0.05, 0.058), material, 2.2)
+        parts.append(((-0.012, 0, 0.02), (0.055, 0.05, 0.058), on_top, 2.2))
     if looks.hair_style == "long":
-        ball(-0.035, 0, -0.045, (0.026, 0.05, 0.08), looks.hair, 2.4)
+        parts.append(((-0.035, 0, -0.045), (0.026, 0.05, 0.08), looks.hair, 2.4))
     if looks.hair_style == "bun":
-        ball(-0.068, 0, 0.035, (0.026, 0.028, 0.026), looks.hair)
+        parts.append(((-0.068, 0, 0.035), (0.026, 0.028, 0.026), looks.hair, 2.0))
     if looks.hair_style == "cap":
-        ball(0.05, 0, 0.034, (0.046, 0.043, 0.006), looks.bag)
+        parts.append(((0.05, 0, 0.034), (0.046, 0.043, 0.006), on_top, 2.0))
+    return parts
 
 
 def posed_arm(blobs: Blobs, looks: Looks, start: np.ndarray, chest: np.ndarray, arm: Arm, sign: float) -> None:

@@ -64,25 +64,28 @@ def from_vector(vector: np.ndarray) -> Pose:
 
 def walking(phase: float, stride: float) -> Pose:
     """One moment of a gait; `phase` runs through 2 pi in two steps, `stride` 0..1 is how far they reach."""
-
-    def leg(at: float) -> Leg:
-        # the leg swings forward while sin rises, and its knee bends on the way
-        bend = max(0.0, np.cos(at + 0.35)) ** 2
-        return Leg(hip=stride * (0.48 * np.sin(at) + 0.06), knee=0.06 + stride * (0.12 + 0.95 * bend))
-
-    def arm(at: float) -> Arm:
-        return Arm(flex=-0.5 * stride * np.sin(at), out=0.12, elbow=0.25 + 0.35 * stride * max(0.0, -np.sin(at)))
-
-    swing = np.sin(phase)
+    swing = float(np.sin(phase))
     return Pose(
         lean=0.06 * stride,
         twist=-0.12 * stride * swing,
         head_turn=0.1 * stride * swing,
-        left_arm=arm(phase),
-        right_arm=arm(phase + np.pi),
-        left_leg=leg(phase),
-        right_leg=leg(phase + np.pi),
+        left_arm=_walking_arm(phase, stride),
+        right_arm=_walking_arm(phase + np.pi, stride),
+        left_leg=_walking_leg(phase, stride),
+        right_leg=_walking_leg(phase + np.pi, stride),
     )
+
+
+def _walking_leg(phase: float, stride: float) -> Leg:
+    """The leg swings forward while sin(phase) rises, and its knee bends on the way."""
+    bend = max(0.0, float(np.cos(phase + 0.35))) ** 2
+    return Leg(hip=stride * (0.48 * float(np.sin(phase)) + 0.06), knee=0.06 + stride * (0.12 + 0.95 * bend))
+
+
+def _walking_arm(phase: float, stride: float) -> Arm:
+    """Arms swing against the legs."""
+    back = -float(np.sin(phase))
+    return Arm(flex=0.5 * stride * back, out=0.12, elbow=0.25 + 0.35 * stride * max(0.0, back))
 
 
 def _talk(t: float) -> Pose:
