@@ -89,12 +89,20 @@ def test_small_hulls_without_a_flush_face_are_not_left_in_a_poor_minimum(seed: i
     assert min_volume_box(points).volume_m3 <= best * 1.003
 
 
-def test_hull_edges_along_the_axis_in_turn_do_not_bend_the_axes() -> None:
-    """Seen along itself an edge has no direction but rounding's, and once made a box that was not square."""
-    turn = Rotation.from_euler("ZYX", [-1.8, 1.187, 0.0]).as_matrix()
-    for size in ([1.10744317, 0.38414125, 0.99999], [1.0, 1.0, 1.0], [2.0, 1.0, 0.5]):
-        box = OrientedBox.from_parts(np.zeros(3), turn, np.array(size))
-        assert min_volume_box(box_corners(box)).volume_m3 == pytest.approx(box.volume_m3, rel=1e-6)
+@pytest.mark.parametrize(
+    ("yaw_pitch_roll", "size"),
+    [
+        ((1.57, 0.68, -1.06), (2.0, 1.6, 1.7)),
+        ((1.92, 0.0, 1.03), (1.14, 1.29, 0.92)),
+        ((2.81, 0.85, 1.95), (0.39, 0.78, 1.28)),
+        ((-0.69, -1.01, 0.0), (1.33, 1.78, 1.39)),
+    ],
+)
+def test_hull_edges_along_the_axis_in_turn_do_not_bend_the_axes(yaw_pitch_roll, size) -> None:
+    """Seen along itself an edge has no direction but rounding's; taken for one, it made axes that were not square."""
+    turn = Rotation.from_euler("ZYX", yaw_pitch_roll).as_matrix()
+    box = OrientedBox.from_parts(np.zeros(3), turn, np.array(size))
+    assert min_volume_box(box_corners(box)).volume_m3 == pytest.approx(box.volume_m3, rel=1e-6)
 
 
 @settings(deadline=None, max_examples=20)
