@@ -60,8 +60,7 @@ def run(
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
 
         def tell(role: Role, step: TrainingProgress) -> None:
-            whole = step.epoch + (step.batch / step.batches if step.batches and step.epoch < step.epochs else 0)
-            bar.update(tasks[role], completed=whole, total=step.epochs, note=_note(step))
+            bar.update(tasks[role], completed=step.epochs_done, total=step.epochs, note=_note(step))
 
         trained = train(opened, plan, roles=roles, progress=tell)
     for result in trained:

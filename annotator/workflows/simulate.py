@@ -47,10 +47,12 @@ class Drawn:
 
 def visible_objects(recording: Recording, index: int, frame: Frame, classes: Sequence[str]) -> list[TaughtObject]:
     """The true objects of the project's classes that have enough points, each with the points that are its own."""
-    truths = [t for t in load_truth(recording, index, frame) if t.label in classes]
     mask = load_mask(recording, frame)
+    # The mask numbers all labelled objects, those of other classes included.
     objects = [
-        TaughtObject(t.label, t.box, _own_points(t, number, frame.cloud, mask)) for number, t in enumerate(truths)
+        TaughtObject(t.label, t.box, _own_points(t, number, frame.cloud, mask))
+        for number, t in enumerate(load_truth(recording, index, frame), 1)
+        if t.label in classes
     ]
     return [o for o in objects if o.points is not None and o.points.sum() >= MIN_VISIBLE_POINTS]
 
@@ -59,7 +61,7 @@ def _own_points(truth: Truth, number: int, cloud: PointCloud, mask: np.ndarray |
     """The object's points: by the mask where there is one, else those in its true box."""
     if mask is None or cloud.pixel_index is None:
         return contains(truth.box, cloud.xyz_m)
-    return mask.ravel()[cloud.pixel_index] == number + 1
+    return mask.ravel()[cloud.pixel_index] == number
 
 
 def draw_frame(

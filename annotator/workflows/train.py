@@ -21,7 +21,7 @@ from annotator.workflows.samples import Material, SampleConfig, gather, image_sa
 
 DATASET = "dataset"
 # A camera image shows its objects small, and there are fewer of them than of pseudo-views.
-IMAGE_DEFAULTS = TrainingConfig(image_size_px=320, pictures_seen=2400)
+IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=224, pictures_seen=6000)
 
 ProgressCallback = Callable[[Role, TrainingProgress], None]

@@ -1,0 +1,81 @@
+"""`annotator demo`"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import mkdtemp
+
+from rich.progress import TaskID
+
+from annotator.cli.generate import Preset
+from annotator.cli.output import print_line
+from annotator.cli.progress import progress_bar
+from annotator.workflows.demo import DemoPlan, DemoResult, run_demo
+
+
+def run(
+    out: Path | None = None,
+    /,
+    *,
+    preset: Preset = Preset.PEOPLE,
+    frames: int = DemoPlan.frames,
+    seed: int = 0,
+    image_pictures: int = DemoPlan.image_pictures,
+    view_pictures: int = DemoPlan.view_pictures,
+) -> None:
+    """Run the whole loop on a generated recording: draw boxes, train, propose, score, write the dataset.
+
+    Args:
+        out: a new folder for all of it; default: one below ./out.
+        preset: people in a room, or hands.
+        frames: of the recording; every second one is labelled.
+        seed: another number, another room.
+        image_pictures: how many pictures the image detector is shown in training, repeats counted.
+        view_pictures: the same of the pseudo-view detector.
+    """
+    root = out if out is not None else _new_folder()
+    plan = DemoPlan(
+        preset=preset.value, frames=frames, seed=seed, image_pictures=image_pictures, view_pictures=view_pictures
+    )
+    with progress_bar() as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(stage: str, done: float, total: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total, note="")
+            bar.update(tasks[stage], completed=done, total=total)
+
+        result = run_demo(root, plan, tell)
+    for line in _told(root, result):
+        print_line(line)
+
+
+def _new_folder() -> Path:
+    parent = Path("out")
+    parent.mkdir(exist_ok=True)
+    return Path(mkdtemp(prefix="demo-", dir=parent))
+
+
+def _told(root: Path, result: DemoResult) -> list[str]:
+    drawn, done = result.drawn, result.annotated
+    return [
+        "",
+        f"drawn      {drawn.boxes} 2D boxes on {drawn.frames} frames",
+        *(
+            f"trained    {t.role} detector, {t.seconds:.0f} s, mAP50 {t.result.metrics.map50:.2f}"
+            for t in result.trained
+        ),
+        f"proposed   {done.proposals} oriented 3D boxes in {done.done} frames, {done.seconds:.0f} s",
+        *(
+            f"scored     {s.label}: mean IoU {s.mean_iou:.2f}, AP25 {s.ap25:.2f}, AP50 {s.ap50:.2f} "
+            f"({s.objects} objects in {s.frames} frames that nobody labelled)"
+            for s in result.scores
+        ),
+        f"written    {result.dataset.counts.objects} boxes in {result.dataset.counts.frames} frames",
+        f"took       {sum(result.seconds.values()):.0f} s: "
+        + ", ".join(f"{name} {seconds:.0f}" for name, seconds in result.seconds.items()),
+        "",
+        f"recording  {root / 'recording'}",
+        f"project    {root / 'demo'} (annotator stats demo --root {root})",
+        f"dataset    {next(root.glob('3D_*'))}",
+    ]

@@ -1,0 +1,81 @@
+"""How good a project's labels are, where its recordings bring truth."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from annotator.evaluation.oriented import FrameResult, average_precision, matched_ious
+from annotator.geometry.oriented_box import contains
+from annotator.project import Project
+from annotator.types import ReviewState
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.truth import load_truth
+
+SCORED_STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Of one class.
+
+    Attributes:
+        frames, objects: with truth.
+        found: share of the objects with a box that overlaps them at all.
+        mean_iou: exact 3D IoU, 0 for an object without a box.
+        ap25, ap50: average precision at IoU 0.25 and 0.5.
+    """
+
+    label: str
+    frames: int
+    objects: int
+    found: float
+    mean_iou: float
+    ap25: float
+    ap50: float
+
+
+def score_project(
+    project: Project, recording_id: int, frame_ids: Collection[int] | None = None, min_points: int = 100
+) -> list[Scores]:
+    """Compares the labels of a recording with its truth, class by class.
+
+    Args:
+        frame_ids: only these frames; None = all.
+        min_points: objects with fewer points in their true box cannot be seen and are left out.
+
+    Raises:
+        RecordingError: the recording brings no truth.
+    """
+    source = FrameSource(project)
+    recording = source.recording(recording_id)
+    places = {key: index for index, key in enumerate(recording.keys)}
+    results: dict[str, list[FrameResult]] = defaultdict(list)
+    for stored in project.frames.of([recording_id]):
+        if frame_ids is not None and stored.id not in frame_ids:
+            continue
+        frame = source.read(stored)
+        truths = load_truth(recording, places[stored.key], frame)
+        seen = [t for t in truths if contains(t.box, frame.cloud.xyz_m).sum() >= min_points]
+        labels = [label for label in project.labels.of_frame(stored.id) if label.state in SCORED_STATES]
+        for name in project.config.classes:
+            own = [label for label in labels if label.label == name]
+            scores = [1.0 if label.score is None else label.score for label in own]
+            results[name].append(FrameResult([x.box for x in own], scores, [t.box for t in seen if t.label == name]))
+    return [_scores(name, found) for name, found in results.items()]
+
+
+def _scores(label: str, results: list[FrameResult]) -> Scores:
+    ious = np.concatenate([matched_ious(result) for result in results] or [np.zeros(0)])
+    return Scores(
+        label=label,
+        frames=len(results),
+        objects=len(ious),
+        found=float((ious > 0).mean()) if len(ious) else float("nan"),
+        mean_iou=float(ious.mean()) if len(ious) else float("nan"),
+        ap25=average_precision(results, 0.25),
+        ap50=average_precision(results, 0.5),
+    )
