@@ -36,7 +36,14 @@ class Instead:
 
 INSTEAD: dict[str, Instead] = {
     "scripts/test": Instead(None, "it runs this test"),
-    "scripts/demo": Instead(None, "the demo has its own test"),
+    "scripts/demo": Instead(None, "tests/workflows tries the demo, tests/test_scripts.py the set-up"),
+    "annotator train hands": Instead(
+        "annotator train hands --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
+    ),
+    # What so short a training proposes, if anything, is left to chance.
+    "annotator export hands --format rcv out/3D_HAND": Instead(
+        "annotator export hands --format rcv out/3D_HAND --empty-frames", "there may be no box to export"
+    ),
 }
 
 

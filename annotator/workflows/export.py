@@ -63,7 +63,7 @@ def export_dataset(
         )
     labels = _labels(project, choose)
     frames = [f for f in project.frames.of(choose.recordings) if f.id in labels or choose.empty_frames]
-    if not any(labels.values()):
+    if not any(labels.values()) and not choose.empty_frames:
         raise ConfigError(
             f"project {project.config.name} has no labels in state {', '.join(choose.states)} to export; "
             "run `annotator annotate` first, or choose other states"

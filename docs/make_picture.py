@@ -1,0 +1,109 @@
+"""Draws docs/loop.jpg, the README's picture, from a generated recording: python docs/make_picture.py"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+
+from annotator.detection.perfect import PerfectDetector
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.oriented_box import EDGES, box_corners, contains
+from annotator.geometry.projection import project
+from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.propose import propose
+from annotator.rcv.pseudo_view import render_pairs
+from annotator.recordings import open_recording
+from annotator.recordings.generated import write_generated
+from annotator.types import Frame, PointCloud, Proposal, StepTrace
+from annotator.workflows.truth import load_truth
+
+OUT = Path(__file__).parent / "loop.jpg"
+RED, GREEN, YELLOW = (230, 60, 50), (60, 220, 90), (250, 220, 60)
+TILE, GAP, BAR, COLUMNS = 232, 8, 26, 6
+
+
+def main() -> None:
+    with TemporaryDirectory() as folder:
+        write_generated(Path(folder) / "room", "people", 6, seed=3)
+        recording = open_recording(Path(folder) / "room")
+        frame = recording.frame(4)
+        truths = [t for t in load_truth(recording, 4, frame) if contains(t.box, frame.cloud.xyz_m).sum() > 2000]
+    config = RcvConfig(orientation=Orientation.UPRIGHT, view=ViewConfig(size_px=TILE))
+    detector = PerfectDetector.for_frame(frame, truths, jitter=0.01)
+    proposals = propose([frame], detector, detector, config)[0].proposals
+    shown = max(proposals, key=lambda p: p.image_box.width_px * p.image_box.height_px)
+    camera = np.hstack([camera_image(frame, [shown], boxes_3d=False), gap(480), camera_image(frame, proposals)])
+    tiles = [tile for step in shown.trace[:3] for tile in step_tiles(frame, shown, step)][: 2 * COLUMNS]
+    views = np.vstack([np.hstack(tiles[:COLUMNS]), np.hstack(tiles[COLUMNS:])])
+    width = camera.shape[1]
+    views = cv2.resize(views, (width, round(views.shape[0] * width / views.shape[1])), interpolation=cv2.INTER_AREA)
+    column = width // COLUMNS
+    rows = [
+        title({0: "1  a box on the camera image cuts a frustum", 648: "4  the fitted boxes, fully oriented"}, width),
+        camera,
+        title({0: "2  front and side pseudo-view", 2 * column: "3  what is kept, along several axes at once"}, width),
+        views,
+    ]
+    cv2.imwrite(str(OUT), np.vstack(rows)[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+def title(texts: dict[int, str], width: int) -> np.ndarray:
+    bar = np.full((BAR, width, 3), 255, np.uint8)
+    for x, text in texts.items():
+        cv2.putText(bar, text, (x + 8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (40, 40, 40), 1, cv2.LINE_AA)
+    return bar
+
+
+def gap(height: int) -> np.ndarray:
+    return np.full((height, GAP, 3), 255, np.uint8)
+
+
+def camera_image(frame: Frame, proposals: list[Proposal], boxes_3d: bool = True) -> np.ndarray:
+    picture = np.ascontiguousarray(frame.rgb).copy()
+    for proposal in proposals:
+        if boxes_3d:
+            corners = np.rint(project(frame.camera, box_corners(proposal.box))).astype(int)
+            for a, b in EDGES:
+                cv2.line(picture, tuple(map(int, corners[a])), tuple(map(int, corners[b])), GREEN, 2, cv2.LINE_AA)
+        else:
+            low_high = np.rint(np.array(proposal.image_box.xyxy)).astype(int).tolist()
+            cv2.rectangle(picture, tuple(low_high[:2]), tuple(low_high[2:]), RED, 2, cv2.LINE_AA)
+    return picture
+
+
+def step_tiles(frame: Frame, proposal: Proposal, step: StepTrace) -> list[np.ndarray]:
+    """The step's pictures with the boxes that were used, drawn anew from the points that the step saw."""
+    cloud = cloud_of(frame, proposal, step)
+    frames = [np.array(view.axes) for view in step.views[::2]]
+    pictures = render_pairs(cloud, frames, ViewConfig(size_px=TILE))
+    tiles = []
+    for picture, view in zip(pictures, step.views, strict=True):
+        tile = np.ascontiguousarray(picture.rgb).copy()
+        if view.used is not None:
+            box = view.boxes[view.used]
+            spans = np.array(view.origin_m) + np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]]) * (
+                view.metres_per_px
+            )
+            low, high = np.rint((spans - picture.origin_m) / picture.metres_per_px).astype(int)
+            cv2.rectangle(tile, tuple(map(int, low)), tuple(map(int, high)), RED, 2)
+        square = np.full((TILE + GAP, TILE + GAP, 3), 255, np.uint8)
+        height, width = tile.shape[:2]
+        top, left = (TILE - height) // 2, (TILE - width) // 2
+        square[:TILE, :TILE] = 114
+        square[top : top + height, left : left + width] = tile
+        tiles.append(square)
+    return tiles
+
+
+def cloud_of(frame: Frame, proposal: Proposal, step: StepTrace) -> PointCloud:
+    mask = in_frustum(frame.camera, frame.cloud.xyz_m, proposal.image_box)
+    if step is not proposal.trace[0]:
+        mask &= contains(proposal.box, frame.cloud.xyz_m, 0.08)
+    return frame.cloud.select(mask)
+
+
+if __name__ == "__main__":
+    main()
