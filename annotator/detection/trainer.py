@@ -1,0 +1,236 @@
+"""Ultralytics' detection trainer, fitted to small sets of pseudo-views and to a CPU.
+
+What differs from the trainer as it comes: an optimiser step after every batch (it gathers 64 pictures, which on a set
+of 100 leaves hardly any steps), Muon in float32, all cores instead of one fewer, channels-last memory, measuring every
+few epochs only, checkpoints that are whole at any moment, and quarter turns. It looks for no font and no network.
+
+Imports ultralytics: import this module only where a detector is about to be trained.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from annotator.detection.manifest import DatasetManifest
+from annotator.detection.muon import MuonSgd
+from annotator.detection.ultralytics_api import api
+
+_API = api()
+_Dataset: Any = _API.YOLODataset
+_Trainer: Any = _API.DetectionTrainer
+# The classification branch starts from rare-object biases and gains from larger steps, as in ultralytics' own mix.
+HEAD_LR_FACTOR = 3.0
+# How fast normalisation forgets, a batch. Ultralytics' 0.03 suits runs of many thousand steps; after a hundred, the
+# statistics would still be those of random weights.
+NORM_MOMENTUM = 0.1
+# A checkpoint takes a second to write, which in a run over few small pictures is longer than an epoch.
+SAVE_EVERY_S = 20.0
+
+
+@dataclass(frozen=True)
+class TrainerHooks:
+    """What a run has beyond ultralytics' own settings.
+
+    Attributes:
+        dataset: folder of the training set.
+        manifest: of the training set.
+        device: torch device.
+        measure_every: epochs between measurements; the last epoch is always measured.
+        quarter_turns: turn training pictures by random multiples of 90 degrees.
+        on_batch, on_epoch: called with the trainer after each batch, and after each epoch is saved.
+    """
+
+    dataset: Path
+    manifest: DatasetManifest
+    device: Any
+    measure_every: int
+    quarter_turns: bool
+    on_batch: Callable[[Any], None]
+    on_epoch: Callable[[Any], None]
+
+
+class QuarterTurn:
+    """Turns a training picture and its boxes by a random multiple of 90 degrees."""
+
+    def __call__(self, labels: dict[str, Any]) -> dict[str, Any]:
+        turns = random.randrange(4)
+        if turns == 0:
+            return labels
+        height, width = labels["img"].shape[:2]
+        instances = labels["instances"]
+        instances.convert_bbox("xyxy")
+        instances.denormalize(width, height)
+        boxes = turn_boxes(instances.bboxes, width, height, turns)
+        labels["img"] = np.ascontiguousarray(np.rot90(labels["img"], turns))
+        labels["instances"] = type(instances)(boxes, bbox_format="xyxy", normalized=False)
+        return labels
+
+
+def turn_boxes(boxes: np.ndarray, width: int, height: int, turns: int) -> np.ndarray:
+    """(n, 4) boxes x_min y_min x_max y_max, measured from the picture's corner, after `np.rot90(picture, turns)`."""
+    for _ in range(turns):
+        x_min, y_min, x_max, y_max = boxes.T
+        boxes = np.stack([y_min, width - x_max, y_max, width - x_min], axis=1)
+        width, height = height, width
+    return boxes
+
+
+class ViewDataset(_Dataset):
+    """A YOLO set with quarter turns, held in memory without a progress bar of its own."""
+
+    quarter_turns = False
+
+    def build_transforms(self, hyp: Any) -> Any:
+        transforms = super().build_transforms(hyp)
+        if self.augment and self.quarter_turns:
+            transforms.insert(len(transforms.transforms) - 1, QuarterTurn())
+        return transforms
+
+    def cache_images(self) -> None:
+        for index in range(self.ni):
+            self.ims[index], self.im_hw0[index], self.im_hw[index] = self.load_image(index)
+
+
+class TurningDataset(ViewDataset):
+    quarter_turns = True
+
+
+class ViewTrainer(_Trainer):
+    """The trainer; `hooks` is set by `make_trainer` before ultralytics' own set-up runs."""
+
+    hooks: TrainerHooks
+    model: Any
+    last: Path
+    best: Path
+    saved_at_s = 0.0
+
+    def get_dataset(self) -> dict[str, Any]:
+        hooks = self.hooks
+        images = hooks.dataset.resolve() / "images"
+        return {
+            "path": hooks.dataset.resolve(),
+            "yaml_file": str(hooks.dataset.resolve() / "data.yaml"),
+            "train": str(images / "train"),
+            "val": str(images / hooks.manifest.measured_on),
+            "names": dict(enumerate(hooks.manifest.classes)),
+            "nc": len(hooks.manifest.classes),
+            "channels": 3,
+        }
+
+    def build_dataset(self, img_path: str, mode: str = "train", batch: int | None = None) -> Any:
+        training = mode == "train"
+        dataset = TurningDataset if training and self.hooks.quarter_turns else ViewDataset
+        return dataset(
+            img_path=img_path,
+            imgsz=self.args.imgsz,
+            batch_size=batch,
+            augment=training,
+            hyp=self.args,
+            rect=not training,
+            cache=self.args.cache,
+            stride=max(int(self.model.stride.max()), 32),
+            pad=0.0 if training else 0.5,
+            data=self.data,
+        )
+
+    def get_model(self, cfg: Any = None, weights: Any = None, verbose: bool = True) -> Any:
+        # The weights follow from the seed alone, whatever was drawn from the generators before.
+        _API.torch.manual_seed(self.args.seed)
+        model = super().get_model(cfg, weights, verbose=False)
+        for module in model.modules():
+            if isinstance(module, _API.torch.nn.BatchNorm2d):
+                module.momentum = NORM_MOMENTUM
+        return model
+
+    def _setup_train(self) -> None:
+        # The base class has just limited torch to one thread fewer than there are cores.
+        _API.torch.set_num_threads(_API.threads)
+        super()._setup_train()
+        if self.hooks.device.type == "cpu":
+            self.model = self.model.to(memory_format=_API.torch.channels_last)
+
+    def preprocess_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
+        batch = super().preprocess_batch(batch)
+        if self.hooks.device.type == "cpu":
+            batch["img"] = batch["img"].contiguous(memory_format=_API.torch.channels_last)
+        return batch
+
+    def build_optimizer(
+        self,
+        model: Any,
+        name: str = "auto",
+        lr: float = 0.01,
+        momentum: float = 0.9,
+        decay: float = 0.0,
+        iterations: float | int = 0,
+    ) -> Any:
+        if name == "MuSGD":
+            return MuonSgd(parameter_groups(model, lr, momentum, decay))
+        return super().build_optimizer(model, name, lr, momentum, decay, iterations)
+
+    def validate(self) -> Any:
+        if (self.epoch + 1) % self.hooks.measure_every == 0 or self.epoch + 1 >= self.epochs or self.stop:
+            return super().validate()
+        return dict.fromkeys(self.metrics, float("nan")), None
+
+    def save_model(self) -> bool:
+        """As the base class, but not after every short epoch, and a checkpoint takes its name only once it is whole."""
+        measured, last = self.fitness is not None, self.epoch + 1 >= self.epochs
+        if measured or last or time.monotonic() - self.saved_at_s > SAVE_EVERY_S:
+            self._save_whole()
+            self.saved_at_s = time.monotonic()
+        self.hooks.on_epoch(self)
+        return True
+
+    def _save_whole(self) -> None:
+        names = self.last, self.best
+        self.last, self.best = (path.with_suffix(".part") for path in names)
+        try:
+            super().save_model()
+            for part, path in zip((self.last, self.best), names, strict=True):
+                if part.exists():
+                    part.replace(path)
+        finally:
+            self.last, self.best = names
+
+    def final_eval(self) -> None:
+        """Nothing: the best epoch has been measured already."""
+
+
+def make_trainer(overrides: dict[str, Any], hooks: TrainerHooks) -> ViewTrainer:
+    """A trainer with ultralytics' settings `overrides`, ready for `train()`."""
+    ready = type("ReadyTrainer", (ViewTrainer,), {"hooks": hooks})
+    trainer = ready(overrides=overrides)
+    trainer.add_callback("on_train_batch_end", hooks.on_batch)
+    return trainer
+
+
+def parameter_groups(model: Any, lr: float, momentum: float, decay: float) -> list[dict[str, Any]]:
+    """Weights (Muon, with decay), biases and normalisation (neither), each apart for the classification branches."""
+    head = model.model[-1]
+    branches = (getattr(head, "cv3", None), getattr(head, "one2one_cv3", None))
+    boosted = {id(p) for branch in branches if branch is not None for p in branch.parameters()}
+    groups: dict[tuple[str, bool], list[Any]] = {}
+    for name, parameter in model.named_parameters():
+        if not parameter.requires_grad:
+            continue
+        kind = "muon" if parameter.ndim >= 2 else "bias" if name.endswith("bias") else "bn"
+        groups.setdefault((kind, id(parameter) in boosted), []).append(parameter)
+    return [
+        {
+            "params": parameters,
+            "param_group": kind,
+            "use_muon": kind == "muon",
+            "lr": lr * (HEAD_LR_FACTOR if boost else 1.0),
+            "momentum": momentum,
+            "weight_decay": decay if kind == "muon" else 0.0,
+        }
+        for (kind, boost), parameters in groups.items()
+    ]

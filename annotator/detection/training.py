@@ -1,0 +1,259 @@
+"""Training one detector from a training set on disk, with progress, cancelling and resuming."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from annotator.detection.config import Role, TrainingConfig
+from annotator.detection.manifest import DatasetManifest, read_manifest
+from annotator.detection.pretrained import StartingPoint, find_starting_point
+from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
+from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
+from annotator.detection.ultralytics_api import api, pick_device
+from annotator.types.errors import DetectionError
+
+MEASUREMENTS = 12
+
+__all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]
+
+
+def train_detector(
+    dataset: Path,
+    out: Path,
+    config: TrainingConfig,
+    progress: Report | None = None,
+    role: Role = "view",
+    stop: Callable[[], bool] | None = None,
+) -> TrainedModel:
+    """Trains a detector, or goes on with an interrupted run of the same set and settings in `out`.
+
+    A run that is already complete is not repeated. Another set or other settings start afresh, and what was in `out`
+    is replaced. An interrupt (Ctrl-C, `stop`, a killed process) loses no more than the running epoch.
+
+    Args:
+        dataset: folder that `write_dataset` wrote.
+        out: folder of the run; it gets `detector.pt`, `model.json` and `curves.csv`.
+        config: settings.
+        progress: called after every batch and every epoch.
+        role: which detector; it decides the augmentation.
+        stop: asked after every batch; true ends the run.
+
+    Returns:
+        the trained model, as `read_trained(out)` gives it again later.
+
+    Raises:
+        ConfigError: an unknown model name or a missing weights file.
+        DetectionError: the device is not there, or the training fails.
+        FormatError: `dataset` is not a training set.
+        TrainingStoppedError: `stop` said so.
+    """
+    manifest = read_manifest(dataset)
+    device = pick_device(config.device)
+    fingerprint = _fingerprint(manifest, config, role)
+    finished = _finished(out, fingerprint)
+    if finished is not None:
+        return finished
+    run = _resumable(out, fingerprint)
+    if run is None:
+        start = find_starting_point(config)
+        _clear(out)
+        out.mkdir(parents=True, exist_ok=True)
+        run = RunRecord(fingerprint=fingerprint, pretrained=start.pretrained, note=start.note, seconds=0.0)
+        run.write(out)
+        checkpoint = None
+    else:
+        start = StartingPoint("", run.pretrained, run.note)
+        checkpoint = out / "weights" / "last.pt"
+    watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop)
+    if checkpoint is None or _epochs_done(checkpoint) < watch.epochs:
+        _run(dataset, manifest, out, config, role, device, start, checkpoint, watch)
+    return _finish(out, manifest, config, role, watch)
+
+
+def _run(
+    dataset: Path,
+    manifest: DatasetManifest,
+    out: Path,
+    config: TrainingConfig,
+    role: Role,
+    device: Any,
+    start: StartingPoint,
+    checkpoint: Path | None,
+    watch: Watch,
+) -> None:
+    from annotator.detection.trainer import TrainerHooks, make_trainer
+
+    hooks = TrainerHooks(
+        dataset=dataset,
+        manifest=manifest,
+        device=device,
+        measure_every=config.measure_every or max(math.ceil(watch.epochs / MEASUREMENTS), 1),
+        quarter_turns=config.augmentation_for(role).quarter_turns,
+        on_batch=watch.on_batch,
+        on_epoch=watch.on_epoch,
+    )
+    settings = trainer_settings(config, role, watch.epochs, str(device), out)
+    if checkpoint is None:
+        settings["model"] = start.model
+    else:
+        settings["model"] = settings["resume"] = str(checkpoint)
+        _trim_curves(out / "results.csv", _epochs_done(checkpoint))
+    # The trainer checks that its data file exists before it asks the hooks for the data.
+    settings["data"] = str(dataset.resolve() / "data.yaml")
+    with _unchanged_torch():
+        try:
+            make_trainer(settings, hooks).train()
+        except (RuntimeError, ValueError, OSError, AssertionError) as error:
+            raise DetectionError(f"training in {out} failed: {error}") from error
+
+
+def trainer_settings(config: TrainingConfig, role: Role, epochs: int, device: str, out: Path) -> dict[str, Any]:
+    """The settings in ultralytics' own names."""
+    change = config.augmentation_for(role)
+    # bfloat16 needs no trial run with downloaded weights, as ultralytics' other mixed precision does.
+    mixed = "bf16" if device.startswith("cuda") and api().torch.cuda.is_bf16_supported() else False
+    return {
+        "task": "detect",
+        "save_dir": str(out.resolve()),
+        "exist_ok": True,
+        "epochs": epochs,
+        "imgsz": config.image_size_px,
+        "batch": config.batch,
+        "nbs": config.batch,
+        "patience": config.patience,
+        "optimizer": config.optimizer,
+        "lr0": config.learning_rate,
+        "lrf": config.final_learning_rate,
+        "momentum": config.momentum,
+        "weight_decay": config.weight_decay,
+        "warmup_epochs": config.warmup_epochs,
+        "warmup_bias_lr": 0.0,
+        "box": config.box_gain,
+        "cls": config.class_gain,
+        "dfl": config.edge_gain,
+        "fliplr": change.flip_horizontal,
+        "flipud": change.flip_vertical,
+        "translate": change.shift,
+        "scale": change.scale,
+        "degrees": 0.0,
+        "shear": 0.0,
+        "perspective": 0.0,
+        "hsv_h": change.hue,
+        "hsv_s": change.saturation,
+        "hsv_v": change.brightness,
+        "mosaic": change.mosaic,
+        "close_mosaic": change.mosaic_off_epochs if change.mosaic else 0,
+        "seed": config.seed,
+        "deterministic": False,
+        "device": device.removeprefix("cuda:") if device != "cuda" else "0",
+        "workers": 0,
+        "cache": "ram",
+        "amp": mixed,
+        "plots": False,
+        "verbose": False,
+    }
+
+
+@contextmanager
+def _unchanged_torch() -> Iterator[None]:
+    """Puts back torch's number of threads, which the trainer changes for the whole process."""
+    torch = api().torch
+    threads = torch.get_num_threads()
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _fingerprint(manifest: DatasetManifest, config: TrainingConfig, role: Role) -> str:
+    """Same hash, same run: what is learnt from, how, and for what."""
+    settings = config.model_dump_json(exclude={"device", "download_timeout_s"})
+    return hashlib.sha256(f"{manifest.sha256} {role} {settings}".encode()).hexdigest()
+
+
+def _finished(out: Path, fingerprint: str) -> TrainedModel | None:
+    run = read_run(out)
+    if run is None or run.fingerprint != fingerprint or not (out / "model.json").is_file():
+        return None
+    return read_trained(out)
+
+
+def _resumable(out: Path, fingerprint: str) -> RunRecord | None:
+    run = read_run(out)
+    if run is None or run.fingerprint != fingerprint or _epochs_done(out / "weights" / "last.pt") == 0:
+        return None
+    return run
+
+
+def _epochs_done(checkpoint: Path) -> int:
+    """Epochs that a checkpoint has behind it; 0 where there is none to go on from."""
+    if not checkpoint.is_file():
+        return 0
+    try:
+        _, content = api().load_checkpoint(str(checkpoint))
+    except Exception:  # damaged in any way: the run starts afresh
+        return 0
+    return int(content["epoch"]) + 1 if content.get("optimizer") is not None else 0
+
+
+def _clear(out: Path) -> None:
+    """Removes an earlier run's files, and no others."""
+    for name in ("model.json", "run.json", "detector.pt", "curves.csv", "results.csv", "args.yaml"):
+        (out / name).unlink(missing_ok=True)
+    shutil.rmtree(out / "weights", ignore_errors=True)
+
+
+def _trim_curves(path: Path, epochs_done: int) -> None:
+    """Drops the rows of epochs that will be run again."""
+    if not path.is_file():
+        return
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join(lines[: epochs_done + 1]), encoding="utf-8")
+
+
+def _finish(out: Path, manifest: DatasetManifest, config: TrainingConfig, role: Role, watch: Watch) -> TrainedModel:
+    """Keeps the best weights, the curves and what is known of them; removes what only a resume needs."""
+    best = out / "weights" / "best.pt"
+    if not best.is_file():
+        raise DetectionError(f"{best}: the training ended without weights; train again")
+    part = out / "detector.part.pt"
+    content = api().strip_optimizer(str(best), s=str(part))
+    measured = {name: float(value) for name, value in content["train_metrics"].items() if value is not None}
+    part.replace(out / "detector.pt")
+    (out / "results.csv").replace(out / "curves.csv")
+    trained = TrainedModel(
+        role=role,
+        weights=out / "detector.pt",
+        classes=manifest.classes,
+        kind=manifest.kind,
+        image_size_px=config.image_size_px,
+        metrics=TrainingMetrics(
+            map50=measured["metrics/mAP50(B)"],
+            map50_95=measured["metrics/mAP50-95(B)"],
+            precision=measured["metrics/precision(B)"],
+            recall=measured["metrics/recall(B)"],
+            measured_on=manifest.measured_on,
+        ),
+        epochs=_rows(out / "curves.csv"),
+        seconds=watch.run.seconds + watch.seconds,
+        pretrained=watch.run.pretrained,
+        note=watch.run.note,
+        dataset_sha256=manifest.sha256,
+        config=config,
+    )
+    trained.write(out)
+    shutil.rmtree(out / "weights", ignore_errors=True)
+    (out / "args.yaml").unlink(missing_ok=True)
+    return trained
+
+
+def _rows(path: Path) -> int:
+    with path.open(newline="", encoding="utf-8") as file:
+        return sum(1 for _ in csv.DictReader(file))

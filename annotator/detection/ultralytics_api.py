@@ -1,0 +1,158 @@
+"""The one door to ultralytics and torch: what is switched off before they load, and the few parts that are used.
+
+Ultralytics looks for the network, writes a settings file, installs packages, reports usage and limits torch to one
+thread, all while it is imported or soon after. None of that may happen behind a user's back, so this module sets its
+switches first and puts back what it changes in the process. Nothing here is imported before it is used.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+from annotator.types.errors import DetectionError
+
+# Read by ultralytics.utils as it is imported.
+SWITCHES = {
+    "YOLO_OFFLINE": "true",  # no look-up of hosts, no usage events, no update check
+    "YOLO_AUTOINSTALL": "false",  # a missing package is an error, not a pip run
+    "YOLO_VERBOSE": "false",
+    "ULTRALYTICS_SAFE_LOAD": "true",  # weights files may hold known classes only, no code
+}
+# Read by the OpenMP library as torch loads it: threads that wait shall sleep. By default they spin, and where anything
+# else runs on the machine, training then takes up to twenty times as long (docs/detector_training.md).
+THREAD_SWITCHES = {"OMP_WAIT_POLICY": "PASSIVE", "KMP_BLOCKTIME": "0"}
+# Reporting to services, each used by ultralytics where its package happens to be installed.
+SERVICES = ("sync", "clearml", "comet", "dvc", "mlflow", "raytune", "tensorboard", "wandb", "vscode_msg")
+
+
+def cache_dir() -> Path:
+    """Where downloaded weights and ultralytics' own settings are kept: the user's cache folder."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "annotator"
+
+
+@lru_cache(maxsize=1)
+def api() -> SimpleNamespace:
+    """The parts of ultralytics and torch that are used here, loaded on the first call.
+
+    Attributes: `torch`, `load_checkpoint`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`,
+    `strip_optimizer`, `downloads`, `weights_dir`, `version`; `threads`, how many torch uses by itself; and
+    `user_offline`, whether the user had asked ultralytics to stay offline.
+
+    Raises:
+        DetectionError: a package is missing or broken.
+    """
+    user_offline = os.environ.get("YOLO_OFFLINE", "").strip().lower() in {"1", "true", "yes", "on", "y", "t"}
+    try:
+        with _unchanged_process():
+            parts = _load()
+    except ImportError as error:
+        raise DetectionError(
+            f"the 2D detector's packages cannot be loaded ({error}); run: pip install ultralytics-opencv-headless"
+        ) from error
+    parts.user_offline = user_offline
+    return parts
+
+
+def _load() -> SimpleNamespace:
+    os.environ.update(SWITCHES)
+    os.environ.setdefault("YOLO_CONFIG_DIR", str(cache_dir()))
+    for name, value in THREAD_SWITCHES.items():
+        os.environ.setdefault(name, value)
+    import torch  # before ultralytics, which would hold it to one thread
+
+    threads = torch.get_num_threads()
+    import ultralytics
+    import ultralytics.utils as utils
+
+    # Past its own `update`, which would write the user's settings file.
+    dict.update(utils.SETTINGS, dict.fromkeys(SERVICES, False))
+    utils.LOGGER.setLevel("ERROR")
+    from ultralytics.data.dataset import YOLODataset
+    from ultralytics.engine import trainer
+    from ultralytics.models.yolo.detect import DetectionTrainer
+    from ultralytics.nn.tasks import DetectionModel, load_checkpoint
+    from ultralytics.utils import downloads
+    from ultralytics.utils.torch_utils import strip_optimizer
+
+    _hide_repository(trainer)
+    return SimpleNamespace(
+        torch=torch,
+        load_checkpoint=load_checkpoint,
+        DetectionModel=DetectionModel,
+        DetectionTrainer=DetectionTrainer,
+        YOLODataset=YOLODataset,
+        strip_optimizer=strip_optimizer,
+        downloads=downloads,
+        threads=threads,
+        weights_dir=Path(utils.SETTINGS["weights_dir"]),
+        version=ultralytics.__version__,
+    )
+
+
+def _hide_repository(trainer: ModuleType) -> None:
+    """Checkpoints would otherwise hold the path, branch and origin of whatever repository surrounds the packages."""
+    trainer.GIT = SimpleNamespace(root=None, branch=None, commit=None, message=None, origin=None)  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _unchanged_process() -> Iterator[None]:
+    """Puts back what importing ultralytics changes for everybody: environment, numpy's printing, OpenCV's threads."""
+    import cv2
+    import numpy as np
+
+    environment, printing, threads = dict(os.environ), np.get_printoptions(), cv2.getNumThreads()
+    try:
+        yield
+    finally:
+        np.set_printoptions(**printing)
+        cv2.setNumThreads(threads)
+        kept = {*SWITCHES, "YOLO_CONFIG_DIR"}
+        for name in set(os.environ) - set(environment) - kept:
+            del os.environ[name]
+        os.environ.update({name: value for name, value in environment.items() if name not in kept})
+
+
+def pick_device(device: str) -> Any:
+    """A torch device from "auto", "cpu", "cuda", "cuda:1" or "mps"; auto takes a CUDA device where there is one.
+
+    Raises:
+        DetectionError: the device is unknown or not there.
+    """
+    torch = api().torch
+    if device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        picked = torch.device(device)
+        torch.empty(1, device=picked)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise DetectionError(f"device {device!r} cannot be used ({reason}); use auto or cpu") from error
+    return picked
+
+
+def load_weights(path: Path, device: Any) -> Any:
+    """A detection model in eval mode from a weights file.
+
+    Raises:
+        DetectionError: the file is missing, unreadable or holds no detection model.
+    """
+    parts = api()
+    if not path.is_file():
+        raise DetectionError(f"{path}: no such weights file; train a detector first")
+    try:
+        model, _ = parts.load_checkpoint(str(path.resolve()), device=device)
+    except Exception as error:  # torch and ultralytics raise a dozen kinds for a damaged file
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise DetectionError(
+            f"{path}: cannot be read as detector weights ({reason}); train the detector again"
+        ) from error
+    if not isinstance(model, parts.DetectionModel):
+        raise DetectionError(f"{path}: holds a {type(model).__name__}, not a detection model")
+    return model

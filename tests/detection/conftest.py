@@ -1,0 +1,68 @@
+"""A small detector, really trained, that the tests of training and of running share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.trained import TrainedModel
+from annotator.types import Box2D, BoxKind
+
+COLORS = {"red": (230, 30, 30), "blue": (30, 30, 230)}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A picture of coloured rectangles on grey, and where they are."""
+
+    rgb: np.ndarray
+    boxes: tuple[Box2D, ...]
+
+
+def make_scene(seed: int, size: tuple[int, int] = (96, 96)) -> Scene:
+    """One rectangle, red or blue: telling them apart takes the right order of the colours."""
+    rng = np.random.default_rng(seed)
+    height, width = size
+    rgb = np.full((height, width, 3), 114, np.uint8)
+    label = ("red", "blue")[seed % 2]
+    w, h = (rng.uniform(0.3, 0.6, 2) * min(size)).astype(int)
+    x, y = int(rng.integers(0, width - w)), int(rng.integers(0, height - h))
+    rgb[y : y + h, x : x + w] = COLORS[label]
+    return Scene(rgb, (Box2D(label, x - 0.5, y - 0.5, x + w - 0.5, y + h - 0.5),))
+
+
+@pytest.fixture(scope="session")
+def scene() -> Callable[..., Scene]:
+    return make_scene
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve pictures to learn from and four to measure on."""
+    folder = tmp_path_factory.mktemp("tiny") / "set"
+    scenes = [make_scene(seed) for seed in range(16)]
+    samples = [TrainingSample(s.rgb, s.boxes, f"{i // 2:06d}", "drawn") for i, s in enumerate(scenes)]
+    write_dataset(folder, samples, ["blue", "red"], val_share=0.25, kind=BoxKind.BOX)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def quick_config() -> TrainingConfig:
+    return TrainingConfig(
+        pretrained="never", image_size_px=96, epochs=30, batch=6, measure_every=10, device="cpu", learning_rate=0.02
+    )
+
+
+@pytest.fixture(scope="session")
+def tiny_model(
+    tiny_dataset: Path, quick_config: TrainingConfig, tmp_path_factory: pytest.TempPathFactory
+) -> TrainedModel:
+    from annotator.detection.training import train_detector
+
+    return train_detector(tiny_dataset, tmp_path_factory.mktemp("tiny_model") / "run", quick_config)

@@ -1,0 +1,223 @@
+"""Training sets on disk."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.detection.dataset import TrainingSample, write_dataset, yolo_line
+from annotator.detection.manifest import read_manifest
+from annotator.types import Box2D, BoxKind
+from annotator.types.errors import ConfigError, DetectionError, FormatError
+
+BOX = Box2D("hand", 3.0, 4.0, 20.0, 15.0)
+
+
+def picture(seed: int = 0, size: tuple[int, int] = (24, 32)) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
+
+
+def sample(group: str, boxes: Sequence[Box2D] = (BOX,), seed: int = 0, origin: str = "drawn") -> TrainingSample:
+    return TrainingSample(picture(seed), tuple(boxes), group, origin)
+
+
+def test_half_a_pixel_lies_between_the_first_centre_and_the_corner() -> None:
+    assert yolo_line(Box2D("a", -0.5, -0.5, 31.5, 23.5), 32, 24, 3) == "3 0.5000000 0.5000000 1.0000000 1.0000000"
+    assert yolo_line(Box2D("a", -0.5, -0.5, 7.5, 5.5), 32, 24, 0) == "0 0.1250000 0.1250000 0.2500000 0.2500000"
+
+
+@given(
+    edges=st.tuples(*[st.floats(-50, 90)] * 4),
+    size=st.tuples(st.integers(8, 60), st.integers(8, 60)),
+)
+def test_a_label_line_gives_the_clipped_box_back(
+    edges: tuple[float, float, float, float], size: tuple[int, int]
+) -> None:
+    x_min, x_max = sorted(edges[:2])
+    y_min, y_max = sorted(edges[2:])
+    if x_max - x_min < 1e-3 or y_max - y_min < 1e-3:
+        return
+    width, height = size
+    line = yolo_line(Box2D("a", x_min, y_min, x_max, y_max), width, height, 0)
+    want = np.clip([x_min, y_min, x_max, y_max], -0.5, np.array([width, height] * 2) - 0.5)
+    if (want[2:] - want[:2] < 1).any():
+        assert line is None
+        return
+    assert line is not None
+    cx, cy, w, h = (float(word) for word in line.split()[1:])
+    got = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2]) * np.array([width, height] * 2) - 0.5
+    np.testing.assert_allclose(got, want, atol=2e-5)
+
+
+def test_pictures_and_labels_are_where_yolo_looks(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "set"
+    classes = ("yes", "a: b", 'say "hi"')
+    boxes = (Box2D("a: b", 0.0, 0.0, 9.0, 9.0), Box2D('say "hi"', 1.0, 2.0, 8.0, 9.0))
+    write_dataset(folder, [sample("1", boxes, 1), sample("2", boxes, 2), sample("3", (), 3)], classes)
+    described = yaml.safe_load((folder / "data.yaml").read_text())
+    assert described == {"train": "images/train", "val": "images/val", "names": dict(enumerate(classes))}
+    manifest = read_manifest(folder)
+    assert len(manifest.entries) == 3
+    for entry, seed in zip(manifest.entries, (1, 2, 3), strict=True):
+        stored = cv2.imread(str(folder / entry.image))
+        assert stored is not None
+        np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
+        label = folder / entry.image.replace("images", "labels").replace(".png", ".txt")
+        assert [line.split()[0] for line in label.read_text().splitlines()] == (["1", "2"] if seed < 3 else [])
+    assert manifest.entries[2].boxes == ()
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    groups=st.lists(st.sampled_from("abcdefghij"), min_size=2, max_size=30).filter(lambda g: len(set(g)) > 1),
+    share=st.floats(0.05, 0.9),
+    seed=st.integers(0, 5),
+)
+def test_views_of_a_frame_are_never_split(
+    groups: list[str], share: float, seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("sets")
+    small = np.zeros((8, 8, 3), np.uint8)
+    samples = [TrainingSample(small, (Box2D("hand", 0.0, 0.0, 5.0, 5.0),), group, "drawn") for group in groups]
+    first = write_dataset(folder / "a", samples, ["hand"], share, seed)
+    split = {entry.group: entry.split for entry in first.entries}
+    assert all(split[entry.group] == entry.split for entry in first.entries)
+    assert {"train", "val"} == set(split.values())
+    held = sum(value == "val" for value in split.values())
+    assert held == min(max(round(share * len(split)), 1), len(split) - 1)
+    turned = write_dataset(folder / "b", samples[::-1], ["hand"], share, seed)
+    assert {entry.group: entry.split for entry in turned.entries} == split
+
+
+def test_one_group_is_measured_on_itself_and_says_so(tmp_path: Path) -> None:
+    manifest = write_dataset(tmp_path / "set", [sample("1"), sample("1", seed=1), sample("2", ())], ["hand"], 0.5)
+    assert manifest.measured_on == "train"
+    assert manifest.images == {"train": 3, "val": 0}
+    assert "val: images/train" in (tmp_path / "set" / "data.yaml").read_text()
+
+
+def test_the_manifest_counts(tmp_path: Path) -> None:
+    beside = Box2D("hand", 40.0, 3.0, 50.0, 9.0)
+    samples = [
+        sample("1", (BOX, beside)),
+        TrainingSample(picture(), (BOX, Box2D("arm", 1.0, 1.0, 9.0, 9.0)), "1", "projected", ("uid-7",)),
+        sample("2"),
+    ]
+    manifest = write_dataset(tmp_path / "set", samples, ["hand", "arm"], 0.5, kind=BoxKind.SILHOUETTE)
+    assert manifest == read_manifest(tmp_path / "set")
+    total = {name: sum(manifest.boxes_by_class[split][name] for split in ("train", "val")) for name in ("hand", "arm")}
+    assert total == {"hand": 3, "arm": 1}
+    assert manifest.dropped_boxes == 1
+    assert manifest.kind is BoxKind.SILHOUETTE
+    by_origin = [manifest.images_by_origin[split] for split in ("train", "val")]
+    assert sum(c.get("drawn", 0) for c in by_origin) == 2
+    assert sum(c.get("projected", 0) for c in by_origin) == 1
+    assert manifest.entries[1].label_uids == ("uid-7",)
+
+
+def test_the_hash_follows_pictures_labels_classes_and_split(tmp_path: Path) -> None:
+    count = itertools.count()
+
+    def digest(samples: list[TrainingSample], classes: Sequence[str] = ("hand",), **options: object) -> str:
+        return write_dataset(tmp_path / str(next(count)), samples, classes, **options).sha256  # type: ignore[arg-type]
+
+    base = [sample(str(i), seed=i) for i in range(4)]
+    same = digest(base)
+    assert digest(base) == same
+    moved = Box2D("hand", 3.0, 4.0, 20.0, 15.5)
+    assert (
+        len(
+            {
+                same,
+                digest([sample("0", seed=9), *base[1:]]),
+                digest([sample("0", (moved,)), *base[1:]]),
+                digest(base, ("hand", "arm")),
+                digest(base, val_share=0.5),
+                digest(base, kind=BoxKind.BOX),
+            }
+        )
+        == 6
+    )
+
+
+def test_pictures_may_come_late_or_from_files(tmp_path: Path) -> None:
+    path = tmp_path / "given.png"
+    cv2.imwrite(str(path), picture(5)[:, :, ::-1])
+    calls = []
+
+    def load() -> np.ndarray:
+        calls.append(1)
+        return picture(6)
+
+    samples = [TrainingSample(path, (BOX,), "1", "drawn"), TrainingSample(load, (BOX,), "2", "drawn")]
+    manifest = write_dataset(tmp_path / "set", samples, ["hand"])
+    assert calls == [1]
+    for entry, seed in zip(manifest.entries, (5, 6), strict=True):
+        stored = cv2.imread(str(tmp_path / "set" / entry.image))
+        assert stored is not None
+        np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
+
+
+def test_jpeg_pictures(tmp_path: Path) -> None:
+    smooth = np.broadcast_to(np.arange(64, dtype=np.uint8)[None, :, None] * 3, (48, 64, 3)).copy()
+    samples = [TrainingSample(smooth, (BOX,), str(i), "drawn") for i in range(2)]
+    manifest = write_dataset(tmp_path / "set", samples, ["hand"], image_format="jpg")
+    assert all(entry.image.endswith(".jpg") for entry in manifest.entries)
+    stored = cv2.imread(str(tmp_path / "set" / manifest.entries[0].image))
+    assert stored is not None
+    assert np.abs(stored.astype(int) - smooth).max() < 8
+
+
+@pytest.mark.parametrize(
+    ("samples", "classes", "share", "expected"),
+    [
+        ([], ["hand"], 0.2, DetectionError),
+        ([sample("1", ())], ["hand"], 0.2, DetectionError),
+        ([sample("1")], ["arm"], 0.2, ConfigError),
+        ([sample("1")], [], 0.2, ConfigError),
+        ([sample("1")], ["hand", "hand"], 0.2, ConfigError),
+        ([sample("1")], ["hand"], 1.0, ConfigError),
+        ([TrainingSample(Path("nowhere.png"), (BOX,), "1", "drawn")], ["hand"], 0.2, DetectionError),
+    ],
+)
+def test_a_failed_set_leaves_nothing(
+    samples: list[TrainingSample], classes: list[str], share: float, expected: type[Exception], tmp_path: Path
+) -> None:
+    with pytest.raises(expected):
+        write_dataset(tmp_path / "set", samples, classes, share)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_older_set_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    first = write_dataset(folder, [sample("1"), sample("2")], ["hand"])
+    with pytest.raises(ConfigError):
+        write_dataset(folder, [sample("1"), sample("2", (Box2D("arm", 0.0, 0.0, 5.0, 5.0),))], ["hand"])
+    assert read_manifest(folder) == first
+    second = write_dataset(folder, [sample("7")], ["hand"])
+    assert read_manifest(folder) == second
+    assert len(list(folder.rglob("*.png"))) == 1
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("all of it")
+    with pytest.raises(DetectionError, match="not a training set"):
+        write_dataset(tmp_path, [sample("1")], ["hand"])
+    assert (tmp_path / "thesis.txt").exists()
+
+
+def test_a_missing_or_damaged_manifest_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="no such file"):
+        read_manifest(tmp_path)
+    (tmp_path / "manifest.json").write_text("{")
+    with pytest.raises(FormatError, match="again"):
+        read_manifest(tmp_path)

@@ -1,0 +1,217 @@
+"""Training runs: progress, cancelling, resuming, and what is kept."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from annotator.detection.config import Augmentation, TrainingConfig, default_augmentation
+from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.trained import TrainedModel, read_trained
+from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector, trainer_settings
+from annotator.detection.ultralytics_api import api
+from annotator.types.errors import ConfigError, DetectionError, FormatError
+
+SHORT = TrainingConfig(pretrained="never", image_size_px=64, epochs=3, batch=6, measure_every=1, device="cpu")
+
+
+def epochs_of(folder: Path) -> list[int]:
+    with (folder / "curves.csv").open() as file:
+        return [int(row["epoch"]) for row in csv.DictReader(file)]
+
+
+@pytest.mark.slow
+def test_what_a_finished_run_leaves(tiny_model: TrainedModel, tiny_dataset: Path) -> None:
+    folder = tiny_model.weights.parent
+    assert sorted(path.name for path in folder.iterdir()) == ["curves.csv", "detector.pt", "model.json", "run.json"]
+    assert read_trained(folder) == tiny_model
+    assert tiny_model.classes == ("blue", "red")
+    assert tiny_model.metrics.map50 > 0.5
+    assert tiny_model.metrics.measured_on == "val"
+    assert not tiny_model.pretrained
+    assert "random weights" in tiny_model.note
+    assert epochs_of(folder) == list(range(1, tiny_model.epochs + 1))
+    assert tiny_model.seconds > 0
+
+
+@pytest.mark.slow
+def test_a_finished_run_is_not_repeated_and_can_be_moved(
+    tiny_model: TrainedModel, tiny_dataset: Path, quick_config: TrainingConfig, tmp_path: Path
+) -> None:
+    folder = tmp_path / "moved"
+    folder.mkdir()
+    for path in tiny_model.weights.parent.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    again = train_detector(tiny_dataset, folder, quick_config, lambda _: pytest.fail("it trains"))
+    assert again.weights == folder / "detector.pt"
+    assert again.metrics == tiny_model.metrics
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_goes_on_where_it_was(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    threads = api().torch.get_num_threads()
+    out, seen = tmp_path / "run", []
+
+    def interrupt(progress: TrainingProgress) -> None:
+        seen.append(progress)
+        if progress.epoch == 1 and progress.batch == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_detector(tiny_dataset, out, SHORT, interrupt)
+    assert not (out / "model.json").exists()
+    with pytest.raises(FormatError, match="interrupted"):
+        read_trained(out)
+
+    # A second time, stopped politely in the epoch after.
+    with pytest.raises(TrainingStoppedError, match="epoch 2 of 3"):
+        train_detector(tiny_dataset, out, SHORT, seen.append, stop=lambda: True)
+
+    done = train_detector(tiny_dataset, out, SHORT, seen.append)
+    assert done.epochs == 3
+    assert epochs_of(out) == [1, 2, 3]
+    whole = [p.epoch for p in seen if p.batch == 0]
+    assert whole == [1, 2, 3]
+    assert [(p.epoch, p.batch, p.batches) for p in seen[:3]] == [(0, 1, 2), (0, 2, 2), (1, 0, 2)]
+    assert all(p.epochs == 3 and p.losses.keys() == {"box_loss", "cls_loss", "dfl_loss"} for p in seen)
+    assert seen[0].map50 is None
+    assert seen[2].map50 is not None
+    assert seen[-1].seconds_left == pytest.approx(0, abs=1e-6)
+    assert list(work.iterdir()) == []
+    assert api().torch.get_num_threads() == threads
+
+
+@pytest.mark.slow
+def test_other_settings_start_afresh_and_a_damaged_checkpoint_does_too(tiny_dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+
+    def stop_after_one(progress: TrainingProgress) -> None:
+        if progress.epoch == 1:
+            raise KeyboardInterrupt
+
+    def first_epoch(config: TrainingConfig) -> int:
+        seen: list[TrainingProgress] = []
+
+        def watch(progress: TrainingProgress) -> None:
+            seen.append(progress)
+            if progress.batch == 1:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            train_detector(tiny_dataset, out, config, watch)
+        return seen[0].epoch
+
+    with pytest.raises(KeyboardInterrupt):
+        train_detector(tiny_dataset, out, SHORT, stop_after_one)
+    assert first_epoch(SHORT) == 1
+    last = out / "weights" / "last.pt"
+    last.write_bytes(last.read_bytes()[:5000])
+    assert first_epoch(SHORT) == 0
+    with pytest.raises(KeyboardInterrupt):
+        train_detector(tiny_dataset, out, SHORT, stop_after_one)
+    assert first_epoch(SHORT.model_copy(update={"seed": 1})) == 0
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_detector(tiny_dataset: Path, tmp_path: Path) -> None:
+    config = SHORT.model_copy(update={"epochs": 1})
+    losses = []
+    for name in "ab":
+        train_detector(tiny_dataset, tmp_path / name, config)
+        with (tmp_path / name / "curves.csv").open() as file:
+            row = next(csv.DictReader(file))
+        losses.append({key: float(value) for key, value in row.items() if key.startswith("train/")})
+    assert losses[0]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_set_of_one_picture_and_class_can_be_learnt_from(tmp_path: Path, scene: Callable[..., Any]) -> None:
+    one = scene(3)
+    write_dataset(tmp_path / "set", [TrainingSample(one.rgb, one.boxes, "1", "drawn")], ["blue"])
+    config = SHORT.model_copy(update={"epochs": 1, "free_rotation": True})
+    trained = train_detector(tmp_path / "set", tmp_path / "run", config)
+    assert trained.metrics.measured_on == "train"
+
+
+def test_what_cannot_be_trained(tiny_dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="training set"):
+        train_detector(tmp_path, tmp_path / "run", SHORT)
+    with pytest.raises(ConfigError, match="yolo99z"):
+        train_detector(tiny_dataset, tmp_path / "run", SHORT.model_copy(update={"model": "yolo99z"}))
+    with pytest.raises(DetectionError, match="device"):
+        train_detector(tiny_dataset, tmp_path / "run", SHORT.model_copy(update={"device": "cuda:77"}))
+    assert not (tmp_path / "run").exists()
+
+
+def test_only_changes_that_keep_a_box_a_box_are_made() -> None:
+    """The box around a sheared box, or around one that is turned by any angle, is not the object's box."""
+    for role in ("image", "view"):
+        settings = trainer_settings(TrainingConfig(), role, 10, "cpu", Path("out"))
+        assert (settings["degrees"], settings["shear"], settings["perspective"]) == (0, 0, 0)
+        assert not settings["amp"]
+        assert not settings["plots"]
+    assert not default_augmentation("view", free_rotation=False).quarter_turns
+    assert default_augmentation("view", free_rotation=False).flip_vertical == 0
+    assert default_augmentation("view", free_rotation=True).quarter_turns
+    assert not default_augmentation("image", free_rotation=True).quarter_turns
+    assert default_augmentation("image", free_rotation=False).flip_vertical == 0
+    own = Augmentation(mosaic=1.0, mosaic_off_epochs=3)
+    settings = trainer_settings(TrainingConfig(augmentation=own), "view", 10, "cpu", Path("out"))
+    assert (settings["mosaic"], settings["close_mosaic"]) == (1.0, 3)
+
+
+@pytest.mark.parametrize(("images", "epochs"), [(10, 300), (100, 60), (300, 20), (6000, 10)])
+def test_the_number_of_epochs_follows_the_number_of_pictures(images: int, epochs: int) -> None:
+    config = TrainingConfig(pictures_seen=6000)
+    assert config.epochs_for(images) == epochs
+    assert TrainingConfig(epochs=7).epochs_for(images) == 7
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_boxes_turn_with_their_picture(turns: int) -> None:
+    from annotator.detection.trainer import turn_boxes
+
+    mask = np.zeros((7, 11), np.uint8)
+    mask[1:4, 2:9] = 1
+    rows, columns = np.nonzero(np.rot90(mask, turns))
+    want = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+    assert turn_boxes(np.array([[2.0, 1, 9, 4]]), 11, 7, turns).tolist() == [want]
+
+
+def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Path) -> None:
+    """Every legal change at once: the labelled box must be the box of the coloured pixels of the changed picture."""
+    from annotator.detection.manifest import read_manifest
+    from annotator.detection.trainer import TrainerHooks, make_trainer
+    from annotator.detection.ultralytics_api import pick_device
+
+    config = TrainingConfig(
+        image_size_px=96,
+        augmentation=Augmentation(flip_horizontal=0.5, flip_vertical=0.5, quarter_turns=True, shift=0.1, scale=0.3),
+    )
+    hooks = TrainerHooks(
+        tiny_dataset, read_manifest(tiny_dataset), pick_device("cpu"), 1, True, lambda _: None, lambda _: None
+    )
+    settings = trainer_settings(config, "view", 1, "cpu", tmp_path / "run")
+    settings |= {"model": "yolo11n.yaml", "data": str(tiny_dataset / "data.yaml")}
+    trainer = make_trainer(settings, hooks)
+    trainer.setup_model()
+    dataset = trainer.build_dataset(trainer.data["train"], "train", 6)
+    for index in [i % len(dataset) for i in range(60)]:
+        item = dataset[index]
+        picture = item["img"].numpy().transpose(1, 2, 0).astype(int)
+        assert picture.shape == (96, 96, 3)
+        rows, columns = np.nonzero(np.abs(picture - 114).max(axis=2) > 45)
+        want = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        cx, cy, w, h = (item["bboxes"].numpy()[0] * 96).tolist()
+        np.testing.assert_allclose([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2], want, atol=1.3)

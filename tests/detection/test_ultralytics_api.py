@@ -1,0 +1,123 @@
+"""Loading ultralytics must change nothing for the user: no network, no files, no other settings of the process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from annotator.detection.ultralytics_api import load_weights, pick_device
+from annotator.types.errors import DetectionError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+LIGHT = """
+import sys
+import annotator.detection.config, annotator.detection.dataset, annotator.detection.perfect
+import annotator.detection.training, annotator.detection.yolo
+print([name for name in ("torch", "ultralytics", "torchvision") if name in sys.modules])
+"""
+
+SILENT = """
+import json, os, socket, sys
+asked = []
+def refuse(*args, **kwargs):
+    asked.append(str(args))
+    raise OSError("no network in this test")
+socket.getaddrinfo = socket.socket.connect = socket.create_connection = refuse
+import cv2, numpy
+before = dict(os.environ), str(numpy.get_printoptions()), cv2.getNumThreads()
+from annotator.detection.ultralytics_api import api
+parts = api()
+after = dict(os.environ), str(numpy.get_printoptions()), cv2.getNumThreads()
+changed = sorted(k for k in after[0] if before[0].get(k) != after[0][k])
+print(json.dumps({
+    "asked": asked, "changed": changed, "gone": sorted(set(before[0]) - set(after[0])), "same": before[1:] == after[1:],
+    "threads": [parts.threads, parts.torch.get_num_threads()], "torchvision": "torchvision" in sys.modules,
+}))
+"""
+
+
+def run(code: str, tmp_path: Path) -> tuple[str, Path]:
+    work, home = tmp_path / "work", tmp_path / "home"
+    work.mkdir()
+    home.mkdir()
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("YOLO_", "OMP_", "XDG_", "ULTRALYTICS_"))}
+    environment |= {"HOME": str(home), "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=work,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert list(work.iterdir()) == []
+    return done.stdout, home
+
+
+def test_importing_the_package_loads_no_torch(tmp_path: Path) -> None:
+    out, home = run(LIGHT, tmp_path)
+    assert out.strip() == "[]"
+    assert list(home.iterdir()) == []
+
+
+def test_loading_is_silent_and_leaves_the_process_as_it_was(tmp_path: Path) -> None:
+    out, home = run(SILENT, tmp_path)
+    told = json.loads(out)
+    assert told["asked"] == []
+    assert told["gone"] == []
+    assert told["same"]
+    assert told["changed"] == [
+        "ULTRALYTICS_SAFE_LOAD",
+        "YOLO_AUTOINSTALL",
+        "YOLO_CONFIG_DIR",
+        "YOLO_OFFLINE",
+        "YOLO_VERBOSE",
+    ]
+    assert told["threads"][0] == told["threads"][1]
+    assert not told["torchvision"]
+    files = sorted(str(path.relative_to(home)) for path in home.rglob("*") if path.is_file())
+    assert files == [".cache/annotator/Ultralytics/settings.json"]
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not weights at all"])
+def test_unusable_weights_are_an_error_that_names_the_file(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "broken.pt"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(DetectionError, match=r"broken\.pt"):
+        load_weights(path, pick_device("cpu"))
+
+
+def test_weights_that_hold_code_are_refused(tmp_path: Path) -> None:
+    import pickle
+    import zipfile
+
+    target = tmp_path / "touched"
+
+    class Evil:
+        def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+            return (Path.touch, (target,))
+
+    path = tmp_path / "evil.pt"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("evil/data.pkl", pickle.dumps({"model": Evil()}))
+        archive.writestr("evil/version", "3\n")
+    with pytest.raises(DetectionError, match=r"evil\.pt"):
+        load_weights(path, pick_device("cpu"))
+    assert not target.exists()
+
+
+def test_devices() -> None:
+    assert str(pick_device("cpu")) == "cpu"
+    assert str(pick_device("auto")).startswith(("cpu", "cuda"))
+    for name in ("abacus", "cuda:99"):
+        with pytest.raises(DetectionError, match="use auto or cpu"):
+            pick_device(name)

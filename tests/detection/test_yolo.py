@@ -1,0 +1,145 @@
+"""Running a trained detector; `tiny_model` is really trained, once for all these tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from annotator.detection.trained import TrainedModel
+from annotator.detection.ultralytics_api import api
+from annotator.detection.yolo import YoloDetector, select
+from annotator.types import Detector
+from annotator.types.errors import DetectionError
+
+pytestmark = pytest.mark.slow
+
+
+@dataclass(frozen=True)
+class Picture:
+    rgb: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def detector(tiny_model: TrainedModel) -> YoloDetector:
+    return YoloDetector(tiny_model.weights, 96, device="cpu")
+
+
+def test_it_is_a_detector(detector: YoloDetector) -> None:
+    assert isinstance(detector, Detector)
+    assert detector.labels == ("blue", "red")
+
+
+def test_it_finds_and_tells_apart_what_it_was_taught(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    """Red and blue are told apart only where the colours reach the network in the order of the training."""
+    scenes = [scene(seed) for seed in range(100, 116)]
+    found = detector.detect(scenes)
+    right = [boxes[0].label == s.boxes[0].label for s, boxes in zip(scenes, found, strict=True) if boxes]
+    assert len(right) >= 13
+    assert sum(right) >= len(right) - 1
+    errors = [np.subtract(boxes[0].xyxy, s.boxes[0].xyxy) for s, boxes in zip(scenes, found, strict=True) if boxes]
+    assert np.median(np.abs(errors)) < 5
+
+
+def test_best_score_first_and_on_the_picture(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    eager = YoloDetector(detector.weights, 96, confidence=0.001, device="cpu")
+    for boxes in eager.detect([scene(seed) for seed in range(8)]):
+        scores = [box.score for box in boxes]
+        assert scores == sorted(scores, reverse=True)
+        assert len(boxes) > 1
+        assert all(-0.5 <= box.x_min < box.x_max <= 95.5 and -0.5 <= box.y_min < box.y_max <= 95.5 for box in boxes)
+
+
+def test_the_answer_does_not_depend_on_what_else_is_asked(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    sizes = [(96, 96), (60, 96), (96, 40), (200, 150), (33, 70), (96, 96), (64, 128)]
+    scenes = [scene(seed, size) for seed, size in enumerate(sizes)]
+    together = detector.detect(scenes)
+    for one, boxes in zip(scenes, together, strict=True):
+        alone = detector.detect([one])[0]
+        assert [box.label for box in alone] == [box.label for box in boxes]
+        for a, b in zip(alone, boxes, strict=True):
+            np.testing.assert_allclose(a.xyxy, b.xyxy, atol=0.01)
+            assert a.score == pytest.approx(b.score, abs=1e-4)
+
+
+def test_it_agrees_with_ultralytics_own_predictor(
+    tiny_model: TrainedModel, scene: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    api()
+    from ultralytics import YOLO
+
+    theirs = YOLO(str(tiny_model.weights))
+    ours = YoloDetector(tiny_model.weights, 96, confidence=0.1, iou=0.6, device="cpu")
+    compared = 0
+    for seed, size in enumerate([(96, 96), (70, 96), (96, 50), (240, 180), (96, 96), (120, 130)]):
+        one = scene(seed + 50, size)
+        result = theirs.predict(
+            one.rgb[:, :, ::-1], imgsz=96, conf=0.1, iou=0.6, device="cpu", verbose=False, save=False
+        )[0].boxes
+        boxes = ours.detect([one])[0]
+        assert len(boxes) == len(result)
+        for box, edges, score in zip(boxes, result.xyxy.numpy() - 0.5, result.conf.numpy(), strict=True):
+            np.testing.assert_allclose(box.xyxy, edges, atol=1.0)
+            assert box.score == pytest.approx(float(score), abs=0.01)
+            compared += 1
+    assert compared >= 5
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_picture_twice_as_large_has_boxes_twice_as_large(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    """Edges of pixels, not their centres, keep their place: x + 1/2 doubles."""
+    one = scene(102)
+    double = Picture(one.rgb.repeat(2, axis=0).repeat(2, axis=1))
+    small, large = detector.detect([one, double])
+    assert small
+    for a, b in zip(small[:1], large[:1], strict=True):
+        np.testing.assert_allclose(np.array(b.xyxy) + 0.5, 2 * (np.array(a.xyxy) + 0.5), atol=1.0)
+
+
+def test_empty_calls_and_pictures(detector: YoloDetector) -> None:
+    assert detector.detect([]) == []
+    assert len(detector.detect([Picture(np.full((1, 300, 3), 114, np.uint8))])) == 1
+
+
+@pytest.mark.parametrize(
+    "rgb", [np.zeros((5, 5), np.uint8), np.zeros((5, 5, 3), np.float32), np.zeros((0, 5, 3), np.uint8)]
+)
+def test_a_wrong_picture_is_an_error(detector: YoloDetector, rgb: np.ndarray) -> None:
+    with pytest.raises(DetectionError, match="uint8"):
+        detector.detect([Picture(rgb)])
+
+
+def test_the_fingerprint_follows_weights_and_settings(
+    detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path
+) -> None:
+    def fingerprint(weights: Path = tiny_model.weights, size: int = 96, **settings: float) -> str:
+        return YoloDetector(weights, size, device="cpu", **settings).fingerprint
+
+    assert fingerprint() == detector.fingerprint
+    moved = tmp_path / "moved.pt"
+    moved.write_bytes(tiny_model.weights.read_bytes())
+    assert fingerprint(moved) == detector.fingerprint
+    assert len({fingerprint(), fingerprint(size=128), fingerprint(confidence=0.2), fingerprint(iou=0.5)}) == 4
+
+
+@pytest.mark.parametrize("settings", [{"confidence": 1.5}, {"iou": -0.1}, {"image_size_px": 8}])
+def test_settings_out_of_range(tiny_model: TrainedModel, settings: dict[str, Any]) -> None:
+    with pytest.raises(DetectionError):
+        YoloDetector(tiny_model.weights, **{"image_size_px": 96, **settings})
+
+
+def test_networks_that_need_no_suppression() -> None:
+    torch = api().torch
+    raw = torch.zeros(2, 5, 6)
+    raw[0, 3] = torch.tensor([1.0, 2, 11, 12, 0.4, 1])
+    raw[1, 0] = torch.tensor([0.0, 0, 9, 9, 0.9, 0])
+    picture, boxes, scores, numbers = select(raw, 2, 0.05, 0.6)
+    assert picture.tolist() == [1, 0]
+    assert boxes.tolist() == [[0, 0, 9, 9], [1, 2, 11, 12]]
+    assert numbers.tolist() == [0, 1]
+    np.testing.assert_allclose(scores, [0.9, 0.4])
