@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import box_surface, some_box
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.normals import normals_knn
@@ -20,7 +21,6 @@ from annotator.rcv.axes import (
 )
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.types import PointCloud
-from scenes import box_surface, some_box
 
 FREE, UPRIGHT = RcvConfig(orientation=Orientation.FREE), RcvConfig(orientation=Orientation.UPRIGHT)
 UP = np.array([0.0, -1.0, 0.0])

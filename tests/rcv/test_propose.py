@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scenes import frame_with, some_box
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
@@ -13,7 +14,6 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
 from annotator.types import Box2D, BoxKind, Frame, Image, PseudoView, StopReason
-from scenes import frame_with, some_box
 
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])

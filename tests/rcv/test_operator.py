@@ -1,0 +1,126 @@
+"""The labelling procedure: five boxes an object, and what the drags leave are the object's points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import CAMERA, frame_with, some_box
+
+from annotator.rcv.config import Orientation, RcvConfig
+from annotator.rcv.operator import LABELLED_STEPS, DrawnObject, cut_out, draw_object, first_views, next_views
+from annotator.rcv.teach import project_box
+from annotator.types import Box2D, Frame, PseudoView
+
+UP = np.array([0.0, -1.0, 0.0])
+TILTED_UP = np.array([0.0, -np.cos(0.3), -np.sin(0.3)])
+BOX = some_box([-0.3, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
+CONFIG = RcvConfig(orientation=Orientation.UPRIGHT)
+OBJECT = slice(0, 800)
+
+
+def image_box(frame: Frame, margin_px: float = 0.0) -> Box2D:
+    """Around the first object's 800 points, straight from the pinhole formula."""
+    xyz = frame.cloud.xyz_m[OBJECT].astype(float)
+    u = CAMERA.fx * xyz[:, 0] / xyz[:, 2] + CAMERA.cx
+    v = CAMERA.fy * xyz[:, 1] / xyz[:, 2] + CAMERA.cy
+    return Box2D("thing", u.min() - margin_px, v.min() - margin_px, u.max() + margin_px, v.max() + margin_px)
+
+
+def drawn(frame: Frame, config: RcvConfig = CONFIG) -> DrawnObject:
+    found = draw_object(frame, image_box(frame), lambda view: project_box(view, BOX, "thing"), config)
+    assert found is not None
+    return found
+
+
+def spans(found: DrawnObject) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(item.view.axes, item.view.interval_m(item.box)) for item in found.views]
+
+
+def test_an_object_takes_a_front_and_a_side_box_in_each_of_two_steps() -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    found = drawn(frame)
+    assert [item.step for item in found.views] == [0, 0, 1, 1]
+    assert LABELLED_STEPS == 2
+    assert found.image_box == image_box(frame)
+    for front, side in (found.views[:2], found.views[2:]):
+        # the two look along axes at right angles, and share the one that points down
+        np.testing.assert_allclose(front.view.axes @ front.view.axes.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(side.view.axes[0], front.view.axes[2], atol=1e-12)
+        np.testing.assert_allclose(side.view.axes[1], front.view.axes[1], atol=1e-12)
+        assert np.linalg.det(side.view.axes) == pytest.approx(1)
+
+
+def test_the_first_views_look_along_the_camera_axes_and_show_the_whole_frustum() -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    views = first_views(frame, image_box(frame), CONFIG)
+    assert views is not None
+    np.testing.assert_allclose(views[0].axes, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(views[1].axes, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
+    shown = {tuple(point) for point in views[0].xyz_m}
+    assert all(tuple(point) in shown for point in frame.cloud.xyz_m[OBJECT])
+    assert len(shown) > 800, "the wall behind the object is in its frustum too"
+
+
+def test_upright_first_views_are_level() -> None:
+    frame, _ = frame_with([BOX], up=TILTED_UP)
+    views = first_views(frame, image_box(frame), CONFIG)
+    assert views is not None
+    np.testing.assert_allclose(views[0].axes[1], -TILTED_UP, atol=1e-12)
+    free = first_views(frame, image_box(frame), RcvConfig(orientation=Orientation.FREE))
+    assert free is not None
+    np.testing.assert_allclose(free[0].axes, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("orientation", list(Orientation))
+def test_the_second_step_shows_the_object_alone(orientation: Orientation) -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    config = RcvConfig(orientation=orientation)
+    views = next_views(frame, image_box(frame), spans(drawn(frame, config))[:2], config)
+    assert views is not None
+    shown = {tuple(point) for point in views[0].xyz_m}
+    mine = sum(tuple(point) in shown for point in frame.cloud.xyz_m[OBJECT])
+    assert mine >= 795
+    assert len(shown) == mine, "the wall has been cut away"
+    if orientation is Orientation.UPRIGHT:
+        np.testing.assert_allclose(views[0].axes[1], -UP, atol=1e-9)
+
+
+def test_what_the_drags_cut_out_are_the_objects_points() -> None:
+    frame, _ = frame_with([BOX, some_box([0.9, 0, 2.0], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP)
+    mask = cut_out(frame, image_box(frame), [(span, 1e-3) for span in spans(drawn(frame))])
+    assert mask.shape == (len(frame.cloud),)
+    assert mask[OBJECT].mean() > 0.99
+    assert not mask[800:].any()
+
+
+def test_the_margin_of_a_drag_is_in_metres() -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    narrow = (np.eye(3), np.array([[-0.30, -0.25], [-9.0, 9.0]]))
+    everything = Box2D("thing", -1.0, -1.0, 641.0, 481.0)
+    for margin_m in (0.0, 0.1):
+        mask = cut_out(frame, everything, [(narrow, margin_m)])
+        x = frame.cloud.xyz_m[:, 0].astype(float)
+        expected = (x >= -0.30 - margin_m) & (x <= -0.25 + margin_m) & (frame.cloud.xyz_m[:, 2] > 0)
+        np.testing.assert_array_equal(mask, expected)
+
+
+@pytest.mark.parametrize("unseen", [0, 1, 2, 3])
+def test_an_object_that_one_view_does_not_show_is_not_finished(unseen: int) -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    asked: list[PseudoView] = []
+
+    def draw(view: PseudoView) -> Box2D | None:
+        asked.append(view)
+        return None if len(asked) == unseen + 1 else project_box(view, BOX, "thing")
+
+    assert draw_object(frame, image_box(frame), draw, CONFIG) is None
+    assert len(asked) == (2 if unseen < 2 else 4), "both views of a step are shown, and none of a later one"
+
+
+def test_a_frustum_or_a_cut_with_too_few_points_ends_it() -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    corner = Box2D("thing", -0.5, -0.5, 1.0, 1.0)
+    assert first_views(frame, corner, CONFIG) is None
+    assert draw_object(frame, corner, lambda view: project_box(view, BOX, "thing"), CONFIG) is None
+    nowhere = [(axes, span + 50.0) for axes, span in spans(drawn(frame))[:2]]
+    assert next_views(frame, image_box(frame), nowhere, CONFIG) is None

@@ -1,0 +1,237 @@
+"""Pseudo-views labelled by known 3D boxes: every 2D box is what its object spans, and nothing is left to chance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import frame_with, some_box
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.oriented_box import contains
+from annotator.rcv import teach
+from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.teach import TaughtObject, TaughtView, project_box, span_on_view, teach_views
+from annotator.types import BoxKind, Frame, OrientedBox, PseudoView
+
+UP = np.array([0.0, -1.0, 0.0])
+BOXES = [
+    some_box([-0.25, 0.1, 2.0], [0, 0.5, 0], [0.6, 0.8, 0.3]),
+    some_box([0.35, 0.0, 2.2], [0, -0.3, 0], [0.4, 0.5, 0.3]),
+]
+CONFIG = RcvConfig(view=ViewConfig(size_px=96))
+
+
+def corners_of(box: OrientedBox) -> np.ndarray:
+    """The 8 corners by hand: centre + R (signs * size / 2)."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    matrix = box.T_camera_box.as_matrix()
+    return (signs * box.size_m / 2) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def on_picture(view: PseudoView, xyz_m: np.ndarray) -> np.ndarray:
+    """(n, 2) pixels of points, straight from what a view is: dot products with its x and y axis."""
+    return np.stack([xyz_m @ view.axes[0] - view.origin_m[0], xyz_m @ view.axes[1] - view.origin_m[1]], 1) / (
+        view.metres_per_px
+    )
+
+
+def clipped(view: PseudoView, px: np.ndarray) -> tuple[float, ...]:
+    height_px, width_px = view.rgb.shape[:2]
+    limit = np.array([width_px, height_px]) - 0.5
+    return (*np.clip(px.min(axis=0), -0.5, limit), *np.clip(px.max(axis=0), -0.5, limit))
+
+
+def taught(
+    frame: Frame, objects: list[TaughtObject], kind: BoxKind = BoxKind.BOX, **changes: object
+) -> list[TaughtView]:
+    chosen = {"draws": 12, "up": UP, "seed": 3, **changes}
+    rng = np.random.default_rng(chosen["seed"])
+    return teach_views(frame, objects, kind, chosen["draws"], CONFIG, chosen["up"], rng)
+
+
+def two() -> tuple[Frame, list[TaughtObject]]:
+    """Two objects of different classes before a wall."""
+    frame, truths = frame_with(BOXES, up=UP)
+    return frame, [TaughtObject(name, t.box) for name, t in zip(("left", "right"), truths, strict=True)]
+
+
+def test_boxes_are_the_projected_true_boxes() -> None:
+    frame, objects = two()
+    views = taught(frame, objects)
+    by_name = {item.label: item.box for item in objects}
+    assert sum(len(item.boxes) for item in views) > 20
+    for item in views:
+        for box in item.boxes:
+            assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, corners_of(by_name[box.label]))))
+
+
+def test_silhouettes_go_around_the_objects_points_that_are_drawn() -> None:
+    frame, objects = two()
+    views = taught(frame, objects, BoxKind.SILHOUETTE)
+    numbers = {tuple(point): number // 800 for number, point in enumerate(frame.cloud.xyz_m[:1600])}
+    names = [item.label for item in objects]
+    assert sum(len(item.boxes) for item in views) > 20
+    for item in views:
+        owner = np.array([numbers.get(tuple(point), -1) for point in item.view.xyz_m])
+        for box in item.boxes:
+            # the scene's surface points lie on the box's very faces: those that rounding puts outside are not "inside"
+            inside = contains(BOXES[names.index(box.label)], item.view.xyz_m)
+            own = item.view.xyz_m[(owner == names.index(box.label)) & inside]
+            assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own.astype(float))), abs=1e-3)
+
+
+def test_points_that_are_given_count_instead_of_those_in_the_box() -> None:
+    frame, objects = two()
+    half = np.zeros(len(frame.cloud), bool)
+    half[:800] = frame.cloud.xyz_m[:800, 1] < 0.1
+    given_points = TaughtObject("left", BOXES[0], half)
+    for item in taught(frame, [given_points], BoxKind.SILHOUETTE):
+        shown = {tuple(point) for point in item.view.xyz_m}
+        own = np.array([point for point in frame.cloud.xyz_m[half] if tuple(point) in shown], float)
+        for box in item.boxes:
+            assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own)), abs=1e-3)
+    assert objects
+
+
+def test_boxes_stay_on_the_picture() -> None:
+    frame, objects = two()
+    for kind in BoxKind:
+        for item in taught(frame, objects, kind, draws=30):
+            height_px, width_px = item.view.rgb.shape[:2]
+            for box in item.boxes:
+                assert -0.5 <= box.x_min < box.x_max <= width_px - 0.5
+                assert -0.5 <= box.y_min < box.y_max <= height_px - 0.5
+
+
+def test_the_same_seed_gives_the_same_pictures_and_another_seed_others() -> None:
+    frame, objects = two()
+    first, again, other = (taught(frame, objects, seed=seed) for seed in (5, 5, 6))
+    assert len(first) == len(again)
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a.view.rgb, b.view.rgb)
+        np.testing.assert_array_equal(a.view.axes, b.view.axes)
+        assert a.boxes == b.boxes
+    assert [item.boxes for item in first] != [item.boxes for item in other]
+
+
+def test_neighbours_in_a_crop_are_labelled_too() -> None:
+    # a small object in the corner of the room that the crop of a turned one takes
+    frame, truths = frame_with([BOXES[0], some_box([0.02, 0.1, 2.2], [0, 0.2, 0], [0.12, 0.3, 0.12])], up=UP)
+    objects = [TaughtObject(name, t.box) for name, t in zip(("left", "right"), truths, strict=True)]
+    together = [item for item in taught(frame, objects, draws=30) if len(item.boxes) == 2]
+    assert len(together) > 10
+    assert {box.label for item in together for box in item.boxes} == {"left", "right"}
+    # nothing that is well on a picture is left without its box
+    owners = {tuple(point): number // 800 for number, point in enumerate(frame.cloud.xyz_m[:1600])}
+    totals = [contains(item.box, frame.cloud.xyz_m).sum() for item in objects]
+    for item in taught(frame, objects, draws=10):
+        owner = np.array([owners.get(tuple(point), -1) for point in item.view.xyz_m])
+        for number, known in enumerate(objects):
+            inside = contains(known.box, item.view.xyz_m) & (owner == number)
+            labelled = known.label in {box.label for box in item.boxes}
+            if inside.sum() > 1.05 * teach.MIN_SHARE * totals[number]:
+                assert labelled
+            elif inside.sum() < 0.95 * teach.MIN_SHARE * totals[number]:
+                assert not labelled
+
+
+def test_an_object_with_few_points_is_left_out() -> None:
+    frame, _ = frame_with(BOXES[:1], up=UP)
+    empty = some_box([0.9, -0.6, 1.5], [0, 0, 0], [0.1, 0.1, 0.1])
+    assert contains(empty, frame.cloud.xyz_m).sum() < teach.MIN_POINTS
+    assert taught(frame, [TaughtObject("ghost", empty)]) == []
+    views = taught(frame, [TaughtObject("left", BOXES[0]), TaughtObject("ghost", empty)])
+    assert {box.label for item in views for box in item.boxes} == {"left"}
+    few = np.zeros(len(frame.cloud), bool)
+    few[: teach.MIN_POINTS - 1] = True
+    assert taught(frame, [TaughtObject("left", BOXES[0], few)]) == []
+
+
+def test_views_come_in_pairs_as_many_as_were_asked_for() -> None:
+    frame, objects = two()
+    assert len(taught(frame, objects[:1], draws=9)) == 2 * 9
+    assert len(taught(frame, objects, draws=4)) == 2 * 2 * 4
+    assert taught(frame, []) == []
+
+
+@given(turn=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_views_of_upright_objects_are_level(turn: int) -> None:
+    frame, objects = two()
+    for item in taught(frame, objects[:1], draws=2, seed=turn):
+        np.testing.assert_allclose(item.view.axes[1], -UP, atol=1e-9)
+        np.testing.assert_allclose(item.view.axes @ item.view.axes.T, np.eye(3), atol=1e-9)
+
+
+def test_views_of_free_objects_come_from_everywhere() -> None:
+    frame, objects = two()
+    views = taught(frame, objects[:1], draws=40, up=None)
+    down = np.array([item.view.axes[1] for item in views])
+    assert (np.abs(down @ UP) < 0.7).any()
+    assert all(np.linalg.det(item.view.axes) == pytest.approx(1) for item in views)
+
+
+def test_an_object_partly_behind_the_camera_is_still_taught() -> None:
+    """Its box has no frustum on the image, but can be cropped."""
+    frame, _ = frame_with(BOXES[:1], up=UP)
+    near = some_box([0, 0, 0.05], [0, 0, 0], [0.5, 0.5, 0.4])
+    rng = np.random.default_rng(0)
+    xyz = frame.cloud.xyz_m.copy()
+    xyz[:200] = rng.uniform(-0.2, 0.2, (200, 3)) * [1, 1, 0.5] + [0, 0, 0.15]
+    moved = replace(frame, cloud=replace(frame.cloud, xyz_m=xyz))
+    views = taught(moved, [TaughtObject("near", near)], draws=20)
+    assert 0 < len(views) < 40
+    assert all(item.boxes for item in views)
+
+
+def view_of(width_px: int, height_px: int, origin_m: tuple[float, float], scale: float) -> PseudoView:
+    picture = np.zeros((height_px, width_px, 3), np.uint8)
+    return PseudoView(picture, np.eye(3), scale, np.array(origin_m), np.zeros((1, 3), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("center", "expected"),
+    [
+        ([0.0, 0.0, 5.0], (39.5, 19.5, 59.5, 39.5)),
+        ([0.5, 0.0, 5.0], (89.5, 19.5, 99.5, 39.5)),
+        ([-0.55, -0.35, 5.0], (-0.5, -0.5, 4.5, 4.5)),
+        ([2.0, 0.0, 5.0], None),
+        ([0.0, 0.4, 5.0], None),
+    ],
+    ids=["inside", "cut on the right", "cut at the corner", "beside", "touching from below"],
+)
+def test_a_box_on_a_view(center: list[float], expected: tuple[float, ...] | None) -> None:
+    """100 x 60 pixels of 1 cm; the picture's left upper corner is at (-0.5, -0.3) m."""
+    view = view_of(100, 60, (-0.495, -0.295), 0.01)
+    found = project_box(view, some_box(center, [0, 0, 0], [0.2, 0.2, 0.2]), "a")
+    if expected is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert found.xyxy == pytest.approx(expected)
+        assert found.label == "a"
+
+
+def test_points_without_extent_span_nothing() -> None:
+    view = view_of(100, 60, (-0.495, -0.295), 0.01)
+    assert span_on_view(view, np.array([[0.0, 0.0, 1.0]]), "a") is None
+    assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]]), "a") is None
+    assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.001, 0.001, 1.0]]), "a") is None
+    found = span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.1, 1.0]]), "a")
+    assert found is not None
+    assert found.xyxy == pytest.approx((49.5, 29.5, 59.5, 39.5))
+
+
+def test_a_turned_box_spans_more_than_its_sides() -> None:
+    view = view_of(100, 60, (-0.495, -0.295), 0.01)
+    turned = OrientedBox.from_parts(
+        np.array([0.0, 0.0, 3.0]), Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix(), np.array([0.2, 0.2, 0.1])
+    )
+    found = project_box(view, turned, "a")
+    assert found is not None
+    assert found.width_px == pytest.approx(20 * np.sqrt(2))
+    assert found.height_px == pytest.approx(20 * np.sqrt(2))
