@@ -2,8 +2,8 @@
 
 Muon (K. Jordan et al., "Muon: an optimizer for hidden layers in neural networks", 2024) replaces each weight matrix's
 momentum by the nearest matrix with equal singular values, found by Newton-Schulz iteration. Ultralytics trains YOLO26
-with a mix of it and SGD; its version computes in bfloat16 and pads matrices to batches, which suits a GPU and takes
-as long as the rest of the training step on a CPU. This one works in float32 and batches only equal shapes.
+with a mix of it and SGD; its version computes in bfloat16 and pads matrices to batches, which suits a GPU and on a CPU
+takes nearly as long as the rest of a training step. This one works in float32 and batches only equal shapes.
 
 Imports torch: import this module only where a detector is about to be trained.
 """

@@ -1,8 +1,8 @@
 """Running a trained YOLO on many pictures at once.
 
-Ultralytics' own predictor spends more time around the network than in it on small pictures, so the pictures are
-prepared here into one batch and the answers of the whole batch are sorted out together. Its results are the same
-(tests/detection/test_yolo.py compares them).
+Pictures of all sizes go in with one call, and a picture's answer does not depend on what else is asked with it;
+ultralytics' own predictor gives the same boxes (tests/detection/test_yolo.py compares them), a little more slowly, and
+pads differently where sizes are mixed.
 """
 
 from __future__ import annotations

@@ -1,0 +1,187 @@
+"""How tight are a view detector's boxes, and how long do teaching and asking it take?
+
+    python -m benchmarks.detector DIR [--model yolo11n] [--epochs N] [--upright | --free] [--json]
+
+Every second frame of a recording with true 3D boxes teaches, with the projections of those boxes on pseudo-views along
+random axes; the detector is asked about views of the other frames. The error of an edge is a share of the picture's
+extent in its direction, as `benchmarks.axes --jitter` has it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import train_detector
+from annotator.detection.yolo import YoloDetector
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
+from annotator.recordings import Recording, open_recording
+from annotator.types import Box2D, BoxKind
+from annotator.workflows.truth import load_truth
+from benchmarks.report import Table, finish
+
+QUIET = Console(stderr=True)
+BATCHES = (1, 8, 24)
+REPEATS = 5
+
+
+@dataclass
+class Arguments:
+    """Train a view detector on half of a recording, measure it on the other half."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
+    """A recording with true 3D boxes."""
+    model: str = "yolo11n"
+    """An ultralytics detection model; always from random weights."""
+    size: int = 224
+    """Longer side of a picture in the network, pixels."""
+    epochs: int | None = None
+    """Passes over the pictures; by default what TrainingConfig says."""
+    optimizer: str = "MuSGD"
+    """MuSGD, AdamW (with --learning-rate 0.002) or SGD."""
+    learning_rate: float = 0.01
+    """At its highest."""
+    draws: int = 3
+    """Random axes an object and frame; each gives two views."""
+    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Views are level (the default where the recording knows gravity)."""
+    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Views along any direction (the default elsewhere)."""
+    seed: int = 0
+    """Of the views and the training."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+def make_views(
+    recording: Recording, indices: Sequence[int], args: Arguments, seed: int
+) -> list[tuple[str, TaughtView]]:
+    """Views of all true objects of some frames, with the frame's key."""
+    rng = np.random.default_rng(seed)
+    views: list[tuple[str, TaughtView]] = []
+    for index in indices:
+        frame = recording.frame(index)
+        truths = load_truth(recording, index, frame)
+        objects = [TaughtObject(truth.label, truth.box) for truth in truths]
+        up = frame.up
+        if up is None and args.upright and truths:
+            # A box's third axis is its height, and so gravity where an upright recording does not say.
+            up = truths[0].box.rotation[:, 2]
+        taught = teach_views(frame, objects, BoxKind.BOX, args.draws, RcvConfig(), None if args.free else up, rng)
+        views.extend((frame.key, view) for view in taught)
+    return views
+
+
+def overlap(a: Box2D, b: Box2D) -> float:
+    """Intersection over union of two boxes."""
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    shared = max(width, 0.0) * max(height, 0.0)
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+
+
+def tightness(views: Sequence[TaughtView], found: Sequence[Sequence[Box2D]]) -> dict[str, float]:
+    """How well the best found box of each true one's class fits it."""
+    ious, errors, wanted = [], [], 0
+    for taught, boxes in zip(views, found, strict=True):
+        height_px, width_px = taught.view.rgb.shape[:2]
+        for truth in taught.boxes:
+            wanted += 1
+            same = [box for box in boxes if box.label == truth.label]
+            if not same:
+                continue
+            best = max(same, key=lambda box: overlap(box, truth)) if len(taught.boxes) > 1 else same[0]
+            ious.append(overlap(best, truth))
+            errors.append(np.subtract(best.xyxy, truth.xyxy) / np.array([width_px, height_px] * 2))
+    error = np.abs(np.array(errors).reshape(-1, 4))
+    if not ious:
+        return {"objects": wanted, "share_found": 0.0}
+    return {
+        "objects": wanted,
+        "share_found": len(ious) / wanted,
+        "mean_iou": float(np.mean(ious)),
+        "edge_error_mean": float(error.mean()),
+        "edge_error_median": float(np.median(error)),
+        "edge_error_rms": float(np.sqrt((error**2).mean())),
+    }
+
+
+def milliseconds(detector: YoloDetector, views: Sequence[TaughtView], batch: int) -> float:
+    """An image, the best of several batches, the first one left out."""
+    pictures = [views[i % len(views)].view for i in range(batch)]
+    detector.detect(pictures)
+    times = []
+    for _ in range(REPEATS):
+        begin = time.perf_counter()
+        detector.detect(pictures)
+        times.append(time.perf_counter() - begin)
+    return min(times) / batch * 1e3
+
+
+def report(progress: TrainingProgress) -> None:
+    """One line an epoch, on standard error."""
+    if progress.batch == 0:
+        measured = "" if progress.map50_95 is None else f", mAP50-95 {progress.map50_95:.3f}"
+        QUIET.print(f"epoch {progress.epoch} of {progress.epochs}, {progress.seconds:.0f} s{measured}")
+
+
+def run(args: Arguments) -> dict[str, object]:
+    """The benchmark; what `--json` prints."""
+    recording = open_recording(args.folder)
+    taught = make_views(recording, range(0, len(recording), 2), args, args.seed)
+    asked = [view for _, view in make_views(recording, range(1, len(recording), 2), args, args.seed + 1)]
+    classes = sorted({box.label for _, view in taught for box in view.boxes})
+    config = TrainingConfig.model_validate(
+        {
+            "model": args.model,
+            "pretrained": "never",
+            "image_size_px": args.size,
+            "epochs": args.epochs,
+            "optimizer": args.optimizer,
+            "learning_rate": args.learning_rate,
+            "free_rotation": args.free,
+            "seed": args.seed,
+        }
+    )
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        samples = (TrainingSample(view.view.rgb, view.boxes, key, "projected") for key, view in taught)
+        write_dataset(folder / "set", samples, classes, seed=args.seed, kind=BoxKind.BOX)
+        trained = train_detector(folder / "set", folder / "run", config, report)
+        detector = YoloDetector(trained.weights, args.size)
+        found = detector.detect([view.view for view in asked])
+        speed = {str(batch): milliseconds(detector, asked, batch) for batch in BATCHES}
+    return {
+        "model": args.model,
+        "views_taught": len(taught),
+        "views_asked": len(asked),
+        "epochs": trained.epochs,
+        "seconds": trained.seconds,
+        **tightness(asked, found),
+        "ms_per_image": speed,
+    }
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = run(args)
+    table = Table("measure", "value")
+    for name, value in result.items():
+        table.add(name, value)
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    main()
