@@ -12,9 +12,10 @@ from functools import partial
 
 import numpy as np
 
+from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.projection import project
-from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.project import REVIEWED, Change, NewLabel, Project, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import DrawnObject, draw_object
 from annotator.rcv.teach import TaughtObject, project_box, span_on_view
@@ -28,6 +29,8 @@ from annotator.workflows.views_out import geometry_of
 AUTHOR = "simulated operator"
 # An operator cannot see an object of fewer points.
 MIN_VISIBLE_POINTS = 20
+# A true box that the frame has as a label already, up to rounding, is not imported again.
+SAME_BOX_IOU = 0.99
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,9 @@ def simulate_recording(
 ) -> Drawn:
     """Labels every so many frames of a recording from its truth; the store keeps it like an operator's work.
 
+    Doing it again replaces the boxes that were drawn, and imports no 3D box twice. Frames that are no longer in the
+    recording are passed by.
+
     Args:
         config: how pseudo-views are drawn; its orientation is set frame by frame from the project's setting.
         progress: called with (frames labelled, frames to label).
@@ -124,13 +130,14 @@ def simulate_recording(
     Raises:
         ConfigError: `every` is less than 1, or the recording brings no truth of the project's classes.
         RecordingError: it brings no truth at all, or cannot be read.
+        FrameError: one of the frames cannot be read; those before it are labelled.
     """
     if every < 1:
         raise ConfigError(f"every {every} frames cannot be labelled; give 1 or more")
     source = FrameSource(project)
     recording = source.recording(recording_id)
     settings = project.config
-    frames = project.frames.of([recording_id])[::every]
+    frames = [stored for stored in project.frames.of([recording_id]) if stored.index is not None][::every]
     places = {key: index for index, key in enumerate(recording.keys)}
     drawn_objects = boxes = 0
     for number, stored in enumerate(frames, 1):
@@ -141,8 +148,7 @@ def simulate_recording(
         on_image, finished = draw_frame(frame, objects, kind, turned)
         revision = _store(project, stored, on_image, finished, kind)
         if kind is BoxKind.BOX and objects:
-            labels = [NewLabel(item.label, item.box) for item in objects]
-            project.labels.create(stored.id, labels, Change(revision, AUTHOR, Source.IMPORTED))
+            _import_boxes(project, stored.id, objects, Change(revision, AUTHOR, Source.IMPORTED))
         drawn_objects += len(finished)
         boxes += len(on_image) + sum(len(drawn.views) for drawn in finished)
         if progress is not None:
@@ -177,3 +183,14 @@ def _store(
                 geometry=geometry_of(item.view, drawn.image_box),
             ).revision
     return revision
+
+
+def _import_boxes(project: Project, frame_id: int, objects: Sequence[TaughtObject], change: Change) -> None:
+    known = [label for label in project.labels.of_frame(frame_id) if label.state in REVIEWED]
+    new = [
+        NewLabel(item.label, item.box)
+        for item in objects
+        if not any(label.label == item.label and iou_3d(label.box, item.box) >= SAME_BOX_IOU for label in known)
+    ]
+    if new:
+        project.labels.create(frame_id, new, change)

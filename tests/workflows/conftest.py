@@ -1,0 +1,68 @@
+"""Projects made of small generated recordings, and detectors that know their truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from annotator.detection.perfect import PerfectDetector, Scene
+from annotator.project import BoxRotation, Project, ProjectSettings, create_project
+from annotator.recordings import open_recording
+from annotator.types import BoxKind
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.recordings import register_recording
+from annotator.workflows.truth import load_truth
+
+MakeProject = Callable[..., Project]
+
+
+@pytest.fixture
+def make_project(tmp_path: Path) -> Iterator[MakeProject]:
+    """Makes projects of recordings: `make_project(path, ..., classes=("person",), rotation=BoxRotation.AUTO)`."""
+    made: list[Project] = []
+
+    def make(
+        *recordings: Path,
+        classes: Sequence[str] = ("person",),
+        rotation: BoxRotation = BoxRotation.AUTO,
+        up: Sequence[float] | None = None,
+    ) -> Project:
+        settings = ProjectSettings(rotation=rotation)
+        made.append(create_project(tmp_path / "projects", f"project{len(made)}", classes, settings=settings))
+        for path in recordings:
+            register_recording(made[-1], open_recording(path), up=up)
+        return made[-1]
+
+    yield make
+    for project in made:
+        project.close()
+
+
+@pytest.fixture
+def people(make_project: MakeProject, generated: Path) -> Project:
+    """A project for persons with one recording of 5 frames; nobody has labelled anything."""
+    return make_project(generated / "people")
+
+
+@pytest.fixture
+def hands(make_project: MakeProject, generated: Path) -> Project:
+    """The same for hands, whose boxes turn freely."""
+    return make_project(generated / "hands", classes=("hand",), rotation=BoxRotation.FREE)
+
+
+@pytest.fixture(scope="session")
+def knowing(generated: Path) -> Callable[..., Detectors]:
+    """Detectors that know the truth of a generated recording: `knowing("people", kind=BoxKind.BOX)`."""
+    made: dict[tuple[str, BoxKind], PerfectDetector] = {}
+
+    def perfect(name: str, kind: BoxKind = BoxKind.BOX) -> Detectors:
+        if (name, kind) not in made:
+            recording = open_recording(generated / name)
+            frames = [recording.frame(index) for index in range(len(recording))]
+            scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
+            made[name, kind] = PerfectDetector(scenes, kind, min_points=50)
+        return Detectors(made[name, kind], made[name, kind], kind)
+
+    return perfect

@@ -1,0 +1,204 @@
+"""The simulated operator: five boxes an object, drawn where the truth says, and kept like an operator's work."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from annotator.geometry.oriented_box import contains
+from annotator.project import BoxRotation, Project
+from annotator.rcv.config import RcvConfig
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, ReviewState, Source
+from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.workflows.recordings import add_recordings, register_recording
+from annotator.workflows.simulate import MIN_VISIBLE_POINTS, simulate_recording, visible_objects
+from annotator.workflows.truth import load_truth
+
+
+def simulated(project: Project, kind: BoxKind, every: int = 1):
+    (recording,) = project.recordings.all()
+    return simulate_recording(project, recording.id, kind, RcvConfig(), every)
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_five_boxes_an_object(people: Project, kind: BoxKind) -> None:
+    drawn = simulated(people, kind, every=2)
+    assert drawn.frames == 3
+    assert drawn.objects == 3 * 3
+    assert drawn.boxes == (1 + 4) * drawn.objects
+    counts = people.statistics()
+    assert (counts.image_boxes.pictures, counts.image_boxes.boxes) == (3, 9)
+    assert (counts.view_boxes.pictures, counts.view_boxes.boxes) == (36, 36)
+    views = people.boxes.on_views()
+    assert Counter(view.step for view in views) == {0: 18, 1: 18}
+    assert {(view.box_kind, view.source) for view in views} == {(kind, Source.MANUAL)}
+    assert all(people.views.load(view.view_id).any() for view in views)
+    labelled = {boxes.frame_id for boxes in people.boxes.on_images()}
+    assert [frame.id in labelled for frame in people.frames.of()] == [True, False, True, False, True]
+
+
+def test_true_boxes_are_imported_as_labels(people: Project) -> None:
+    simulated(people, BoxKind.BOX, every=4)
+    (recording,) = people.recordings.all()
+    source = open_recording(recording.path)
+    for index in (0, 4):
+        stored = people.frames.of()[index]
+        labels = people.labels.of_frame(stored.id)
+        truths = load_truth(source, index, source.frame(index))
+        assert len(labels) == len(truths) == 3
+        for label, truth in zip(labels, truths, strict=True):
+            assert (label.source, label.state, label.label) == (Source.IMPORTED, ReviewState.ACCEPTED, "person")
+            np.testing.assert_allclose(
+                label.box.T_camera_box.as_matrix(), truth.box.T_camera_box.as_matrix(), atol=1e-9
+            )
+    assert people.statistics().labels.total == 6
+
+
+def test_silhouettes_teach_no_3d_box(people: Project) -> None:
+    simulated(people, BoxKind.SILHOUETTE)
+    assert people.statistics().labels.total == 0
+
+
+def test_silhouettes_go_around_the_mask(people: Project) -> None:
+    """On the image: exactly around the pixels of the mask that have a depth."""
+    simulated(people, BoxKind.SILHOUETTE, every=5)
+    recording = open_recording(people.recordings.all()[0].path)
+    frame = recording.frame(0)
+    mask = cv2.imread(str(recording.path / "truth" / "mask" / f"{frame.key}.png"), cv2.IMREAD_UNCHANGED)
+    (boxes,) = people.boxes.on_images()
+    assert frame.depth_m is not None
+    for number, box in enumerate(boxes.boxes, 1):
+        rows, columns = np.nonzero((mask == number) & (frame.depth_m > 0))
+        assert box.xyxy == pytest.approx((columns.min(), rows.min(), columns.max(), rows.max()), abs=1e-3)
+
+
+def test_it_may_be_done_again(people: Project) -> None:
+    """A second time replaces the 2D boxes, and does not import the same 3D boxes again."""
+    first = simulated(people, BoxKind.BOX, every=2)
+    before = people.statistics()
+    assert simulated(people, BoxKind.BOX, every=2) == first
+    after = people.statistics()
+    assert after.labels == before.labels
+    assert (after.image_boxes, after.view_boxes) == (before.image_boxes, before.view_boxes)
+
+
+def two_classes(folder: Path) -> Path:
+    """Makes the second of three persons a robot, in boxes and masks as they are."""
+    file = folder / "truth" / "boxes.json"
+    content = json.loads(file.read_text())
+    for entries in content.values():
+        entries[1]["label"] = "robot"
+    file.write_text(json.dumps(content))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("classes", "numbers"), [(("person",), (1, 3)), (("robot",), (2,)), (("robot", "person"), (1, 2, 3))]
+)
+def test_a_mask_numbers_all_objects_whatever_their_class(
+    own_copy: Callable[[str], Path], classes: tuple[str, ...], numbers: tuple[int, ...]
+) -> None:
+    recording = open_recording(two_classes(own_copy("people")))
+    frame = recording.frame(0)
+    mask = cv2.imread(str(recording.path / "truth" / "mask" / f"{frame.key}.png"), cv2.IMREAD_UNCHANGED)
+    assert frame.cloud.pixel_index is not None
+    found = visible_objects(recording, 0, frame, classes)
+    assert len(found) == len(numbers)
+    for item, number in zip(found, numbers, strict=True):
+        assert item.label == ("robot" if number == 2 else "person")
+        np.testing.assert_array_equal(item.points, mask.ravel()[frame.cloud.pixel_index] == number)
+
+
+def test_without_a_mask_the_points_in_the_true_box_are_the_objects(own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    for path in (folder / "truth" / "mask").iterdir():
+        path.unlink()
+    (folder / "truth" / "mask").rmdir()
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    for item in visible_objects(recording, 0, frame, ["person"]):
+        np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
+
+
+def test_an_object_that_is_hidden_is_not_drawn(own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    path = folder / "truth" / "mask" / "000000.png"
+    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    hidden = np.flatnonzero(mask.ravel() == 2)[MIN_VISIBLE_POINTS - 1 :]
+    mask.ravel()[hidden] = 0
+    cv2.imwrite(str(path), mask)
+    recording = open_recording(folder)
+    assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
+
+
+def test_views_follow_the_projects_rotation(make_project: Callable[..., Project], generated: Path) -> None:
+    """Upright views of the second step keep gravity pointing down; free ones need not."""
+    level = {}
+    for rotation in (BoxRotation.AUTO, BoxRotation.FREE):
+        project = make_project(generated / "hands", classes=("hand",), rotation=rotation)
+        simulated(project, BoxKind.SILHOUETTE, every=5)
+        up = open_recording(generated / "hands").frame(0).up
+        assert up is not None
+        down = [np.array(view.geometry.axes)[1] @ -up for view in project.boxes.on_views() if view.geometry]
+        level[rotation] = np.allclose(down, 1, atol=1e-6)
+    assert level == {BoxRotation.AUTO: True, BoxRotation.FREE: False}
+
+
+def test_a_recording_without_truth(people: Project, own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("hands")
+    shutil.rmtree(folder / "truth")
+    stored = register_recording(people, open_recording(folder))
+    with pytest.raises(RecordingError, match=r"hands: has no true boxes; looked for .*boxes\.json"):
+        simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
+    assert people.statistics().image_boxes.boxes == 0
+
+
+def test_truth_of_other_classes_only(make_project: Callable[..., Project], generated: Path) -> None:
+    project = make_project(generated / "people", classes=("robot",))
+    with pytest.raises(ConfigError, match="brings no true boxes of robot"):
+        simulated(project, BoxKind.BOX)
+
+
+@pytest.mark.parametrize("every", [0, -1])
+def test_every_no_frame_is_refused(people: Project, every: int) -> None:
+    with pytest.raises(ConfigError, match="give 1 or more"):
+        simulated(people, BoxKind.BOX, every)
+
+
+def test_frames_that_are_gone_are_passed_by(people: Project, own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    stored = register_recording(people, open_recording(folder))
+    for path in (folder / "color" / "000000.jpg", folder / "depth" / "000000.png"):
+        path.unlink()
+    add_recordings(people, [folder])
+    drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+    assert drawn.frames == 2
+    labelled = {boxes.frame_id for boxes in people.boxes.on_images()}
+    assert [f.key for f in people.frames.of([stored.id]) if f.id in labelled] == ["000001", "000003"]
+
+
+def test_a_broken_frame_is_named_and_what_was_drawn_before_is_kept(
+    people: Project, own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    depth = folder / "depth" / "000001.png"
+    depth.write_bytes(depth.read_bytes()[:1000])
+    stored = register_recording(people, open_recording(folder))
+    with pytest.raises(FrameError, match=r"depth/000001\.png"):
+        simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig())
+    assert people.statistics().image_boxes.pictures == 1
+
+
+def test_progress_counts_the_labelled_frames(people: Project) -> None:
+    told: list[tuple[int, int]] = []
+    (recording,) = people.recordings.all()
+    simulate_recording(people, recording.id, BoxKind.BOX, RcvConfig(), 2, lambda done, of: told.append((done, of)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
