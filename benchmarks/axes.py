@@ -23,7 +23,7 @@ from annotator.rcv.propose import propose
 from annotator.recordings import Recording, open_recording
 from annotator.types import BoxKind, Frame, Proposal, Truth
 from annotator.workflows.truth import load_truth
-from benchmarks.report import Table, finish
+from benchmarks.report import Table, finish, guarded
 
 
 @dataclass
@@ -126,4 +126,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    guarded(main)

@@ -30,7 +30,7 @@ from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind
 from annotator.workflows.truth import load_truth
-from benchmarks.report import Table, finish
+from benchmarks.report import Table, finish, guarded
 
 QUIET = Console(stderr=True)
 BATCHES = (1, 8, 24)
@@ -184,4 +184,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    guarded(main)

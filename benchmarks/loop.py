@@ -36,7 +36,7 @@ from annotator.workflows.samples import SampleConfig
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
 from annotator.workflows.truth import load_mask, load_truth
-from benchmarks.report import Table, finish
+from benchmarks.report import Table, finish, guarded
 
 NAME = "loop"
 QUIET = Console(stderr=True)
@@ -216,4 +216,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    guarded(main)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from annotator.rcv.config import ViewConfig
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import PointCloud
-from benchmarks.report import Table, finish
+from benchmarks.report import Table, finish, guarded
 
 
 @dataclass
@@ -72,4 +72,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    guarded(main)

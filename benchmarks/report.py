@@ -1,13 +1,18 @@
-"""How benchmarks print: a table for people, one JSON object on the last line for programs."""
+"""How benchmarks print: a table for people, one JSON object on the last line for programs; and how they fail."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 
 from rich.console import Console
 from rich.table import Table as RichTable
+
+from annotator.types.errors import AnnotatorError
+
+UNUSABLE_INPUT = 2
 
 
 class Table:
@@ -23,6 +28,19 @@ class Table:
         # Where no terminal says how wide it is, nothing shall be cut.
         console = Console()
         (console if console.is_terminal else Console(width=140)).print(self._table)
+
+
+def guarded(main: Callable[[], None]) -> None:
+    """Runs a benchmark: unusable input is one line on standard error and exit code 2; `--debug` shows the traceback."""
+    debug = "--debug" in sys.argv
+    sys.argv = [word for word in sys.argv if word != "--debug"]
+    try:
+        main()
+    except AnnotatorError as error:
+        if debug:
+            raise
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(UNUSABLE_INPUT)
 
 
 def finish(result: Mapping[str, object], as_json: bool, *tables: Table) -> None:
