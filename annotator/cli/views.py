@@ -22,6 +22,8 @@ def run(project: str, out: Path, /, *, step: int = 1, root: Root = None) -> None
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     with open_named(project, root) as opened:
-        number = write_views(opened, out, step, RcvConfig())
-    print_line(f"{number} pictures in {out}")
+        written = write_views(opened, out, step, RcvConfig())
+    print_line(f"{written.pictures} pictures in {out}")
+    for line in written.unreadable:
+        print_line(f"left out: frame {line}")
     print_line(f"next: draw boxes, then annotator import {project} {out / COCO} --pictures {out}")

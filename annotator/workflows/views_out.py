@@ -7,6 +7,7 @@ import knows what a box on it means.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,12 +18,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from annotator.formats.coco import CocoImage, write_coco
+from annotator.formats.json_file import write_text
+from annotator.formats.rcv.folder import new_folder
 from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import first_views, next_views
 from annotator.types import Box2D, Frame, PseudoView
-from annotator.types.errors import ConfigError, FormatError
+from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.view_pairs import front_and_side, views_by_object
 
 SIDECAR, COCO = "views.json", "coco.json"
 
@@ -42,6 +46,14 @@ class ViewPlace(BaseModel):
 _PLACES: TypeAdapter[tuple[ViewPlace, ...]] = TypeAdapter(tuple[ViewPlace, ...])
 
 
+@dataclass(frozen=True)
+class WrittenViews:
+    """How many pictures were written, and the labelled frames that could not be read, as `key: reason`."""
+
+    pictures: int
+    unreadable: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class _Drawn:
     stored: StoredFrame
@@ -51,39 +63,58 @@ class _Drawn:
     views: tuple[PseudoView, PseudoView]
 
 
-def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> int:
-    """Writes the pseudo-views of one step of every object that is ready for it; the number of pictures.
+def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> WrittenViews:
+    """Writes the pseudo-views of one step of every object that is ready for it; complete, or not at all.
 
     Args:
         out: a new folder: PNG pictures, `views.json`, and `coco.json` with the pictures but no boxes yet.
         step: 1 (from the boxes on camera images) or 2 (from those on the first step's views).
 
     Raises:
-        ConfigError: the folder is there already, or no object is ready.
+        ConfigError: the folder is there already, there is no such step, or no object is ready.
+        FormatError: the folder cannot be written.
     """
-    if out.exists() and any(out.iterdir()):
-        raise ConfigError(f"{out}: is not empty; choose a new folder for the pictures")
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise ConfigError(f"{out}: is there already; choose a new folder for the pictures")
     if step not in (1, 2):
         raise ConfigError(f"there is no step {step} to label; the steps are 1 and 2")
-    out.mkdir(parents=True, exist_ok=True)
-    source, images, places = FrameSource(project), [], []
-    for drawn in _first(project, source, config) if step == 1 else _second(project, source, config):
-        name = source.stored(drawn.stored.recording_id).name
-        for side, view in zip(("front", "side"), drawn.views, strict=True):
-            file_name = f"{name}_{drawn.stored.key}_{drawn.number:02d}_step{step}_{side}.png"
-            height_px, width_px = view.rgb.shape[:2]
-            cv2.imwrite(str(out / file_name), view.rgb[:, :, ::-1])
-            images.append(CocoImage(file_name, width_px, height_px, ()))
-            geometry = geometry_of(view, drawn.image_box)
-            places.append(
-                ViewPlace(file_name=file_name, recording=name, frame=drawn.stored.key, step=step - 1, geometry=geometry)
-            )
-    if not images:
-        needed = "boxes on camera images" if step == 1 else "boxes on both views of the first step"
-        raise ConfigError(f"project {project.config.name} has no object with {needed} yet")
-    (out / SIDECAR).write_bytes(_PLACES.dump_json(tuple(places), indent=1))
-    write_coco(out / COCO, images, project.config.classes)
-    return len(images)
+    frames = _Frames(project, config)
+    images: list[CocoImage] = []
+    places: list[ViewPlace] = []
+    with new_folder(out, lambda _: False) as folder:
+        for drawn in _first(frames) if step == 1 else _second(frames):
+            for side, view in zip(("front", "side"), drawn.views, strict=True):
+                place = _place(frames, drawn, side, view)
+                _write_picture(folder / place.file_name, view)
+                images.append(CocoImage(place.file_name, view.rgb.shape[1], view.rgb.shape[0], ()))
+                places.append(place)
+        if not images:
+            needed = "boxes on camera images" if step == 1 else "boxes on both views of the first step"
+            unreadable = "".join(f"\n  unreadable: {line}" for line in frames.unreadable)
+            raise ConfigError(f"project {project.config.name} has no object with {needed} yet{unreadable}")
+        write_text(folder / SIDECAR, _PLACES.dump_json(tuple(places), indent=1).decode())
+        write_coco(folder / COCO, images, project.config.classes)
+    return WrittenViews(len(images), tuple(frames.unreadable))
+
+
+def _place(frames: _Frames, drawn: _Drawn, side: str, view: PseudoView) -> ViewPlace:
+    recording = frames.source.stored(drawn.stored.recording_id).name
+    stem = re.sub(r"[^\w.-]+", "_", f"{recording}_{drawn.stored.key}_{drawn.number:02d}_step{drawn.step}_{side}")
+    return ViewPlace(
+        file_name=f"{stem}.png",
+        recording=recording,
+        frame=drawn.stored.key,
+        step=drawn.step - 1,
+        geometry=geometry_of(view, drawn.image_box),
+    )
+
+
+def _write_picture(path: Path, view: PseudoView) -> None:
+    _, data = cv2.imencode(".png", np.ascontiguousarray(view.rgb[:, :, ::-1]))
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise FormatError(path, f"cannot be written ({error.strerror}); nothing was left behind") from error
 
 
 def read_places(pictures: Path) -> dict[str, ViewPlace]:
@@ -113,29 +144,52 @@ def geometry_of(view: PseudoView, image_box: Box2D) -> ViewGeometry:
     )
 
 
-def _first(project: Project, source: FrameSource, config: RcvConfig) -> Iterator[_Drawn]:
-    for boxes in project.boxes.on_images():
-        stored = project.frames.get(boxes.frame_id)
-        frame = source.read(stored)
-        settings = _settings(project, frame, config)
+class _Frames:
+    """Reads labelled frames; remembers those that cannot be read, so that the others still get their pictures."""
+
+    def __init__(self, project: Project, config: RcvConfig) -> None:
+        self.project, self.config = project, config
+        self.source = FrameSource(project)
+        self.unreadable: list[str] = []
+
+    def read(self, frame_id: int) -> tuple[StoredFrame, Frame, RcvConfig] | None:
+        """A frame, with the settings for its views."""
+        stored = self.project.frames.get(frame_id)
+        try:
+            frame = self.source.read(stored)
+        except FrameError as error:
+            self.unreadable.append(f"{stored.key}: {error}")
+            return None
+        orientation = orientation_for(self.project.config.settings.rotation, frame)
+        return stored, frame, self.config.model_copy(update={"orientation": orientation})
+
+
+def _first(frames: _Frames) -> Iterator[_Drawn]:
+    for boxes in frames.project.boxes.on_images():
+        read = frames.read(boxes.frame_id) if boxes.boxes else None
+        if read is None:
+            continue
+        stored, frame, settings = read
         for number, box in enumerate(boxes.boxes):
             views = first_views(frame, box, settings)
             if views is not None:
                 yield _Drawn(stored, number, 1, box, views)
 
 
-def _second(project: Project, source: FrameSource, config: RcvConfig) -> Iterator[_Drawn]:
-    by_frame: dict[int, dict[Box2D, list[ViewBoxes]]] = defaultdict(lambda: defaultdict(list))
-    for view in project.boxes.on_views():
-        if view.frame_id is not None and view.step == 0 and view.geometry and view.geometry.image_box and view.boxes:
-            by_frame[view.frame_id][view.geometry.image_box].append(view)
+def _second(frames: _Frames) -> Iterator[_Drawn]:
+    by_frame: dict[int, list[tuple[Box2D, tuple[ViewBoxes, ViewBoxes]]]] = defaultdict(list)
+    for (frame_id, image_box), steps in views_by_object(frames.project.boxes.on_views()).items():
+        pair = front_and_side(steps[0])
+        if pair is not None:
+            by_frame[frame_id].append((image_box, pair))
     for frame_id, objects in by_frame.items():
-        stored = project.frames.get(frame_id)
-        frame = source.read(stored)
-        settings = _settings(project, frame, config)
-        for number, (image_box, views) in enumerate(objects.items()):
-            spans = [(np.array(v.geometry.axes), spans_m(v)) for v in views if v.geometry is not None]
-            following = next_views(frame, image_box, spans, settings) if len(spans) == 2 else None
+        read = frames.read(frame_id)
+        if read is None:
+            continue
+        stored, frame, settings = read
+        for number, (image_box, pair) in enumerate(objects):
+            spans = [(np.array(v.geometry.axes), spans_m(v)) for v in pair if v.geometry is not None]
+            following = next_views(frame, image_box, spans, settings)
             if following is not None:
                 yield _Drawn(stored, number, 2, image_box, following)
 
@@ -146,8 +200,3 @@ def spans_m(view: ViewBoxes) -> np.ndarray:
     box, scale = view.boxes[0], view.geometry.metres_per_px
     edges = np.array([[box.x_min, box.x_max], [box.y_min, box.y_max]])
     return np.array(view.geometry.origin_m)[:, None] + edges * scale
-
-
-def _settings(project: Project, frame: Frame, config: RcvConfig) -> RcvConfig:
-    orientation = orientation_for(project.config.settings.rotation, frame)
-    return config.model_copy(update={"orientation": orientation})
