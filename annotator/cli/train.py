@@ -87,5 +87,6 @@ def _told(result: Trained) -> str:
             f"{result.seconds:.0f} s; {figures} {measured}",
             f"  {result.result.note}",
             f"  {result.model.path}",
+            *(f"  left out: {line}" for line in result.left_out),
         ]
     )

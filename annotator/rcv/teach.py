@@ -49,10 +49,11 @@ class TaughtObject:
 
 @dataclass(frozen=True, eq=False)
 class TaughtView:
-    """A pseudo-view and the boxes on it."""
+    """A pseudo-view, the boxes on it, and for each box the index of its object."""
 
     view: PseudoView
     boxes: tuple[Box2D, ...]
+    objects: tuple[int, ...]
 
 
 def project_box(view: PseudoView, box: OrientedBox, label: str) -> Box2D | None:
@@ -146,14 +147,13 @@ def _draw(
         return []
     views = render_pairs(scene.frame.cloud.select(keep), [axes], config.view, show)
     totals = [int(mask.sum()) for mask in whole.masks]
-    return [TaughtView(view, _label(view, scene, keep, totals, kind)) for view in views]
+    return [_label(view, scene, keep, totals, kind) for view in views]
 
 
-def _label(
-    view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[int], kind: BoxKind
-) -> tuple[Box2D, ...]:
-    boxes = []
-    for item, mask, total in zip(scene.objects, scene.masks, totals, strict=True):
+def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[int], kind: BoxKind) -> TaughtView:
+    boxes: list[Box2D] = []
+    objects: list[int] = []
+    for index, (item, mask, total) in enumerate(zip(scene.objects, scene.masks, totals, strict=True)):
         shown = mask & keep
         if shown.sum() < max(MIN_POINTS, MIN_SHARE * total):
             continue
@@ -163,7 +163,8 @@ def _label(
             box = span_on_view(view, scene.frame.cloud.xyz_m[shown], item.label)
         if box is not None:
             boxes.append(box)
-    return tuple(boxes)
+            objects.append(index)
+    return TaughtView(view, tuple(boxes), tuple(objects))
 
 
 def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> Box2D | None:

@@ -8,26 +8,31 @@ edited or imported 3D box, or the points that an operator's drags cut out, seen 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from annotator.detection.dataset import TrainingSample
+from annotator.detection.perfect import box_outline
 from annotator.geometry.fit import aligned_box
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project as project_points
-from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, ViewBoxes
+from annotator.project import REVIEWED, ImageBoxes, Project, Role, StoredFrame, ViewBoxes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
-from annotator.types import Box2D, BoxKind, Frame, Label
-from annotator.types.errors import DetectionError
+from annotator.types import Box2D, BoxKind, Frame, Label, Truth
+from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.view_pairs import front_and_side, views_by_object
 from annotator.workflows.views_out import spans_m
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
+
+Skip = Callable[[StoredFrame, FrameError], None]
+"""Told of a labelled frame that cannot be read: it teaches nothing, the others do."""
 
 
 @dataclass(frozen=True)
@@ -70,23 +75,27 @@ class Material:
         return kinds.most_common(1)[0][0] if kinds else BoxKind.BOX
 
 
-def gather(project: Project) -> Material:
+def gather(project: Project, roles: Sequence[Role] = tuple(Role)) -> Material:
     """What the project holds now.
 
+    Args:
+        roles: the detectors that shall learn from it.
+
     Raises:
-        DetectionError: nothing to learn from, saying what to do.
+        DetectionError: nothing for one of them to learn from, saying what to do.
     """
     images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
     views = project.boxes.on_views()
     reviewed: dict[int, list[Label]] = defaultdict(list)
     for stored in project.labels.select(states=REVIEWED):
         reviewed[stored.frame_id].append(stored.label)
-    if not reviewed and not (images and views):
-        missing = "camera images" if not images else "pseudo-views"
+    held = {Role.IMAGE: (images, "camera images"), Role.VIEW: (views, "pseudo-views")}
+    missing = [name for role, (found, name) in held.items() if role in roles and not found]
+    if missing and not reviewed:
         raise DetectionError(
-            f"project {project.config.name} has no boxes on {missing} to learn from; draw some, import them with "
-            "`annotator import`, let `annotator simulate` draw them from a recording's truth, or add a recording "
-            "that brings 3D labels"
+            f"project {project.config.name} has no boxes on {' or '.join(missing)} to learn from; draw some, import "
+            "them with `annotator import`, let `annotator simulate` draw them from a recording's truth, or add a "
+            "recording that brings 3D labels"
         )
     kinds = Counter(view.box_kind for view in views for _ in view.boxes)
     kinds[BoxKind.BOX] += 4 * sum(map(len, reviewed.values()))
@@ -96,22 +105,23 @@ def gather(project: Project) -> Material:
     return Material(images, same, labels, kind, len(views) - len(same))
 
 
-def image_samples(project: Project, material: Material) -> Iterator[TrainingSample]:
+def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[TrainingSample]:
     """Camera images with their boxes; where only 3D labels are known, with those projected."""
-    for stored, frame in _frames(project, sorted({*material.images, *material.labels})):
+    for stored, frame in _frames(project, sorted({*material.images, *material.labels}), skip):
         drawn = material.images.get(stored.id)
         if drawn is not None:
             yield TrainingSample(frame.rgb, drawn.boxes, _group(stored), DRAWN)
         else:
-            boxes = [projected_box(frame, label) for label in material.labels[stored.id]]
-            uids = tuple(label.uid for label in material.labels[stored.id])
-            yield TrainingSample(frame.rgb, tuple(b for b in boxes if b is not None), _group(stored), PROJECTED, uids)
+            pairs = [(label.uid, projected_box(frame, label)) for label in material.labels[stored.id]]
+            shown = {uid: box for uid, box in pairs if box is not None}
+            yield TrainingSample(frame.rgb, tuple(shown.values()), _group(stored), PROJECTED, tuple(shown))
 
 
 def projected_box(frame: Frame, label: Label) -> Box2D | None:
-    """The 2D box of a 3D label on the camera image, clipped; None outside of it, or with a corner behind the camera."""
-    px = project_points(frame.camera, box_corners(label.box))
-    if not np.isfinite(px).all():
+    """The 2D box of a 3D label on the camera image, clipped; None where it lies outside, or behind the camera."""
+    px = project_points(frame.camera, box_outline(Truth(label.label, label.box), frame.camera))
+    px = px[np.isfinite(px).all(axis=1)]
+    if len(px) == 0:
         return None
     low = np.maximum(px.min(axis=0), -0.5)
     high = np.minimum(px.max(axis=0), [frame.camera.width_px - 0.5, frame.camera.height_px - 0.5])
@@ -121,28 +131,30 @@ def projected_box(frame: Frame, label: Label) -> Box2D | None:
 
 
 def view_samples(
-    project: Project, material: Material, rcv: RcvConfig, config: SampleConfig
+    project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
 ) -> Iterator[TrainingSample]:
     """Drawn pseudo-views, then views along random axes of every object whose extent is known."""
     groups = {stored.id: _group(stored) for stored in project.frames.of()}
     for view in material.views:
-        group = groups.get(view.frame_id, f"view/{view.view_id[:12]}") if view.frame_id is not None else view.view_id
+        group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         yield TrainingSample(project.views.load(view.view_id), view.boxes, group, DRAWN)
     drags = drawn_objects(material)
     total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
     if total == 0:
         return
     draws = int(np.clip(round(config.views / (2 * total)), 1, config.most_draws))
-    for stored, frame in _frames(project, sorted({*material.labels, *drags})):
-        known = [TaughtObject(label.label, label.box) for label in material.labels.get(stored.id, ())]
+    for stored, frame in _frames(project, sorted({*material.labels, *drags}), skip):
+        labels = material.labels.get(stored.id, ())
         cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
-        known += [cut for cut in cuts if cut is not None]
+        known = [TaughtObject(label.label, label.box) for label in labels]
+        known += [cut for cut in cuts if cut is not None and not _is_labelled(frame, cut, labels)]
         rng = np.random.default_rng([config.seed, stored.id])
         orientation = orientation_for(project.config.settings.rotation, frame)
         settings = rcv.model_copy(update={"orientation": orientation})
         up = held_direction(frame.up, settings)
         for taught in teach_views(frame, known, material.kind, draws, settings, up, rng):
-            yield TrainingSample(taught.view.rgb, taught.boxes, _group(stored), TAUGHT)
+            uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
+            yield TrainingSample(taught.view.rgb, taught.boxes, _group(stored), TAUGHT, uids)
 
 
 def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
@@ -154,13 +166,11 @@ def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
     finished: dict[int, list[tuple[ViewBoxes, ...]]] = defaultdict(list)
     if material.kind is not BoxKind.SILHOUETTE:
         return finished
-    by_object: dict[tuple[int, Box2D], list[ViewBoxes]] = defaultdict(list)
-    for view in material.views:
-        if view.frame_id is not None and view.geometry is not None and view.geometry.image_box is not None:
-            by_object[view.frame_id, view.geometry.image_box].append(view)
-    for (frame_id, _), views in by_object.items():
-        if len(views) >= 2 * LABELLED_STEPS and all(len(view.boxes) == 1 for view in views):
-            finished[frame_id].append(tuple(views))
+    for (frame_id, _), steps in views_by_object(material.views).items():
+        pairs = [front_and_side(steps[step]) for step in range(LABELLED_STEPS)]
+        views = tuple(view for pair in pairs if pair is not None for view in pair)
+        if None not in pairs and all(len(view.boxes) == 1 for view in views):
+            finished[frame_id].append(views)
     return finished
 
 
@@ -177,13 +187,24 @@ def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | 
     return TaughtObject(views[0].boxes[0].label, aligned_box(frame.cloud.xyz_m[mask], np.array(last.axes).T), mask)
 
 
+def _is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bool:
+    """True for an object that has an accepted 3D box by now: known twice, it would have two boxes on each view."""
+    xyz_m = frame.cloud.xyz_m[cut.points]
+    return any(label.label == cut.label and contains(label.box, xyz_m).mean() >= 0.5 for label in labels)
+
+
 def _group(stored: StoredFrame) -> str:
     return f"{stored.recording_id}/{stored.key}"
 
 
-def _frames(project: Project, frame_ids: Sequence[int]) -> Iterator[tuple[StoredFrame, Frame]]:
-    """Frames by id, one in memory at a time."""
+def _frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> Iterator[tuple[StoredFrame, Frame]]:
+    """Frames by id, one in memory at a time; those that cannot be read are told to `skip`."""
     source = FrameSource(project)
     for frame_id in frame_ids:
         stored = project.frames.get(frame_id)
-        yield stored, source.read(stored)
+        try:
+            frame = source.read(stored)
+        except FrameError as error:
+            skip(stored, error)
+            continue
+        yield stored, frame

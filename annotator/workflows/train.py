@@ -14,8 +14,9 @@ from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.trained import TrainedModel
 from annotator.detection.training import train_detector
-from annotator.project import Project, Role, StoredModel
+from annotator.project import Project, Role, StoredFrame, StoredModel
 from annotator.rcv.config import RcvConfig
+from annotator.types.errors import FrameError
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.samples import Material, SampleConfig, gather, image_samples, view_samples
 
@@ -29,13 +30,18 @@ ProgressCallback = Callable[[Role, TrainingProgress], None]
 
 @dataclass(frozen=True)
 class Trained:
-    """One detector after its training."""
+    """One detector after its training.
+
+    Attributes:
+        left_out: what could not teach it, in words: unreadable frames, boxes of the other kind.
+    """
 
     role: Role
     model: StoredModel
     result: TrainedModel
     manifest: DatasetManifest
     seconds: float
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,12 +75,12 @@ def train(
     """Trains the detectors one after the other; each is registered, and active, as soon as it is done.
 
     Data sets and runs live in the project's `models/` by the hash of what they learn from, so that an interrupted
-    training of the same labels goes on where it was.
+    training of the same labels goes on where it was. A labelled frame that cannot be read is left out, and told.
 
     Raises:
         DetectionError: nothing to learn from, or the training failed.
     """
-    material = gather(project)
+    material = gather(project, roles)
     return [_train_one(project, material, role, plan, progress, stop) for role in roles]
 
 
@@ -89,10 +95,17 @@ def _train_one(
     begin = time.perf_counter()
     classes = project.config.classes
     folder = project.models_folder / role.value
+    left_out: list[str] = []
+
+    def skip(stored: StoredFrame, error: FrameError) -> None:
+        left_out.append(f"frame {stored.key}: {error}")
+
     if role is Role.IMAGE:
-        samples, kind, config = image_samples(project, material), material.image_kind, plan.image
+        samples, kind, config = image_samples(project, material, skip), material.image_kind, plan.image
     else:
-        samples, kind, config = view_samples(project, material, plan.rcv, plan.samples), material.kind, plan.view
+        samples, kind, config = view_samples(project, material, plan.rcv, plan.samples, skip), material.kind, plan.view
+        if material.left_out:
+            left_out.append(f"{material.left_out} pseudo-views whose boxes are not of the kind {kind}, as most are")
     manifest = write_dataset(folder / DATASET, samples, classes, plan.val_share, plan.seed, kind)
     out = folder / run_name(manifest, config)
     report = None if progress is None else (lambda step: progress(role, step))
@@ -109,7 +122,7 @@ def _train_one(
         fingerprint=load_detector(result.weights).fingerprint,
         manifest=kept,
     )
-    return Trained(role, model, result, manifest, time.perf_counter() - begin)
+    return Trained(role, model, result, manifest, time.perf_counter() - begin, tuple(left_out))
 
 
 def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:

@@ -1,0 +1,313 @@
+"""What the detectors learn from: which pictures, with which boxes, said to come from where."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.detection.dataset import TrainingSample
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.project import Change, NewLabel, Project, Role, StoredFrame
+from annotator.rcv.config import RcvConfig
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, ReviewState, Source
+from annotator.types.errors import DetectionError, FrameError, RecordingError
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.recordings import add_recordings
+from annotator.workflows.samples import (
+    DRAWN,
+    PROJECTED,
+    TAUGHT,
+    Material,
+    SampleConfig,
+    drawn_objects,
+    gather,
+    image_samples,
+    projected_box,
+    taught_by_drags,
+    view_samples,
+)
+from annotator.workflows.simulate import simulate_recording, visible_objects
+from annotator.workflows.truth import load_truth
+
+CONFIG = RcvConfig()
+SOME = Box2D("person", 1.0, 1.0, 9.0, 9.0)
+
+
+def never(stored: StoredFrame, error: FrameError) -> None:
+    raise AssertionError(f"{stored.key} was skipped: {error}")
+
+
+def simulate(project: Project, kind: BoxKind, every: int = 2) -> Material:
+    (recording,) = project.recordings.all()
+    simulate_recording(project, recording.id, kind, CONFIG, every)
+    return gather(project)
+
+
+def views(project: Project, material: Material, number: int = 24, seed: int = 0) -> list[TrainingSample]:
+    return list(view_samples(project, material, CONFIG, SampleConfig(views=number, seed=seed), never))
+
+
+def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
+    """Puts the first true boxes of a frame into the project as accepted labels; their uids."""
+    recording = open_recording(project.recordings.all()[0].path)
+    truths = load_truth(recording, index, recording.frame(index))[:count]
+    stored = project.frames.of()[index]
+    new = [NewLabel(truth.label, truth.box) for truth in truths]
+    return project.labels.create(stored.id, new, Change(stored.revision, "me")).uids
+
+
+# --- gather ----------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_to_learn_from(people: Project) -> None:
+    with pytest.raises(
+        DetectionError, match=r"no boxes on camera images or pseudo-views to learn from; draw some.*import.*simulate"
+    ):
+        gather(people)
+
+
+def test_what_one_detector_lacks_does_not_matter_to_the_other(people: Project) -> None:
+    stored = people.frames.of()[0]
+    people.boxes.set_on_image(stored.id, [SOME], BoxKind.SILHOUETTE, Change(0, "me"))
+    with pytest.raises(DetectionError, match="no boxes on pseudo-views to learn from"):
+        gather(people)
+    assert len(gather(people, [Role.IMAGE]).images) == 1
+    view = people.views.store(np.zeros((40, 40, 3), np.uint8))
+    people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, Change(0, "me"))
+    assert len(gather(people).views) == 1
+
+
+def test_views_alone_do_for_the_view_detector(people: Project) -> None:
+    view = people.views.store(np.zeros((40, 40, 3), np.uint8))
+    people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, Change(0, "me"))
+    with pytest.raises(DetectionError, match="no boxes on camera images to learn from"):
+        gather(people)
+    material = gather(people, [Role.VIEW])
+    assert (len(material.views), material.kind, material.left_out) == (1, BoxKind.SILHOUETTE, 0)
+
+
+def test_3d_labels_do_for_both(people: Project) -> None:
+    accept(people, 0)
+    material = gather(people)
+    assert (material.kind, material.image_kind) == (BoxKind.BOX, BoxKind.BOX)
+    assert [len(labels) for labels in material.labels.values()] == [3]
+
+
+def test_proposed_and_rejected_boxes_teach_nothing(people: Project) -> None:
+    uids = accept(people, 0)
+    stored = people.frames.of()[0]
+    for uid in uids:
+        people.labels.reject(stored.id, uid, Change(people.frames.get(stored.id).revision, "me"))
+    with pytest.raises(DetectionError, match="to learn from"):
+        gather(people)
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_the_kind_that_most_boxes_have_wins_and_the_others_are_left_out(people: Project, kind: BoxKind) -> None:
+    other = BoxKind.SILHOUETTE if kind is BoxKind.BOX else BoxKind.BOX
+    rng = np.random.default_rng(0)
+    for number, (of, boxes) in enumerate([(kind, 2), (other, 1), (kind, 0), (other, 0)]):
+        view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
+        drawn = [replace(SOME, x_min=10.0 * k, x_max=10.0 * k + 9) for k in range(boxes)]
+        people.boxes.set_on_view(view, drawn, of, Change(0, f"author {number}"))
+    material = gather(people, [Role.VIEW])
+    assert material.kind is kind
+    assert material.left_out == 1, "pictures that show nothing are of either kind"
+    assert len(material.views) == 3
+
+
+def test_a_few_accepted_boxes_do_not_turn_a_project_of_silhouettes(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=3)  # 2 frames of 3 objects: 24 drawn views
+    accept(people, 1)
+    assert gather(people).kind is BoxKind.SILHOUETTE
+    accept(people, 2)
+    accept(people, 4)
+    assert gather(people).kind is BoxKind.BOX
+
+
+# --- camera images ---------------------------------------------------------------------------------------------------
+
+
+def test_drawn_boxes_go_before_projected_ones(people: Project) -> None:
+    uids = accept(people, 1)
+    accept(people, 0)
+    stored = people.frames.of()[0]
+    drawn = Box2D("person", 1.0, 2.0, 30.0, 40.0)
+    people.boxes.set_on_image(stored.id, [drawn], BoxKind.BOX, Change(people.frames.get(stored.id).revision, "me"))
+    first, second = image_samples(people, gather(people), never)
+    assert (first.origin, first.boxes, first.group) == (DRAWN, (drawn,), "1/000000")
+    assert (second.origin, len(second.boxes), second.group) == (PROJECTED, 3, "1/000001")
+    assert second.label_uids == uids
+    frame = FrameSource(people).read(people.frames.of()[1])
+    np.testing.assert_array_equal(second.load(), frame.rgb)
+
+
+def test_projected_boxes_span_the_corners(people: Project) -> None:
+    accept(people, 0)
+    (sample,) = image_samples(people, gather(people), never)
+    frame = FrameSource(people).read(people.frames.of()[0])
+    for box, stored in zip(sample.boxes, people.labels.select(), strict=True):
+        corners = box_corners(stored.label.box)
+        u = frame.camera.fx * corners[:, 0] / corners[:, 2] + frame.camera.cx
+        v = frame.camera.fy * corners[:, 1] / corners[:, 2] + frame.camera.cy
+        expected = (max(u.min(), -0.5), max(v.min(), -0.5), min(u.max(), 319.5), min(v.max(), 239.5))
+        assert box.xyxy == pytest.approx(expected)
+
+
+def label_at(center: list[float], size: list[float]) -> Label:
+    box = OrientedBox.from_parts(np.array(center), np.eye(3), np.array(size))
+    return Label("u", "person", box, None, Source.MANUAL, ReviewState.ACCEPTED, "me", 0)
+
+
+def test_a_box_that_reaches_behind_the_camera_is_still_on_the_image(people: Project) -> None:
+    """It used to be dropped, which taught that the nearest objects are none."""
+    frame = FrameSource(people).read(people.frames.of()[0])
+    near = projected_box(frame, label_at([1.0, 0.0, 0.5], [0.5, 0.4, 2.0]))
+    assert near is not None
+    assert near.x_max == 319.5
+    assert projected_box(frame, label_at([0.0, 0.0, -3.0], [0.5, 0.5, 1.0])) is None
+    assert projected_box(frame, label_at([30.0, 0.0, 3.0], [0.5, 0.5, 1.0])) is None
+
+
+# --- pseudo-views ----------------------------------------------------------------------------------------------------
+
+
+def test_3d_labels_teach_views_and_the_manifest_learns_which(people: Project) -> None:
+    uids = {*accept(people, 0), *accept(people, 2)}
+    samples = views(people, gather(people), 24)
+    assert {sample.origin for sample in samples} == {TAUGHT}
+    assert 0.8 * 24 <= len(samples) <= 24
+    assert {sample.group for sample in samples} == {"1/000000", "1/000002"}
+    assert {uid for sample in samples for uid in sample.label_uids} == uids
+    for sample in samples:
+        assert len(sample.label_uids) == len(sample.boxes)
+
+
+def test_drawn_views_come_as_they_were_drawn(people: Project) -> None:
+    material = simulate(people, BoxKind.BOX)
+    samples = views(people, material, 18)
+    origins = Counter(sample.origin for sample in samples)
+    assert origins[DRAWN] == 36
+    assert origins[TAUGHT] == 18, "one pair for each of nine objects"
+    for sample, view in zip(samples, material.views, strict=False):
+        assert sample.origin == DRAWN
+        assert sample.boxes == view.boxes
+        np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
+        assert view.frame_id is not None
+        assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
+
+
+def test_views_from_elsewhere_are_groups_of_their_own(people: Project) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
+        people.boxes.set_on_view(view, [SOME], BoxKind.BOX, Change(0, "me"))
+    samples = views(people, gather(people, [Role.VIEW]))
+    assert len({sample.group for sample in samples}) == 2
+
+
+@pytest.mark.parametrize(("asked", "draws"), [(1, 1), (6, 1), (24, 4), (10**6, 20)])
+def test_few_objects_are_seen_more_often_but_not_without_end(people: Project, asked: int, draws: int) -> None:
+    accept(people, 0)
+    samples = views(people, gather(people), asked)
+    assert 0.8 * 2 * 3 * draws <= len(samples) <= 2 * 3 * draws
+
+
+def test_the_same_project_gives_the_same_pictures(people: Project) -> None:
+    accept(people, 0)
+    first, again, other = (views(people, gather(people), 12, seed) for seed in (1, 1, 2))
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a.load(), b.load())
+        assert (a.boxes, a.group) == (b.boxes, b.group)
+    assert [sample.boxes for sample in first] != [sample.boxes for sample in other]
+
+
+def test_drags_cut_out_the_object_and_teach_its_silhouette(people: Project) -> None:
+    material = simulate(people, BoxKind.SILHOUETTE, every=5)
+    frame = FrameSource(people).read(people.frames.of()[0])
+    recording = open_recording(people.recordings.all()[0].path)
+    truths = visible_objects(recording, 0, frame, ["person"])
+    ((_, objects),) = drawn_objects(material).items()
+    assert len(objects) == 3
+    for truth, drags in zip(truths, objects, strict=True):
+        taught = taught_by_drags(frame, drags)
+        assert taught is not None
+        assert taught.points is not None
+        assert truth.points is not None
+        assert (taught.points & truth.points).sum() > 0.97 * truth.points.sum()
+        assert contains(taught.box, frame.cloud.xyz_m[taught.points], 1e-6).all()
+    samples = views(people, material, 12)
+    assert Counter(sample.origin for sample in samples) == {DRAWN: 12, TAUGHT: 12}
+    assert all(sample.boxes for sample in samples)
+
+
+def test_boxes_of_the_other_kind_are_cut_out_of_nothing(people: Project) -> None:
+    assert drawn_objects(simulate(people, BoxKind.BOX, every=5)) == {}
+
+
+def test_an_object_that_was_drawn_and_then_accepted_is_one_object(people: Project) -> None:
+    """Known twice, it would have two boxes on each of its pictures."""
+    simulate(people, BoxKind.SILHOUETTE, every=3)
+    accept(people, 0)
+    material = gather(people)
+    assert material.kind is BoxKind.SILHOUETTE
+    taught = [sample for sample in views(people, material, 60) if sample.origin == TAUGHT]
+    assert len(taught) > 20
+    for sample in taught:
+        edges = np.array([box.xyxy for box in sample.boxes])
+        apart = np.abs(edges[:, None] - edges).max(axis=2) + 100 * np.eye(len(edges))
+        assert apart.min() > 3, "two boxes around one object"
+
+
+def test_an_object_whose_drags_leave_nothing_is_not_taught(people: Project) -> None:
+    material = simulate(people, BoxKind.SILHOUETTE, every=5)
+    frame = FrameSource(people).read(people.frames.of()[0])
+    ((_, objects),) = drawn_objects(material).items()
+    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
+    assert taught_by_drags(frame, [replace(v, geometry=g) for v, g in zip(objects[0], far, strict=True)]) is None
+
+
+# --- frames that cannot be read --------------------------------------------------------------------------------------
+
+
+def test_an_unreadable_frame_costs_only_itself(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    for index in range(3):
+        accept(project, index)
+    (folder / "depth" / "000000.png").write_bytes(b"\x89PNG")
+    for path in (folder / "color" / "000001.jpg", folder / "depth" / "000001.png"):
+        path.unlink()
+    add_recordings(project, [folder])
+    material, skipped = gather(project), []
+
+    def skip(stored: StoredFrame, error: FrameError) -> None:
+        skipped.append(f"{stored.key} {error}")
+
+    samples = [
+        *image_samples(project, material, skip),
+        *view_samples(project, material, CONFIG, SampleConfig(views=18), skip),
+    ]
+    assert {(sample.origin, sample.group) for sample in samples} == {(PROJECTED, "1/000002"), (TAUGHT, "1/000002")}
+    assert [text.split()[0] for text in skipped] == ["000000", "000001"] * 2
+    assert "depth/000000.png" in skipped[0]
+    assert "no longer there" in skipped[1]
+
+
+def test_a_recording_that_was_moved_is_an_error(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    accept(project, 0)
+    folder.rename(folder.with_name("elsewhere"))
+    with pytest.raises(RecordingError, match="people: no such file or folder"):
+        list(image_samples(project, gather(project), never))
