@@ -16,13 +16,15 @@ from annotator.project.writing import Change
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.propose import FrameProposals, propose
 from annotator.types import Frame, Source
-from annotator.types.errors import AnnotatorError, FinalisedFrameError, StaleRevisionError
+from annotator.types.errors import AnnotatorError, ConfigError, FinalisedFrameError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frames import FrameSource, orientation_for
 
 AUTHOR = "rcv"
 # Frames that advance through the recursion together: enough for full detector batches, few enough for the memory.
 BATCH_FRAMES = 4
+# How often a write is tried anew because somebody else has changed the frame meanwhile.
+WRITE_ATTEMPTS = 5
 
 
 @dataclass
@@ -32,6 +34,7 @@ class AnnotateSummary:
     Attributes:
         frames: that were to be done.
         skipped: done before with the same detectors and settings, or finalised.
+        done: frames whose proposals are stored.
         proposals: found in all.
         without: frames done that gave no proposal.
         failed: key and reason of each frame that could not be done.
@@ -68,7 +71,13 @@ def annotate(
         rotation: None takes the project's setting.
         limit: at most so many frames.
         progress: called with (frames done, frames to do).
+
+    Raises:
+        ConfigError: a limit below 1.
+        ProjectError: the store refuses even to note that a frame failed.
     """
+    if limit is not None and limit < 1:
+        raise ConfigError(f"a limit of {limit} frames leaves nothing to do; give 1 or more")
     begin = time.perf_counter()
     rotation = rotation or project.config.settings.rotation
     settings = config.model_dump_json(exclude={"orientation"})[:-1] + f',"rotation":"{rotation.value}"}}'
@@ -76,7 +85,8 @@ def annotate(
         image_detector=detectors.image.fingerprint, view_detector=detectors.view.fingerprint, config_json=settings
     )
     pending = project.jobs.pending(run.key, recordings)
-    summary = AnnotateSummary(skipped=len(project.frames.of(recordings)) - len(pending))
+    present = sum(frame.index is not None for frame in project.frames.of(recordings))
+    summary = AnnotateSummary(skipped=present - len(pending))
     pending = pending[:limit]
     summary.frames = len(pending)
     batch = _Batch(project, detectors, config, rotation, run.id, summary)
@@ -104,8 +114,8 @@ class _Batch:
 
     def do(self, frames: Sequence[StoredFrame]) -> None:
         read: list[tuple[StoredFrame, Frame]] = []
-        begin = time.perf_counter()
         for stored in frames:
+            begin = time.perf_counter()
             try:
                 read.append((stored, self.source.read(stored)))
             except Exception as error:
@@ -134,20 +144,27 @@ class _Batch:
         share = RunShare(self.run_id, seconds)
         try:
             self._replace(stored.id, result, share)
-        except StaleRevisionError:
-            # An operator was faster. Proposals replace only what nobody has reviewed, so the new state is as good.
-            self._replace(stored.id, result, share)
-        except FinalisedFrameError:
+        except FinalisedFrameError:  # since the batch began
             self.summary.skipped += 1
             self.summary.frames -= 1
+            return
+        except Exception as error:
+            self._fail(stored, error, seconds)
             return
         self.summary.done += 1
         self.summary.proposals += len(result.proposals)
         self.summary.without += not result.proposals
 
     def _replace(self, frame_id: int, result: FrameProposals, share: RunShare) -> None:
-        change = Change(self.project.frames.get(frame_id).revision, AUTHOR, Source.AUTO)
-        self.project.proposals.replace(frame_id, result.proposals, change, lost=result.lost, run=share)
+        for attempt in range(1, WRITE_ATTEMPTS + 1):
+            change = Change(self.project.frames.get(frame_id).revision, AUTHOR, Source.AUTO)
+            try:
+                self.project.proposals.replace(frame_id, result.proposals, change, lost=result.lost, run=share)
+                return
+            except StaleRevisionError:
+                # An operator was faster. Proposals replace only what nobody has reviewed: the new state is as good.
+                if attempt == WRITE_ATTEMPTS:
+                    raise
 
     def _fail(self, stored: StoredFrame, error: Exception, seconds: float) -> None:
         """Stores the frame with its reason. A bug in one frame must not cost a night's batch either, so every
