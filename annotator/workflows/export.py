@@ -28,7 +28,7 @@ class ExportFilter:
         states: in which review states.
         classes: None = all of the project's.
         recordings: ids; None = all.
-        empty_frames: also frames without any such label.
+        empty_frames: also frames without any such label, as far as they are still in their recordings.
     """
 
     states: tuple[ReviewState, ...] = DEFAULT_STATES
@@ -62,7 +62,8 @@ def export_dataset(
             f"project {config.name} has no class {', '.join(unknown)}; it has {', '.join(config.classes)}"
         )
     labels = _labels(project, choose)
-    frames = [f for f in project.frames.of(choose.recordings) if f.id in labels or choose.empty_frames]
+    every = project.frames.of(choose.recordings)
+    frames = [f for f in every if f.id in labels or (choose.empty_frames and f.index is not None)]
     if not any(labels.values()) and not choose.empty_frames:
         raise ConfigError(
             f"project {project.config.name} has no labels in state {', '.join(choose.states)} to export; "

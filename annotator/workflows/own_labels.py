@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from annotator.project import Change, NewLabel, Project
 from annotator.types import Source
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import FrameError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.truth import has_truth, load_truth
 
@@ -54,9 +54,9 @@ def import_own_labels(
         if not project.labels.of_frame(stored.id):
             try:
                 truths = load_truth(recording, places[stored.key], source.read(stored))
-            except (FrameError, RecordingError) as error:
+            except FrameError as error:
                 found.unreadable.append(f"{stored.key}: {error}")
-                continue
+                truths = []
             found.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
             if new:

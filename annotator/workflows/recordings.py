@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from annotator.project import Project, StoredRecording
 from annotator.recordings import Recording, open_recording
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -35,7 +37,7 @@ def add_recordings(
 ) -> list[Added]:
     """Registers recordings; nothing is changed where one of the paths cannot be used. Their files stay in place.
 
-    A recording that the project has already is looked at again for new frames.
+    A recording that the project has already is looked at again for new frames; its name and up direction stay.
 
     Args:
         name: what to call the recording, where there is only one; otherwise each has its folder's name.
@@ -43,7 +45,7 @@ def add_recordings(
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
-        ConfigError: one name for several recordings.
+        ConfigError: one name for several recordings, or another name or up direction for one that is there already.
         ProjectError: the store refuses, as for an `up` without a direction.
     """
     if name is not None and len(paths) > 1:
@@ -51,6 +53,7 @@ def add_recordings(
     opened = [open_recording(path) for path in paths]
     for recording in opened:
         _require_readable(recording)
+        _require_unchanged(_known(project, recording), name, up)
     return [_add(project, recording, name, up) for recording in opened]
 
 
@@ -66,15 +69,37 @@ def register_recording(
 
 
 def _add(project: Project, recording: Recording, name: str | None, up: Sequence[float] | None) -> Added:
-    path = recording.path.resolve()
-    known = next((stored for stored in project.recordings.all() if stored.path == path), None)
+    known = _known(project, recording)
     if known is None:
         stored = project.recordings.add(
-            path, recording.format, name or recording.name, recording.keys, recording.is_sequence, up
+            recording.path, recording.format, name or recording.name, recording.keys, recording.is_sequence, up
         )
         return Added(stored, True, len(recording), 0)
     change = project.recordings.rescan(known.id, recording.keys)
     return Added(project.recordings.get(known.id), False, len(change.added), len(change.missing))
+
+
+def _known(project: Project, recording: Recording) -> StoredRecording | None:
+    path = recording.path.resolve()
+    return next((stored for stored in project.recordings.all() if stored.path == path), None)
+
+
+def _require_unchanged(known: StoredRecording | None, name: str | None, up: Sequence[float] | None) -> None:
+    """What the project was told once is not quietly kept against what it is told now."""
+    if known is None:
+        return
+    if name is not None and name != known.name:
+        raise ConfigError(f"{known.path} is in the project already, as {known.name}; it cannot be called {name!r}")
+    if up is not None and not _same_direction(up, known.up):
+        raise ConfigError(
+            f"{known.path} is in the project already, with the up direction {known.up or 'that its files give'}; "
+            "labels were made with it, so it stays"
+        )
+
+
+def _same_direction(a: Sequence[float], b: Sequence[float] | None) -> bool:
+    length = float(np.linalg.norm(a))
+    return b is not None and length > 0 and np.allclose(np.asarray(a) / length, b)
 
 
 def _require_readable(recording: Recording) -> None:

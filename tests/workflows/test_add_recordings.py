@@ -1,0 +1,244 @@
+"""Recordings into a project, with the labels that they bring; and its frames back out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.project import BoxRotation, Project
+from annotator.rcv.config import Orientation
+from annotator.recordings import open_recording
+from annotator.types import ReviewState, Source
+from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
+from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.own_labels import import_own_labels
+from annotator.workflows.recordings import add_recordings
+from annotator.workflows.truth import load_truth
+
+
+def remove_frame(folder: Path, key: str) -> None:
+    (folder / "color" / f"{key}.jpg").unlink()
+    (folder / "depth" / f"{key}.png").unlink()
+
+
+# --- adding ----------------------------------------------------------------------------------------------------------
+
+
+def test_added_and_looked_at_again(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], generated: Path
+) -> None:
+    folder, project = own_copy("people"), make_project()
+    shutil.move(folder / "color" / "000004.jpg", folder / "later.jpg")
+    shutil.move(folder / "depth" / "000004.png", folder / "later.png")
+    first, other = add_recordings(project, [folder, generated / "hands"])
+    assert (first.is_new, first.new_frames, first.recording.name, first.recording.frames) == (True, 4, "people", 4)
+    assert other.recording.name == "hands"
+    shutil.move(folder / "later.jpg", folder / "color" / "000004.jpg")
+    shutil.move(folder / "later.png", folder / "depth" / "000004.png")
+    remove_frame(folder, "000000")
+    (again,) = add_recordings(project, [folder / ".." / "people"])
+    assert (again.is_new, again.new_frames, again.missing_frames) == (False, 1, 1)
+    assert (again.recording.id, again.recording.frames) == (first.recording.id, 4)
+    assert len(project.recordings.all()) == 2
+
+
+def test_where_one_path_cannot_be_used_nothing_is_added(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], generated: Path, tmp_path: Path
+) -> None:
+    project, broken = make_project(), own_copy("people")
+    for path in (broken / "depth").iterdir():
+        path.write_bytes(b"")
+    for bad, problem in ((tmp_path / "nowhere", "no such file or folder"), (broken, "none of its first 5 frames")):
+        with pytest.raises(RecordingError, match=problem):
+            add_recordings(project, [generated / "hands", bad])
+        assert project.recordings.all() == ()
+
+
+def test_names_and_up_directions(make_project: Callable[..., Project], generated: Path) -> None:
+    project = make_project()
+    with pytest.raises(ConfigError, match="2 recordings cannot all be called 'x'"):
+        add_recordings(project, [generated / "people", generated / "hands"], name="x")
+    with pytest.raises(ProjectError, match="up direction must be"):
+        add_recordings(project, [generated / "people"], up=(0.0, 0.0, 0.0))
+    (added,) = add_recordings(project, [generated / "people"], name="room", up=(0.0, -2.0, 0.0))
+    assert (added.recording.name, added.recording.up) == ("room", (0, -1, 0))
+
+
+def test_what_was_told_once_is_not_quietly_kept_against_what_is_told_now(
+    make_project: Callable[..., Project], generated: Path
+) -> None:
+    project = make_project()
+    add_recordings(project, [generated / "people"], up=(0.0, -1.0, 0.0))
+    add_recordings(project, [generated / "hands"])
+    add_recordings(project, [generated / "people"], name="people", up=(0.0, -3.0, 0.0))
+    for path, changes, problem in (
+        ("people", {"name": "room"}, "is in the project already, as people"),
+        ("people", {"up": (0.0, -1.0, -1.0)}, "already, with the up direction"),
+        ("people", {"up": (0.0, 0.0, 0.0)}, "already, with the up direction"),
+        ("hands", {"up": (0.0, -1.0, 0.0)}, "already, with the up direction that its files give"),
+    ):
+        with pytest.raises(ConfigError, match=problem):
+            add_recordings(project, [generated / path], **changes)
+    assert [recording.name for recording in project.recordings.all()] == ["people", "hands"]
+
+
+# --- labels of its own -----------------------------------------------------------------------------------------------
+
+
+def test_own_labels_are_taken_over(people: Project) -> None:
+    (recording,) = people.recordings.all()
+    told: list[tuple[int, int]] = []
+    found = import_own_labels(people, recording.id, lambda done, of: told.append((done, of)))
+    assert (found.labels, found.other_classes, found.unreadable) == ({"person": 15}, {}, [])
+    assert told == [(n, 5) for n in range(1, 6)]
+    opened = open_recording(recording.path)
+    for index, stored in enumerate(people.frames.of()):
+        labels = people.labels.of_frame(stored.id)
+        truths = load_truth(opened, index, opened.frame(index))
+        for label, truth in zip(labels, truths, strict=True):
+            assert (label.label, label.track_id) == (truth.label, truth.track_id)
+            assert (label.source, label.state, label.score) == (Source.IMPORTED, ReviewState.ACCEPTED, None)
+            np.testing.assert_allclose(label.box.size_m, truth.box.size_m)
+    # again: every frame has labels by now
+    assert import_own_labels(people, recording.id).labels == {}
+    assert people.statistics().labels.total == 15
+
+
+def test_other_classes_are_counted_and_left_out(make_project: Callable[..., Project], generated: Path) -> None:
+    project = make_project(generated / "people", classes=("robot",))
+    found = import_own_labels(project, project.recordings.all()[0].id)
+    assert (found.labels, found.other_classes) == ({}, {"person": 15})
+    assert project.statistics().labels.total == 0
+
+
+def test_a_recording_without_labels(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    shutil.rmtree(folder / "truth")
+    project = make_project(folder)
+    found = import_own_labels(project, project.recordings.all()[0].id)
+    assert (found.labels, found.unreadable) == ({}, [])
+
+
+def test_an_unreadable_frame_is_told_and_the_others_are_taken(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    (folder / "depth" / "000004.png").write_bytes(b"")
+    told: list[tuple[int, int]] = []
+    found = import_own_labels(project, project.recordings.all()[0].id, lambda done, of: told.append((done, of)))
+    assert found.labels == {"person": 12}
+    (line,) = found.unreadable
+    assert line.startswith("000004: ")
+    assert "depth/000004.png" in line
+    assert told[-1] == (5, 5)
+
+
+def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    file = folder / "truth" / "boxes.json"
+    content = json.loads(file.read_text())
+    content["000002"][0]["size"] = [0, 1, 1]
+    file.write_text(json.dumps(content))
+    with pytest.raises(FormatError, match=r"boxes\.json"):
+        import_own_labels(project, project.recordings.all()[0].id)
+
+
+def test_frames_that_are_gone_are_passed_by(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    remove_frame(folder, "000001")
+    add_recordings(project, [folder])
+    assert import_own_labels(project, project.recordings.all()[0].id).labels == {"person": 12}
+
+
+@pytest.mark.shared
+def test_labels_of_a_kitti_drive(make_project: Callable[..., Project], shared: Path) -> None:
+    project = make_project(shared / "data" / "kitti_drive_0005", classes=("Van", "Cyclist"))
+    found = import_own_labels(project, project.recordings.all()[0].id)
+    lines = [line.split() for line in (shared / "data" / "kitti_drive_0005" / "label_02.txt").read_text().splitlines()]
+    for name in ("Van", "Cyclist"):
+        assert found.labels[name] == sum(line[2] == name for line in lines)
+    assert found.other_classes["Car"] == sum(line[2] == "Car" for line in lines)
+
+
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+def test_frames_are_read_by_key_whatever_their_place(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    stored = project.frames.of()[3]
+    remove_frame(folder, "000000")
+    frame = FrameSource(project).read(stored)
+    assert (frame.key, frame.index) == ("000003", 2)
+    np.testing.assert_array_equal(frame.rgb, open_recording(folder).frame(2).rgb)
+
+
+def test_a_frame_that_vanished(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    remove_frame(folder, "000002")
+    with pytest.raises(FrameError, match="people: frame 000002 is no longer there; bring it back, or add the folder"):
+        FrameSource(project).read(project.frames.of()[2])
+
+
+def test_a_frame_that_vanishes_while_the_recording_is_open(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    source = FrameSource(project)
+    source.read(project.frames.of()[0])
+    remove_frame(folder, "000002")
+    with pytest.raises(FrameError, match=r"000002\.png: missing"):
+        source.read(project.frames.of()[2])
+
+
+def test_a_recording_that_was_moved_and_came_back(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    source, stored = FrameSource(project), project.frames.of()[0]
+    folder.rename(folder.with_name("elsewhere"))
+    with pytest.raises(RecordingError, match="people: no such file or folder"):
+        source.read(stored)
+    folder.with_name("elsewhere").rename(folder)
+    assert source.read(stored).key == "000000"
+
+
+def test_up_that_the_project_was_told_goes_before_the_recordings_own(
+    make_project: Callable[..., Project], generated: Path
+) -> None:
+    own = open_recording(generated / "people").frame(0).up
+    for told, expected in ((None, own), ((3.0, 0.0, -4.0), np.array([0.6, 0.0, -0.8]))):
+        project = make_project(generated / "people", up=told)
+        np.testing.assert_allclose(FrameSource(project).read(project.frames.of()[0]).up, expected)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "knows_up", "expected"),
+    [
+        (BoxRotation.AUTO, True, Orientation.UPRIGHT),
+        (BoxRotation.AUTO, False, Orientation.FREE),
+        (BoxRotation.UPRIGHT, False, Orientation.UPRIGHT),
+        (BoxRotation.FREE, True, Orientation.FREE),
+    ],
+)
+def test_which_rotations_boxes_may_have(
+    generated: Path, rotation: BoxRotation, knows_up: bool, expected: Orientation
+) -> None:
+    frame = open_recording(generated / "people").frame(0)
+    assert orientation_for(rotation, frame if knows_up else replace(frame, up=None)) is expected

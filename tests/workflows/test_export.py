@@ -1,0 +1,180 @@
+"""Export of a project: what is chosen leaves, reads back as it was, and a failed export leaves nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.formats.rcv import RcvOptions, read_rcv
+from annotator.project import Change, NewLabel, Project, Role
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, ReviewState, Source
+from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
+from annotator.workflows.export import ExportFilter, export_dataset
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.recordings import add_recordings, register_recording
+from annotator.workflows.truth import load_truth
+
+STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
+
+
+def label_all(project: Project, indices: tuple[int, ...], recording: int = 0) -> None:
+    """The true boxes of some frames as accepted labels; of each frame the second is then rejected."""
+    stored_recording = project.recordings.all()[recording]
+    opened = open_recording(stored_recording.path)
+    for index in indices:
+        stored = project.frames.of([stored_recording.id])[index]
+        truths = load_truth(opened, index, opened.frame(index))
+        new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths]
+        made = project.labels.create(stored.id, new, Change(0, "me", Source.IMPORTED))
+        project.labels.reject(stored.id, made.uids[1], Change(made.receipt.revision, "me"))
+
+
+def test_what_leaves_reads_back(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0, 3))
+    told: list[tuple[int, int]] = []
+    manifest = export_dataset(people, tmp_path / "out", progress=lambda done, of: told.append((done, of)))
+    assert told == [(1, 2), (2, 2)]
+    assert (manifest.counts.frames, manifest.counts.objects) == (2, 4)
+    assert manifest.generator.startswith("annotator ")
+    dataset = read_rcv(tmp_path / "out")
+    assert dataset.manifest == manifest
+    source = FrameSource(people)
+    for number, index in enumerate((0, 3)):
+        stored = people.frames.of()[index]
+        back, frame = dataset.frame(number), source.read(stored)
+        assert (back.recording, back.frame.key) == ("people", stored.key)
+        np.testing.assert_array_equal(back.frame.rgb, frame.rgb)
+        np.testing.assert_allclose(back.frame.cloud.xyz_m, frame.cloud.xyz_m, atol=1e-6)
+        kept = [label for label in people.labels.of_frame(stored.id) if label.state is not ReviewState.REJECTED]
+        for a, b in zip(back.labels, kept, strict=True):
+            assert (a.uid, a.label, a.state, a.source, a.track_id) == (b.uid, b.label, b.state, b.source, b.track_id)
+            np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(a.box.size_m, b.box.size_m, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("states", "objects"),
+    [
+        ((ReviewState.ACCEPTED,), 4),
+        ((ReviewState.REJECTED,), 2),
+        (STATES, 6),
+        ((ReviewState.PROPOSED, ReviewState.REJECTED), 2),
+    ],
+)
+def test_only_labels_in_the_chosen_states(
+    people: Project, tmp_path: Path, states: tuple[ReviewState, ...], objects: int
+) -> None:
+    label_all(people, (0, 1))
+    manifest = export_dataset(people, tmp_path / "out", choose=ExportFilter(states=states))
+    assert manifest.counts.objects == objects
+    assert {state for state, number in manifest.counts.objects_by_state.items() if number} <= set(states)
+
+
+def test_frames_without_labels_only_where_asked_for(people: Project, tmp_path: Path) -> None:
+    label_all(people, (1,))
+    assert export_dataset(people, tmp_path / "few").counts.frames == 1
+    every = export_dataset(people, tmp_path / "all", choose=ExportFilter(empty_frames=True))
+    assert (every.counts.frames, every.counts.objects) == (5, 2)
+
+
+def test_classes_and_recordings_are_chosen(
+    make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
+    label_all(project, (0, 1), recording=0)
+    label_all(project, (0, 2), recording=1)
+    hands = project.recordings.find("hands")
+    of_class = export_dataset(project, tmp_path / "a", choose=ExportFilter(classes=("hand",)))
+    of_recording = export_dataset(project, tmp_path / "b", choose=ExportFilter(recordings=(hands.id,)))
+    assert of_class.counts == of_recording.counts
+    assert of_class.counts.objects_by_class == {"person": 0, "hand": 2}
+    assert of_class.counts.frames_by_recording == {"hands": 2}
+    assert of_class.classes == ("person", "hand"), "class numbers stay those of the project"
+
+
+def test_the_detectors_are_named(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0,))
+    weights = people.models_folder / "view" / "0123-4567" / "detector.pt"
+    weights.parent.mkdir(parents=True)
+    weights.write_bytes(b"weights")
+    people.models.register(Role.VIEW, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint="abc")
+    (detector,) = export_dataset(people, tmp_path / "out").detectors
+    assert (detector.role, detector.name, detector.fingerprint) == ("view", "0123-4567", "abc")
+
+
+def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0,))
+    export_dataset(people, tmp_path / "out", options=RcvOptions(image_format="jpg"))
+    assert [path.suffix for path in (tmp_path / "out" / "images").iterdir()] == [".jpg"]
+
+
+@pytest.mark.parametrize(
+    ("choose", "problem"),
+    [
+        (ExportFilter(), "has no labels in state proposed, accepted, edited to export; run `annotator annotate` first"),
+        (ExportFilter(classes=("robot",)), "has no class robot; it has person"),
+        (ExportFilter(states=(ReviewState.EDITED,)), "has no labels in state edited to export"),
+    ],
+)
+def test_nothing_to_export(people: Project, tmp_path: Path, choose: ExportFilter, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        export_dataset(people, tmp_path / "out", choose=choose)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_that_fails_leaves_nothing(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    label_all(project, (0, 3))
+    depth = folder / "depth" / "000003.png"
+    depth.write_bytes(depth.read_bytes()[:500])
+    (tmp_path / "place").mkdir()
+    with pytest.raises(FrameError, match=r"depth/000003\.png"):
+        export_dataset(project, tmp_path / "place" / "out")
+    assert list((tmp_path / "place").iterdir()) == []
+
+
+def test_frames_that_are_gone(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Without labels they are no part of the export; with labels they would be missed, so it fails."""
+    folder = own_copy("people")
+    project = make_project(folder)
+    label_all(project, (0, 1))
+    for name in ("color/000004.jpg", "depth/000004.png"):
+        (folder / name).unlink()
+    add_recordings(project, [folder])
+    assert export_dataset(project, tmp_path / "a", choose=ExportFilter(empty_frames=True)).counts.frames == 4
+    for name in ("color/000001.jpg", "depth/000001.png"):
+        (folder / name).unlink()
+    add_recordings(project, [folder])
+    with pytest.raises(FrameError, match="frame 000001 is no longer there; bring it back"):
+        export_dataset(project, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+
+
+def test_an_older_export_is_replaced_only_where_that_is_said(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0,))
+    export_dataset(people, tmp_path / "out")
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        export_dataset(people, tmp_path / "out")
+    label_all(people, (1,))
+    export_dataset(people, tmp_path / "out", overwrite=True)
+    assert len(read_rcv(tmp_path / "out")) == 2
+
+
+def test_one_key_in_two_recordings(people: Project, own_copy: Callable[[str], Path], tmp_path: Path) -> None:
+    register_recording(people, open_recording(own_copy("people")))
+    label_all(people, (0,), recording=0)
+    label_all(people, (0,), recording=1)
+    export_dataset(people, tmp_path / "out")
+    dataset = read_rcv(tmp_path / "out")
+    assert [dataset.frame(i).recording for i in range(2)] == ["people", "people-2"]
+    with pytest.raises(ProjectError, match="no recording 'people-3'"):
+        people.recordings.find("people-3")
