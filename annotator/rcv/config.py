@@ -64,7 +64,8 @@ class RcvConfig(BaseModel):
         0.02, ge=0, le=1, description="points this share of the view's extent outside are kept (the detector's blur)"
     )
     coarse_box: bool = Field(
-        False, description="propose the first step's box of a frustum whose recursion is lost later on"
+        False,
+        description="propose a coarse box for a lost object: its last one, or that around its frustum's points",
     )
     nms_iou: float = Field(0.3, ge=0, le=1, description="of two boxes of a class that overlap more, the better stays")
 

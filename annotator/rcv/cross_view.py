@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-# An edge this near to the picture's border was cut off by it and says nothing about the object, pixels.
+# An edge this near to the picture's border was cut off by it, pixels: the object may go on beyond.
 BORDER_PX = 1.0
+# A cut edge is known only not to lie further inside; it counts as so many times less certain.
+CUT_DOUBT = 3.0
 # A detection that fits the last box not at all still competes with this share of its score.
 STRANGER = 0.1
 
@@ -75,8 +78,7 @@ def pair_all(
     front_boxes: Sequence[Box2D],
     side_boxes: Sequence[Box2D],
     cloud: PointCloud,
-    min_overlap: float,
-    most: int,
+    config: RcvConfig,
 ) -> list[Pair]:
     """Pairs for several objects in one frustum, best first; each detection serves once.
 
@@ -88,9 +90,10 @@ def pair_all(
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
             pair = make_pair(frame, views, front_boxes, side_boxes, i, j)
-            if pair.shared_overlap < min_overlap:
+            if pair.shared_overlap < config.min_shared_overlap:
                 continue
-            inside = (along >= pair.spans_m[:, 0]) & (along <= pair.spans_m[:, 1])
+            margin = cut_margin_m(pair.box, views, config)
+            inside = (along >= pair.spans_m[:, 0] - margin) & (along <= pair.spans_m[:, 1] + margin)
             both, front_only = int(inside.all(axis=1).sum()), int(inside[:, :2].all(axis=1).sum())
             side_only = int(inside[:, 1:].all(axis=1).sum())
             if both == 0:
@@ -102,7 +105,7 @@ def pair_all(
     for _, pair in ranked:
         if all(pair.front != other.front and pair.side != other.side for other in chosen):
             chosen.append(pair)
-        if len(chosen) == most:
+        if len(chosen) == config.max_objects_per_frustum:
             break
     return chosen
 
@@ -139,14 +142,24 @@ def box_iou(a: Box2D, b: Box2D) -> float:
 
 def measured_intervals(view: PseudoView, box: Box2D, edge_noise: float) -> Intervals:
     """What a detection measures along the view's x and y, with the expected error of each end."""
-    height_px, width_px = view.rgb.shape[:2]
     noise = edge_noise * view.extent_m[:, None] / np.sqrt(max(box.score, 0.05))
     sigma = np.repeat(noise, 2, axis=1)
-    cut = np.array(
+    sigma[cut_edges(view, box)] *= CUT_DOUBT
+    return Intervals(view.axes[:2], view.interval_m(box), sigma)
+
+
+def cut_edges(view: PseudoView, box: Box2D) -> Bool[np.ndarray, "2 2"]:
+    """Which edges of a box lie on the picture's border: rows x and y, columns low and high."""
+    height_px, width_px = view.rgb.shape[:2]
+    return np.array(
         [
             [box.x_min <= BORDER_PX - 0.5, box.x_max >= width_px - 0.5 - BORDER_PX],
             [box.y_min <= BORDER_PX - 0.5, box.y_max >= height_px - 0.5 - BORDER_PX],
         ]
     )
-    sigma[cut] = np.inf
-    return Intervals(view.axes[:2], view.interval_m(box), sigma)
+
+
+def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> float:
+    """How far outside of a step's box points are kept, metres: a share of the box, and of what the detector blurs."""
+    extent = max(float(view.extent_m.max()) for view in views)
+    return config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent

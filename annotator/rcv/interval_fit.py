@@ -23,8 +23,10 @@ YAW_GRID = 36
 STARTS = 6
 REFINE_ROUNDS = 12
 MIN_SIZE_M = 1e-3
-# A weak pull of sizes to their mean keeps a direction that nothing measured from running away.
+# Keeps the normal equations solvable while a direction is not measured at all; such a fit is refused in the end.
 RIDGE = 1e-6
+# Below this the equations, each unknown scaled to one, leave a combination of the unknowns open.
+MIN_SINGULAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def fit_box(intervals: Intervals, up: Float64[np.ndarray, "3"] | None, near: np.
         near: (3, 3) box rotation to try besides the grid, such as the last step's.
     """
     problem = _Edges.of(intervals)
-    if problem.count < (6 if up is not None else 10):
+    if problem.count < (7 if up is not None else 9):
         return None
     rotations = _yaw_grid(up) if up is not None else _free_grid()
     if near is not None:
@@ -85,6 +87,8 @@ def fit_box(intervals: Intervals, up: Float64[np.ndarray, "3"] | None, near: np.
     fits = problem.refine(starts, up)
     best = int(np.argmin(fits.cost))
     if not np.isfinite(fits.cost[best]) or (fits.size[best] <= MIN_SIZE_M).any():
+        return None
+    if not problem.fixes(fits.rotation[best : best + 1], fits.size[best : best + 1], up):
         return None
     residual = problem.residuals(
         fits.center[best : best + 1], fits.rotation[best : best + 1], fits.size[best : best + 1]
@@ -176,6 +180,14 @@ class _Edges:
             cost = np.where(better, new_cost, cost)
             damping = np.where(better, damping / 4, damping * 10)
         return _Solutions(center, rotation, size, cost)
+
+    def fixes(self, rotation: np.ndarray, size: np.ndarray, up: np.ndarray | None) -> bool:
+        """Whether the equations hold all unknowns of a box (1, 3, 3), (1, 3), and not only some of them."""
+        jacobian = self._jacobian(rotation, size, up)[0] / self.sigma[:, None]
+        scale = np.linalg.norm(jacobian, axis=0)
+        if (scale == 0).any():
+            return False
+        return bool(np.linalg.svd(jacobian / scale, compute_uv=False)[-1] > MIN_SINGULAR)
 
     def _jacobian(self, rotation: np.ndarray, size: np.ndarray, up: np.ndarray | None) -> np.ndarray:
         """(k, e, 7 or 9) derivative of the residuals by centre, size and rotation (about camera axes, or `up`)."""

@@ -9,11 +9,16 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv import cross_view
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
+
+# A silhouette that holds less than this share of the points that most hold has lost a part of the object.
+WHOLE_SHARE = 0.95
+# Points so far outside of a silhouette's box still count as held, share of its size: the detector's blur.
+SILHOUETTE_MARGIN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +32,8 @@ class Measurement:
         score: mean score of the detections used.
         used: per view, which detection was used.
         intervals: everything measured of the object so far.
+        fallback: what was tried first and could not be used, with the reason.
+        cut: a used detection touches the border of its picture.
     """
 
     box: OrientedBox
@@ -35,6 +42,8 @@ class Measurement:
     score: float
     used: tuple[int | None, ...]
     intervals: Intervals | None = None
+    fallback: tuple[str, ...] = ()
+    cut: bool = False
 
 
 def choose_all(
@@ -56,7 +65,8 @@ def measure_pair(
     if front is None or side is None:
         return None
     pair = cross_view.make_pair(frame, (views[0], views[1]), boxes[0], boxes[1], front, side)
-    return Measurement(pair.box, frame, pair.disagreement, pair.score, (front, side))
+    used = (front, side)
+    return Measurement(pair.box, frame, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used))
 
 
 def measure_consensus(
@@ -80,10 +90,12 @@ def measure_consensus(
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
     fit = fit_box(intervals, up, None if last is None else last.rotation)
     if fit is None:
-        return _least_volume(frames, views, boxes, used, intervals)
+        pairs = _pairs(frames, views, boxes, used)
+        return _least_volume(pairs, used, intervals, ("consensus: the measured intervals fix no box",))
     box = OrientedBox(RigidTransform.from_components(fit.center_m, Rotation.from_matrix(fit.rotation)), fit.size_m)
     score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
-    return Measurement(box, fit.rotation.T, fit.residual_m / float(box.size_m.mean()), score, used, intervals)
+    spread = fit.residual_m / float(box.size_m.mean())
+    return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used))
 
 
 def _pairs(
@@ -101,18 +113,24 @@ def _pairs(
     return pairs
 
 
+def any_cut(views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None]) -> bool:
+    """True where a used detection touches the border of its picture."""
+    return any(
+        i is not None and bool(cross_view.cut_edges(view, found[i]).any())
+        for view, found, i in zip(views, boxes, used, strict=True)
+    )
+
+
 def _least_volume(
-    frames: Sequence[Float64[np.ndarray, "3 3"]],
-    views: Sequence[PseudoView],
-    boxes: Sequence[Sequence[Box2D]],
+    pairs: Sequence[cross_view.Pair],
     used: tuple[int | None, ...],
     intervals: Intervals | None,
+    fallback: tuple[str, ...] = (),
 ) -> Measurement | None:
-    pairs = _pairs(frames, views, boxes, used)
     if not pairs:
         return None
     best = min(pairs, key=lambda pair: pair.box.volume_m3)
-    return Measurement(best.box, best.frame, best.disagreement, best.score, used, intervals)
+    return Measurement(best.box, best.frame, best.disagreement, best.score, used, intervals, fallback)
 
 
 def measure_tightest(
@@ -122,6 +140,16 @@ def measure_tightest(
     last: OrientedBox | None,
     cloud: PointCloud,
 ) -> Measurement | None:
-    """The least-volume box among the hypotheses: silhouettes are narrower than the box off its own axes."""
+    """The least-volume box among the hypotheses: silhouettes are narrower than the box off its own axes.
+
+    A hypothesis whose detections missed a part of the object would win by being small; so those that hold clearly
+    fewer points than most do not take part.
+    """
     used = choose_all(views, boxes, last)
-    return _least_volume(frames, views, boxes, used, None)
+    pairs = _pairs(frames, views, boxes, used)
+    if not pairs:
+        return None
+    margin = SILHOUETTE_MARGIN * float(np.median([pair.box.size_m.mean() for pair in pairs]))
+    held = np.array([contains(pair.box, cloud.xyz_m, margin).sum() for pair in pairs])
+    whole = [pair for pair, points in zip(pairs, held, strict=True) if points >= WHOLE_SHARE * np.median(held)]
+    return _least_volume(whole, used, None)

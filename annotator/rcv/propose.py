@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from annotator.geometry.fit import aligned_box
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.nms import nms_3d
+from annotator.rcv.axes import camera_frame
+from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.normals import needs_normals, with_normals
 from annotator.rcv.recursion import ObjectState, absorb_step, plan_step, start
-from annotator.types import Box2D, Detector, Frame, LostObject, Proposal, StopReason
+from annotator.types import Box2D, Detector, Frame, LostObject, OrientedBox, Proposal, StopReason
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,16 +74,26 @@ def _frustums(index: int, frame: Frame, boxes: Sequence[Box2D], config: RcvConfi
     return [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
 
 
+def _coarse_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
+    """The last box of an object that got lost, or the one around its frustum's points (RCV paper, section II.B)."""
+    if state.box is not None:
+        return state.box
+    if len(state.cloud) < config.min_points:
+        return None
+    return canonical_box(aligned_box(state.cloud.xyz_m, camera_frame(state.up).T), state.up)
+
+
 def _finish(index: int, frame: Frame, states: list[ObjectState], config: RcvConfig) -> FrameProposals:
     proposals: list[Proposal] = []
     lost: list[LostObject] = []
     for state in states:
-        ended_well = state.stop is not StopReason.LOST or (config.coarse_box and state.box is not None)
-        if ended_well and state.box is not None:
-            score = float(np.sqrt(state.image_box.score * state.view_score))
-            proposals.append(
-                Proposal(state.image_box.label, score, state.box, state.image_box, state.steps, state.quality)
-            )
+        box = state.box if state.stop not in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else None
+        if box is None and config.coarse_box:
+            box = _coarse_box(state, config)
+        if box is not None:
+            # No view has confirmed the box around a frustum: it ranks below all that one has.
+            score = float(np.sqrt(state.image_box.score * (state.view_score or config.min_view_score)))
+            proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, state.quality))
         else:
             lost.append(LostObject(state.image_box.label, state.image_box, state.steps))
     keep = nms_3d(

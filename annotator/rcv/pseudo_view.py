@@ -103,6 +103,9 @@ def draw(
     # 30 m. Narrow integers keep the buffers in the cache.
     index_bits = n.bit_length()
     levels = (1 << min(KEY_BITS - index_bits, DEPTH_BITS)) - 1
+    # Without a border in the window, rounding can put the outermost point one pixel outside.
+    np.minimum(column, window.width_px - 1, out=column)
+    np.minimum(row, window.height_px - 1, out=row)
     near, far = float(depth_m.min()), float(depth_m.max())
     level = ((depth_m - np.float32(near)) * np.float32((levels - 1) / max(far - near, 1e-6))).astype(np.uint32)
     key = (level << np.uint32(index_bits)) | np.arange(n, dtype=np.uint32)

@@ -20,7 +20,7 @@ from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.hypotheses import near_frames, wide_frames
 from annotator.rcv.interval_fit import Intervals
-from annotator.rcv.measure import Measurement, measure_consensus, measure_pair, measure_tightest
+from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import (
     Box2D,
@@ -35,6 +35,9 @@ from annotator.types import (
     ViewTrace,
 )
 
+# How much larger than the box the pictures are after one of them cut it off.
+CUT_ROOM = 1.4
+
 
 @dataclass(frozen=True, eq=False)
 class ObjectState:
@@ -47,7 +50,8 @@ class ObjectState:
         up: unit vector against gravity for an upright box, None for a free one.
         axes: rows, the frame of the last step.
         box: the last step's box.
-        measured: intervals of all consensus steps so far.
+        measured: intervals of all steps of a consensus so far.
+        is_cut: a detection of the last step touched its picture's border, so the object may go on beyond.
         view_score: mean score of the detections that made the last box.
         disagreement, last_change, kept_share: the quality signals of the last step.
         steps: the trace.
@@ -61,6 +65,7 @@ class ObjectState:
     axes: Float64[np.ndarray, "3 3"]
     box: OrientedBox | None = None
     measured: Intervals | None = None
+    is_cut: bool = False
     view_score: float = 0.0
     disagreement: float = 0.0
     last_change: float = 1.0
@@ -110,21 +115,30 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
         strategy, frames = Strategy.CAMERA, [camera_frame(state.up)]
     elif config.strategy is Strategy.CONSENSUS:
         strategy = Strategy.CONSENSUS
-        frames = _consensus_frames(state, config)
+        frames, fallback = _consensus_frames(state, config)
     else:
         axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
-    show = None if state.box is None else box_corners(state.box)
+    show = None if state.box is None else box_corners(_shown(state.box, state.is_cut))
     return StepPlan(strategy, fallback, tuple(frames), tuple(render_pairs(state.cloud, frames, config.view, show)))
 
 
-def _consensus_frames(state: ObjectState, config: RcvConfig) -> list[Float64[np.ndarray, "3 3"]]:
+def _shown(box: OrientedBox, is_cut: bool) -> OrientedBox:
+    """What the next pictures must show: the box, or, where it was cut off, room around it."""
+    return OrientedBox(box.T_camera_box, box.size_m * (CUT_ROOM if is_cut else 1.0))
+
+
+def _consensus_frames(
+    state: ObjectState, config: RcvConfig
+) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
+    """The step's hypotheses, and what was tried for them in vain."""
     if len(state.steps) == 1 or state.box is None:
-        return wide_frames(state.up, config)
+        return wide_frames(state.up, config), ()
     frames = near_frames(state.box.rotation, state.up, config)
-    if config.box_kind is BoxKind.SILHOUETTE:
-        frames.append(find_axes(state.cloud, Strategy.NORMALS, camera_frame(state.up), state.up, config).frame)
-    return frames
+    if config.box_kind is not BoxKind.SILHOUETTE:
+        return frames, ()
+    normals = find_axes(state.cloud, Strategy.NORMALS, camera_frame(state.up), state.up, config)
+    return [*frames, normals.frame], normals.fallback
 
 
 def absorb_step(
@@ -154,9 +168,7 @@ def _absorb_first(
     state: ObjectState, plan: StepPlan, boxes: list[tuple[Box2D, ...]], config: RcvConfig
 ) -> list[ObjectState]:
     frame, views = plan.frames[0], (plan.views[0], plan.views[1])
-    pairs = cross_view.pair_all(
-        frame, views, boxes[0], boxes[1], state.cloud, config.min_shared_overlap, config.max_objects_per_frustum
-    )
+    pairs = cross_view.pair_all(frame, views, boxes[0], boxes[1], state.cloud, config)
     if not pairs:
         return [_advance(state, plan, boxes, None, config)]
     results = []
@@ -167,7 +179,10 @@ def _absorb_first(
                 cross_view.measured_intervals(views[1], boxes[1][pair.side], config.edge_noise),
             ]
         )
-        measured = Measurement(pair.box, frame, pair.disagreement, pair.score, (pair.front, pair.side), intervals)
+        used = (pair.front, pair.side)
+        measured = Measurement(
+            pair.box, frame, pair.disagreement, pair.score, used, intervals, cut=any_cut(views, boxes, used)
+        )
         results.append(_advance(state, plan, boxes, measured, config))
     return results
 
@@ -185,20 +200,21 @@ def _advance(
         step = _step_trace(plan, boxes, (None,) * len(boxes), None, n, 0, StopReason.LOST)
         return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
     box = canonical_box(measured.box, state.up)
-    extent = max(float(view.extent_m.max()) for view in plan.views)
-    margin = config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent
+    margin = cross_view.cut_margin_m(box, plan.views, config)
     cloud = state.cloud.select(contains(box, state.cloud.xyz_m, margin))
     inside = int(contains(box, cloud.xyz_m).sum())
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
     turned = np.inf if state.box is None else frame_angle(measured.frame, state.axes)
-    stop = _stop(len(state.steps) + 1, len(cloud), turned, change, config)
-    step = _step_trace(plan, boxes, measured.used, box, n, len(cloud), stop)
+    stop = _stop(len(state.steps) + 1, len(cloud), turned, change, measured.cut, config)
+    told = replace(plan, fallback=plan.fallback + measured.fallback)
+    step = _step_trace(told, boxes, measured.used, box, n, len(cloud), stop)
     return replace(
         state,
         cloud=cloud,
         axes=measured.frame,
         box=box,
         measured=measured.intervals,
+        is_cut=measured.cut,
         view_score=measured.score,
         disagreement=measured.disagreement,
         last_change=change,
@@ -208,12 +224,15 @@ def _advance(
     )
 
 
-def _stop(steps: int, points: int, turned_rad: float, change: float, config: RcvConfig) -> StopReason:
+def _stop(steps: int, points: int, turned_rad: float, change: float, is_cut: bool, config: RcvConfig) -> StopReason:
     if points < config.min_points:
         return StopReason.TOO_FEW_POINTS
-    if steps > 1 and turned_rad < config.axes_tolerance_rad:
+    # The first step's axes are the camera's, whatever the object: a fit that happens to agree with them has not
+    # converged yet. What a picture cut off is looked at once more in a larger one.
+    first = 2 if config.strategy is Strategy.CONSENSUS else 1
+    if steps > first and not is_cut and turned_rad < config.axes_tolerance_rad:
         return StopReason.AXES_CONVERGED
-    if steps > 1 and change < config.box_tolerance:
+    if steps > first and not is_cut and change < config.box_tolerance:
         return StopReason.BOX_CONVERGED
     return StopReason.STEP_LIMIT if steps >= config.max_steps else StopReason.CONTINUES
 

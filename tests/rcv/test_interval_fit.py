@@ -100,6 +100,17 @@ def test_too_few_intervals_fix_no_box() -> None:
     assert fit_box(measure(box, np.eye(3)[:2]), UP) is None
 
 
+def test_two_views_along_one_yaw_fix_no_upright_box() -> None:
+    """Every rotation explains the intervals of one frame's axes; a fit once answered with any of them, at no cost."""
+    for yaw in (0.0, 0.3):
+        box = OrientedBox.from_parts(
+            np.array([0.0, 0, 5]),
+            Rotation.from_rotvec(yaw * UP).as_matrix() @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T,
+            np.array([4.0, 1.6, 1.5]),
+        )
+        assert fit_box(measure(box, np.concatenate([np.eye(3), np.eye(3)])), UP) is None
+
+
 @pytest.mark.parametrize("count", [1, 4, 12, 100])
 def test_spread_rotations_differ_for_a_box(count: int) -> None:
     rotations = spread_rotations(count)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
-from annotator.types import Box2D, BoxKind, Frame, Image, PseudoView, StopReason
+from annotator.types import Box2D, BoxKind, Frame, Image, PseudoView, StopReason, Truth
 
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
@@ -139,7 +140,9 @@ def test_an_object_that_no_view_shows_is_lost_and_the_trace_says_where(seen: int
     assert len(result.lost[0].trace) == steps
     assert result.lost[0].trace[-1].stop is StopReason.LOST
     coarse = propose([frame], perfect, BlindAfter(perfect, seen), RcvConfig(coarse_box=True))[0]
-    assert len(coarse.proposals) == (1 if seen else 0)
+    (box,) = coarse.proposals
+    assert contains(box.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
+    assert box.score < 0.5 if seen == 0 else box.score > 0.5
 
 
 def test_other_classes_in_the_views_are_ignored() -> None:
@@ -238,3 +241,39 @@ def test_views_show_the_frustum_first() -> None:
     assert isinstance(frame, Frame)
     assert 800 <= seen[0] < len(frame.cloud)
     assert seen[2] < seen[0]
+
+
+def test_an_object_whose_lower_end_was_never_seen_keeps_its_height() -> None:
+    """A LiDAR often misses the foot of an object: its true box then goes on below all points, and every picture cuts
+    it off. Ends that were cut used to count for nothing, and the box collapsed."""
+    frame, _ = frame_with([UPRIGHT_BOX], up=UP)
+    upper = frame.cloud.xyz_m[:, 1] < 0.1
+    kept = replace(frame, cloud=frame.cloud.select(upper))
+    perfect = PerfectDetector.for_frame(kept, [Truth("thing", UPRIGHT_BOX)])
+    (found,) = propose([kept], perfect, perfect, RcvConfig(orientation=Orientation.UPRIGHT))[0].proposals
+    assert iou_3d(found.box, UPRIGHT_BOX) > 0.9
+
+
+def test_a_silhouette_that_missed_a_part_does_not_win_by_being_small() -> None:
+    frame, truths = frame_with([UPRIGHT_BOX], up=UP)
+    perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
+
+    class OneSmall(Counting):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            found = self.inner.detect(images)
+            if len(found) > 2:
+                b = found[2][0]
+                found[2] = [Box2D(b.label, b.x_min + 0.7 * b.width_px, b.y_min, b.x_max, b.y_max, 0.3)]
+            return found
+
+    config = RcvConfig(orientation=Orientation.UPRIGHT, box_kind=BoxKind.SILHOUETTE)
+    (found,) = propose([frame], perfect, OneSmall(perfect), config)[0].proposals
+    assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
+
+
+def test_an_object_that_lost_its_points_is_no_proposal() -> None:
+    frame, truths = frame_with([FREE_BOX])
+    perfect = PerfectDetector.for_frame(frame, truths)
+    result = propose([frame], perfect, perfect, RcvConfig(min_points=900))[0]
+    assert result.proposals == ()
+    assert result.lost[0].trace[-1].stop is StopReason.TOO_FEW_POINTS
