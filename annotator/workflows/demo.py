@@ -9,7 +9,7 @@ from pathlib import Path
 
 from annotator.detection.progress import TrainingProgress
 from annotator.formats.rcv.model import RcvManifest
-from annotator.project import Project, Role, create_project
+from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.recordings.generated import write_generated
@@ -24,6 +24,8 @@ from annotator.workflows.simulate import Drawn, simulate_recording
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
 LABELS = {"people": "person", "hands": "hand"}
+# The room knows gravity, but hands turn as they like.
+ROTATIONS = {"people": BoxRotation.UPRIGHT, "hands": BoxRotation.FREE}
 
 Tell = Callable[[str, float, float], None]
 """Told of progress: stage, how much is done, of how much."""
@@ -76,7 +78,8 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
 
     write_generated(root / "recording", plan.preset, plan.frames, plan.seed, report=_counted(tell, "ray-cast a room"))
     stage("generate")
-    with create_project(root, "demo", (LABELS[plan.preset],)) as project:
+    settings = ProjectSettings(rotation=ROTATIONS[plan.preset])
+    with create_project(root, "demo", (LABELS[plan.preset],), settings=settings) as project:
         stored = register_recording(project, open_recording(root / "recording"))
         report = _counted(tell, "draw 2D boxes")
         drawn = simulate_recording(project, stored.id, BoxKind.BOX, RcvConfig(), plan.every, report)

@@ -55,7 +55,7 @@ def score_project(
     places = {key: index for index, key in enumerate(recording.keys)}
     results: dict[str, list[FrameResult]] = defaultdict(list)
     for stored in project.frames.of([recording_id]):
-        if frame_ids is not None and stored.id not in frame_ids:
+        if stored.index is None or (frame_ids is not None and stored.id not in frame_ids):
             continue
         frame = source.read(stored)
         truths = load_truth(recording, places[stored.key], frame)
