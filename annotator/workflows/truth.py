@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -74,8 +75,7 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
 
 
 def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
-    known = path.stat()
-    return list(_boxes(path, known.st_mtime_ns, known.st_size).get(key, ()))
+    return list(_boxes(path, *_version(path)).get(key, ()))
 
 
 def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -85,13 +85,26 @@ def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
 def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
     if not key.isdecimal():
         raise FormatError(path, f"counts frames by number, and {key!r} is none; name the images by their frame numbers")
-    return read_tracking_labels(path, frame.T_camera_label).get(int(key), [])
+    T = frame.T_camera_label
+    found = _tracks(path, *_version(path)).get(int(key), ())
+    return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in found]
+
+
+def _version(path: Path) -> tuple[int, int]:
+    known = path.stat()
+    return known.st_mtime_ns, known.st_size
 
 
 @lru_cache(maxsize=4)
 def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
     """The whole file, kept: it would be parsed again for every frame otherwise."""
     return read_boxes(path)
+
+
+@lru_cache(maxsize=4)
+def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
+    """The same for tracking labels, in the labels' own frame: the transform may differ from frame to frame."""
+    return read_tracking_labels(path, None)
 
 
 def _looked_for(recording: Recording) -> str:

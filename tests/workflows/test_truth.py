@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.kitti import read_tracking_labels
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
+from annotator.recordings.kitti_tracking import KittiTracking
 from annotator.types.errors import FormatError, RecordingError
+from annotator.workflows import truth as truth_module
 from annotator.workflows.truth import has_truth, load_mask, load_truth
 
 WIDTH, HEIGHT = 8, 6
@@ -91,6 +96,31 @@ def test_truth_apart_goes_first_and_a_changed_file_is_read_again(wall: Path) -> 
     assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"]
     put(wall / "truth/boxes.json", {"a": [BOX, BOX]})
     assert len(load_truth(recording, 0, frame)) == 2
+
+
+def test_tracking_labels_are_parsed_once_and_moved_frame_by_frame(wall: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame has its own transform; a file that has changed is parsed anew."""
+    parsed: list[Path] = []
+
+    def counted(path: Path, T: RigidTransform | None) -> dict[int, list[Any]]:
+        parsed.append(path)
+        return read_tracking_labels(path, T)
+
+    monkeypatch.setattr(truth_module, "read_tracking_labels", counted)
+    row = "0 {} Car 0 0 0 0 0 9 9 1.5 1.6 4.0 1.0 1.5 10.0 0.3\n"
+    (wall / "label_02.txt").write_text("".join(f"{n} {row[2:].format(n)}" for n in range(3)))
+    frame = open_recording(wall).frame(0)
+    drive = KittiTracking(wall, ("0", "1", "2", "3"))
+    for index in range(3):
+        T = RigidTransform.from_translation([index, 0.0, 0.0])
+        (truth,) = load_truth(drive, index, replace(frame, T_camera_label=T))
+        assert truth.track_id == index
+        np.testing.assert_allclose(truth.box.center_m, [1 + index, 0.75, 10])
+    assert load_truth(drive, 3, frame) == []
+    assert len(parsed) == 1
+    (wall / "label_02.txt").write_text(row.format(7) * 2)
+    assert len(load_truth(drive, 0, frame)) == 2
+    assert len(parsed) == 2
 
 
 def test_broken_labels_name_the_file(wall: Path) -> None:
