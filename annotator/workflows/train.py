@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import write_dataset
@@ -16,6 +17,7 @@ from annotator.detection.trained import TrainedModel
 from annotator.detection.training import train_detector
 from annotator.project import Project, Role, StoredFrame, StoredModel
 from annotator.rcv.config import RcvConfig
+from annotator.types import BoxKind
 from annotator.types.errors import FrameError
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.samples import Material, SampleConfig, gather, image_samples, view_samples
@@ -113,16 +115,25 @@ def _train_one(
     kept = out / MANIFEST_NAME
     # The pictures can be made again from the recordings; which labels they showed is kept with the model.
     shutil.copyfile(folder / DATASET / MANIFEST_NAME, kept)
-    model = project.models.register(
+    model = _registered(project, role, result, kind, kept)
+    return Trained(role, model, result, manifest, time.perf_counter() - begin, tuple(left_out))
+
+
+def _registered(project: Project, role: Role, result: TrainedModel, kind: BoxKind, manifest: Path) -> StoredModel:
+    """The model in the project's registry, active; training the same again is no second model."""
+    fingerprint = load_detector(result.weights).fingerprint
+    for known in project.models.all(role):
+        if known.fingerprint == fingerprint and known.path.resolve() == result.weights.resolve():
+            return project.models.activate(known.id)
+    return project.models.register(
         role,
         result.weights,
-        labels=classes,
+        labels=result.classes,
         box_kind=kind,
         metrics=result.metrics.model_dump(exclude={"measured_on"}),
-        fingerprint=load_detector(result.weights).fingerprint,
-        manifest=kept,
+        fingerprint=fingerprint,
+        manifest=manifest,
     )
-    return Trained(role, model, result, manifest, time.perf_counter() - begin, tuple(left_out))
 
 
 def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
