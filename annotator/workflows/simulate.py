@@ -12,8 +12,9 @@ from functools import partial
 
 import numpy as np
 
+from annotator.detection.perfect import box_outline
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project
 from annotator.project import REVIEWED, Change, NewLabel, Project, StoredFrame
 from annotator.rcv.config import RcvConfig
@@ -85,10 +86,14 @@ def draw_frame(
 
 
 def _image_box(frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:
-    seen = frame.cloud.xyz_m[item.points]
-    px = project(frame.camera, box_corners(item.box) if kind is BoxKind.BOX else seen)
-    if not np.isfinite(px).all():  # a corner behind the camera: what is seen must do
-        px = project(frame.camera, seen)
+    if kind is BoxKind.BOX:
+        xyz_m = box_outline(Truth(item.label, item.box), frame.camera)
+    else:
+        xyz_m = frame.cloud.xyz_m[item.points].astype(np.float64)
+    px = project(frame.camera, xyz_m)
+    px = px[np.isfinite(px).all(axis=1)]
+    if len(px) == 0:  # all of it lies behind the camera
+        return None
     low = np.maximum(px.min(axis=0), -0.5)
     high = np.minimum(px.max(axis=0), [frame.camera.width_px - 0.5, frame.camera.height_px - 0.5])
     if (high - low < 2).any():
@@ -105,7 +110,9 @@ def _draw(view: PseudoView, frame: Frame, item: TaughtObject, kind: BoxKind) -> 
 
 
 def _in_picture(view: PseudoView, xyz_m: np.ndarray) -> np.ndarray:
-    low, high = view.origin_m, view.origin_m + view.extent_m
+    # The origin is the centre of the first pixel; the picture begins half a pixel before it.
+    low = view.origin_m - view.metres_per_px / 2
+    high = low + view.extent_m
     seen = xyz_m @ view.axes[:2].T
     return ((seen >= low) & (seen <= high)).all(axis=1)
 

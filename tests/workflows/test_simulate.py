@@ -15,11 +15,18 @@ import pytest
 from annotator.geometry.oriented_box import contains
 from annotator.project import BoxRotation, Project
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, ReviewState, Source
+from annotator.types import BoxKind, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.recordings import add_recordings, register_recording
-from annotator.workflows.simulate import MIN_VISIBLE_POINTS, simulate_recording, visible_objects
+from annotator.workflows.simulate import (
+    MIN_VISIBLE_POINTS,
+    _in_picture,
+    draw_frame,
+    simulate_recording,
+    visible_objects,
+)
 from annotator.workflows.truth import load_truth
 
 
@@ -78,6 +85,28 @@ def test_silhouettes_go_around_the_mask(people: Project) -> None:
     for number, box in enumerate(boxes.boxes, 1):
         rows, columns = np.nonzero((mask == number) & (frame.depth_m > 0))
         assert box.xyxy == pytest.approx((columns.min(), rows.min(), columns.max(), rows.max()), abs=1e-3)
+
+
+def test_a_box_that_reaches_behind_the_camera_is_cut_there(generated: Path) -> None:
+    """The image box is that of the true box's visible part, to the image's edge, and not of the points alone."""
+    frame = open_recording(generated / "people").frame(0)
+    box = OrientedBox.from_parts(np.array([0.0, 0.3, 1.0]), np.eye(3), np.array([0.4, 0.4, 3.0]))
+    in_the_middle = np.linalg.norm(frame.cloud.xyz_m[:, :2], axis=1) < 0.1
+    (image_box,), _ = draw_frame(frame, [TaughtObject("person", box, in_the_middle)], BoxKind.BOX, RcvConfig())
+    camera = frame.camera
+    assert image_box.x_min == -0.5
+    assert image_box.x_max == camera.width_px - 0.5
+    assert image_box.y_max == camera.height_px - 0.5
+    # the upper edge is that of the far end, 2.5 m away and 0.1 m below the optical axis
+    assert image_box.y_min == pytest.approx(camera.cy + camera.fy * 0.1 / 2.5, abs=0.01)
+
+
+def test_a_picture_begins_half_a_pixel_before_its_first_centre() -> None:
+    view = PseudoView(np.zeros((3, 4, 3), np.uint8), np.eye(3), 0.1, np.array([1.0, 2.0]), np.zeros((0, 3), np.float32))
+    x = np.array([0.94, 0.96, 1.34, 1.36, 1.1, 1.1, 1.1, 1.1])
+    y = np.array([2.1, 2.1, 2.1, 2.1, 1.94, 1.96, 2.24, 2.26])
+    seen = _in_picture(view, np.stack([x, y, np.ones(8)], axis=1))
+    assert seen.tolist() == [False, True, True, False] * 2
 
 
 def test_it_may_be_done_again(people: Project) -> None:
