@@ -2,6 +2,7 @@
 
 `silhouette` draws around the object's visible points, as a person does. `box` stands for a folder whose 3D labels are
 imported (RCV paper, Fig. 5): the true box is projected onto the same pictures, and kept as an imported 3D label.
+A recording with masks but no boxes can be drawn around, too.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from annotator.detection.perfect import box_outline
+from annotator.geometry.fit import aligned_box
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project
@@ -24,7 +26,7 @@ from annotator.recordings import Recording
 from annotator.types import Box2D, BoxKind, Frame, PointCloud, PseudoView, Source, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frames import FrameSource, orientation_for
-from annotator.workflows.truth import load_mask, load_truth
+from annotator.workflows.truth import has_masks, has_truth, load_mask, load_truth
 from annotator.workflows.views_out import geometry_of
 
 AUTHOR = "simulated operator"
@@ -50,8 +52,19 @@ class Drawn:
 
 
 def visible_objects(recording: Recording, index: int, frame: Frame, classes: Sequence[str]) -> list[TaughtObject]:
-    """The true objects of the project's classes that have enough points, each with the points that are its own."""
+    """The true objects of the project's classes that have enough points, each with the points that are its own.
+
+    Where the recording has masks but no boxes, the objects are those that the mask numbers, of the project's only
+    class; what encloses their points stands in for a true box then.
+
+    Raises:
+        RecordingError: the recording has neither boxes nor masks.
+        ConfigError: masks only, and the project has several classes.
+        FormatError: broken boxes, or a broken or missing mask.
+    """
     mask = load_mask(recording, frame)
+    if mask is not None and has_masks(recording) and not has_truth(recording):
+        return _masked_objects(frame, mask, only_class(recording, classes))
     # The mask numbers all labelled objects, those of other classes included.
     objects = [
         TaughtObject(t.label, t.box, _own_points(t, number, frame.cloud, mask))
@@ -59,6 +72,44 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
         if t.label in classes
     ]
     return [o for o in objects if o.points is not None and o.points.sum() >= MIN_VISIBLE_POINTS]
+
+
+def only_class(recording: Recording, classes: Sequence[str]) -> str:
+    """The class of everything in masks that come without boxes.
+
+    Raises:
+        ConfigError: there are several to choose from.
+    """
+    if len(classes) != 1:
+        raise ConfigError(
+            f"{recording.path}: has masks but no true boxes, so nothing says which of {', '.join(classes)} an object "
+            "is; use a project with one class, or add a boxes.json"
+        )
+    return classes[0]
+
+
+def require_boxes_for(kind: BoxKind, recording: Recording) -> None:
+    """Refuses to draw true boxes where there are only masks.
+
+    Raises:
+        ConfigError: so it is.
+    """
+    if kind is BoxKind.BOX and has_masks(recording) and not has_truth(recording):
+        raise ConfigError(
+            f"{recording.path}: the operator `box` needs true boxes, and there are only masks; "
+            "use the operator `silhouette`, or add a boxes.json"
+        )
+
+
+def _masked_objects(frame: Frame, mask: np.ndarray, label: str) -> list[TaughtObject]:
+    assert frame.cloud.pixel_index is not None  # has_masks
+    number_of_point = mask.ravel()[frame.cloud.pixel_index]
+    numbers, counts = np.unique(number_of_point, return_counts=True)
+    objects = []
+    for number in numbers[(numbers > 0) & (counts >= MIN_VISIBLE_POINTS)]:
+        own = number_of_point == number
+        objects.append(TaughtObject(label, aligned_box(frame.cloud.xyz_m[own], np.eye(3)), own))
+    return objects
 
 
 def _own_points(truth: Truth, number: int, cloud: PointCloud, mask: np.ndarray | None) -> np.ndarray:
@@ -135,7 +186,8 @@ def simulate_recording(
         progress: called with (frames labelled, frames to label).
 
     Raises:
-        ConfigError: `every` is less than 1, or the recording brings no truth of the project's classes.
+        ConfigError: `every` is less than 1, or the recording brings no truth of the project's classes; or it brings
+            masks only, and true boxes shall be drawn or the project has several classes.
         RecordingError: it brings no truth at all, or cannot be read.
         FrameError: one of the frames cannot be read; those before it are labelled.
     """
@@ -143,6 +195,7 @@ def simulate_recording(
         raise ConfigError(f"every {every} frames cannot be labelled; give 1 or more")
     source = FrameSource(project)
     recording = source.recording(recording_id)
+    require_boxes_for(kind, recording)
     settings = project.config
     frames = [stored for stored in project.frames.of([recording_id]) if stored.index is not None][::every]
     places = {key: index for index, key in enumerate(recording.keys)}
@@ -162,7 +215,8 @@ def simulate_recording(
             progress(number, len(frames))
     if boxes == 0:
         raise ConfigError(
-            f"{recording.path}: brings no true boxes of {', '.join(settings.classes)}, so nothing can be simulated; "
+            f"{recording.path}: brings no true boxes of {', '.join(settings.classes)} (nor masks of anything) that "
+            "can be seen, so nothing can be simulated; "
             "draw boxes in the browser, or import them: annotator import"
         )
     return Drawn(len(frames), drawn_objects, boxes)

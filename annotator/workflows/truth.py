@@ -44,6 +44,17 @@ def has_truth(recording: Recording) -> bool:
     return label_file(recording, recording.keys[0]) is not None
 
 
+def has_masks(recording: Recording) -> bool:
+    """True where the recording has masks of its own, and clouds whose points know their pixels."""
+    return recording.format in _MASKED and mask_folder(recording) is not None
+
+
+def mask_folder(recording: Recording) -> Path | None:
+    """Where the masks of a recording lie, or None without any."""
+    folders = (recording.root / TRUTH_FOLDER / "mask", recording.root / "mask")
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
 def label_file(recording: Recording, key: str) -> Path | None:
     """The file that would hold the labels of a frame, or None where the recording has no labels.
 
@@ -64,14 +75,14 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
     Raises:
         FormatError: the recording has masks, but this one is missing, broken, or of another size.
     """
-    for folder in (recording.root / TRUTH_FOLDER / "mask", recording.root / "mask"):
-        if folder.is_dir():
-            path = folder / f"{frame.key}.png"
-            mask = read_mask(path)
-            if mask.shape != frame.rgb.shape[:2]:
-                raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
-            return mask
-    return None
+    folder = mask_folder(recording)
+    if folder is None:
+        return None
+    path = folder / f"{frame.key}.png"
+    mask = read_mask(path)
+    if mask.shape != frame.rgb.shape[:2]:
+        raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
+    return mask
 
 
 def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -116,6 +127,7 @@ _PLACES = {
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
 }
+_MASKED = frozenset({"rgbd_folder"})
 _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "rgbd_folder": _from_boxes_json,
     "kitti_object": _from_label_2,

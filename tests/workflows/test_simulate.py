@@ -181,6 +181,46 @@ def test_views_follow_the_projects_rotation(make_project: Callable[..., Project]
     assert level == {BoxRotation.AUTO: True, BoxRotation.FREE: False}
 
 
+def masks_only(folder: Path) -> Path:
+    (folder / "truth" / "boxes.json").unlink()
+    return folder
+
+
+def test_masks_alone_can_be_drawn_around(people: Project, own_copy: Callable[[str], Path]) -> None:
+    """Exactly the boxes that the masks give where there are true boxes as well."""
+    stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
+    drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
+    assert drawn == simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
+    with_boxes, without = (people.boxes.on_images([r.id]) for r in people.recordings.all())
+    assert [b.boxes for b in with_boxes] == [b.boxes for b in without]
+    assert all(len(b.boxes) == 3 for b in without)
+
+
+def test_a_mask_of_0_and_255_is_one_object(own_copy: Callable[[str], Path]) -> None:
+    folder = masks_only(own_copy("people"))
+    path = folder / "truth" / "mask" / "000000.png"
+    mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(path), np.where(mask == 2, 255, 0).astype(np.uint8))
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    (found,) = visible_objects(recording, 0, frame, ["person"])
+    assert frame.cloud.pixel_index is not None
+    np.testing.assert_array_equal(found.points, mask.ravel()[frame.cloud.pixel_index] == 2)
+    assert contains(found.box, frame.cloud.xyz_m[found.points], 1e-6).all()
+
+
+def test_masks_alone_have_no_true_boxes_to_draw(people: Project, own_copy: Callable[[str], Path]) -> None:
+    stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
+    with pytest.raises(ConfigError, match="`box` needs true boxes"):
+        simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
+
+
+def test_masks_alone_name_no_class(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+    project = make_project(masks_only(own_copy("people")), classes=("person", "robot"))
+    with pytest.raises(ConfigError, match="which of person, robot"):
+        simulated(project, BoxKind.SILHOUETTE)
+
+
 def test_a_recording_without_truth(people: Project, own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("hands")
     shutil.rmtree(folder / "truth")
