@@ -61,7 +61,7 @@ class RcvConfig(BaseModel):
     max_objects_per_frustum: int = Field(5, ge=1, description="pairs that survive the first step, objects")
     keep_margin: float = Field(0.03, ge=0, le=1, description="points this share of the box's size outside are kept")
     keep_margin_view: float = Field(
-        0.02, ge=0, le=1, description="points this share of the view's extent outside are kept (the detector's blur)"
+        0.04, ge=0, le=1, description="points this share of the view's extent outside are kept (the detector's blur)"
     )
     coarse_box: bool = Field(
         False,
