@@ -5,6 +5,7 @@ python -m benchmarks.axes DIR [--jitter 0.02] [--upright | --free] [--json]
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
 from annotator.recordings import Recording, open_recording
 from annotator.types import BoxKind, Frame, Proposal, Truth
+from annotator.types.errors import ConfigError
 from annotator.workflows.truth import load_truth
 from benchmarks.report import Table, finish, guarded
 
@@ -82,8 +84,28 @@ def _result(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> FrameResu
     return FrameResult([p.box for p in proposals], [p.score for p in proposals], [t.box for t in truths])
 
 
+def check(args: Arguments) -> None:
+    """
+    Raises:
+        ConfigError: a number out of its range, or two flags that contradict each other.
+    """
+    if args.upright and args.free:
+        raise ConfigError("--upright and --free contradict each other; give one of them, or none")
+    for flag, value in (("--jitter", args.jitter), ("--min-points", args.min_points), ("--seed", args.seed)):
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"{flag} must be 0 or more, not {value}")
+    if not args.strategies:
+        raise ConfigError(f"--strategies needs at least one of {', '.join(Strategy)}")
+
+
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints."""
+    """The benchmark; what `--json` prints.
+
+    Raises:
+        ConfigError: as `check`.
+        RecordingError: the folder is no recording.
+    """
+    check(args)
     recording = open_recording(args.folder)
     tallies: dict[Strategy, dict[str, Tally]] = {s: defaultdict(Tally) for s in args.strategies}
     for index in range(len(recording)):

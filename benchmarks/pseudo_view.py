@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from annotator.rcv.config import ViewConfig
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import PointCloud
+from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded
 
 
@@ -43,8 +44,28 @@ def frustum(points: int, rng: np.random.Generator) -> PointCloud:
     return PointCloud(np.stack([x, y, z], axis=1).astype(np.float32), rng.integers(0, 255, (points, 3), np.uint8))
 
 
+def check(args: Arguments) -> None:
+    """
+    Raises:
+        ConfigError: a number out of its range.
+    """
+    for flag, values, low, high in (
+        ("--points", args.points, 1, 100_000_000),
+        ("--size-px", args.size_px, 32, 2048),
+        ("--repeats", (args.repeats,), 1, 1_000_000),
+    ):
+        wrong = next((value for value in values if not low <= value <= high), None)
+        if not values or wrong is not None:
+            raise ConfigError(f"{flag} must be {low} to {high}, not {'nothing' if wrong is None else wrong}")
+
+
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints."""
+    """The benchmark; what `--json` prints.
+
+    Raises:
+        ConfigError: as `check`.
+    """
+    check(args)
     cv2.setNumThreads(1)
     rng = np.random.default_rng(0)
     frame = Rotation.from_rotvec([0.2, 0.4, 0.1]).as_matrix()

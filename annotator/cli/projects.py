@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from annotator.project import Project, list_projects, open_project
+from annotator.project.config import check_name
 from annotator.types.errors import ConfigError
 
 ENVIRONMENT = "ANNOTATOR_PROJECTS"
@@ -28,10 +29,14 @@ def open_named(name: str, root: Path | None) -> Project:
     """The project of that name.
 
     Raises:
-        ConfigError: there is none; the message lists those there are.
+        ConfigError: there is none, and the message lists those there are; or it is a path and no name.
         ProjectError: it cannot be opened.
     """
     folder = projects_root(root)
+    try:
+        check_name(name)
+    except ConfigError as error:
+        raise ConfigError(f"no project is called that: {error}; a folder of projects is named with --root") from error
     if not (folder / name).is_dir():
         known = ", ".join(project.path.name for project in list_projects(folder)) or "none"
         raise ConfigError(

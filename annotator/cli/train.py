@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
 from annotator.cli.projects import Root, open_named
 from annotator.detection.config import TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.project import Role
+from annotator.types.errors import ConfigError
 from annotator.workflows.samples import SampleConfig
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
@@ -69,9 +72,25 @@ def run(
 
 
 def _with(config: TrainingConfig, **changes: object) -> TrainingConfig:
-    """A copy with the settings that were given, checked."""
+    """A copy with the settings that were given, checked.
+
+    Raises:
+        ConfigError: one of them is out of its range.
+    """
     given = {name: value for name, value in changes.items() if value is not None}
-    return TrainingConfig.model_validate({**config.model_dump(), **given})
+    try:
+        return TrainingConfig.model_validate({**config.model_dump(), **given})
+    except ValidationError as error:
+        problem = error.errors()[0]
+        allowed = problem["msg"].replace("Input should be", "must be")
+        flag = _flag(str(problem["loc"][0]), config is IMAGE_DEFAULTS)
+        raise ConfigError(f"{flag} {allowed}, not {problem['input']}") from error
+
+
+def _flag(setting: str, of_image: bool) -> str:
+    """What a setting is called on the command line."""
+    name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
+    return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name}"
 
 
 def _note(step: TrainingProgress) -> str:

@@ -139,4 +139,6 @@ class _Version(BaseModel):
 def _first_problem(error: ValidationError) -> str:
     detail = error.errors()[0]
     where = ".".join(str(part) for part in detail["loc"])
-    return f"{where}: {detail['msg']}" if where else detail["msg"]
+    # pydantic's own prefix of what a validator of ours says
+    problem = detail["msg"].removeprefix("Value error, ")
+    return f"{where}: {problem}" if where else problem

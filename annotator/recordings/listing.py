@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from annotator.types.errors import FrameError, RecordingError
@@ -10,13 +13,41 @@ from annotator.types.errors import FrameError, RecordingError
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
+REMEDIES = {
+    errno.ENAMETOOLONG: "give a shorter path",
+    errno.EACCES: "allow this user to read it, or give another path",
+    errno.EPERM: "allow this user to read it, or give another path",
+}
+
+
+@contextmanager
+def looking_at(path: Path) -> Iterator[None]:
+    """What the system refuses while `path` is looked at becomes an error for the user.
+
+    Raises:
+        RecordingError: it refused.
+    """
+    try:
+        yield
+    except OSError as error:
+        remedy = REMEDIES.get(error.errno or 0, "check the path and its disk")
+        raise RecordingError(
+            f"{error.filename or path}: cannot be read: {error.strerror or error}; {remedy}"
+        ) from error
+
+
 def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """The stems of all files in `folder` with one of `suffixes` (lower case; files may have upper case)."""
-    return {
-        entry.stem
-        for entry in folder.iterdir()
-        if entry.suffix.lower() in suffixes and not entry.name.startswith(".") and entry.is_file()
-    }
+    """The stems of all files in `folder` with one of `suffixes` (lower case; files may have upper case).
+
+    Raises:
+        RecordingError: the folder cannot be read.
+    """
+    with looking_at(folder):
+        return {
+            entry.stem
+            for entry in folder.iterdir()
+            if entry.suffix.lower() in suffixes and not entry.name.startswith(".") and entry.is_file()
+        }
 
 
 def sorted_keys(path: Path, keys: set[str], wanted: str) -> tuple[str, ...]:
@@ -39,11 +70,16 @@ def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) 
     """The one file of frame `key` in `folder`.
 
     Raises:
-        FrameError: there is none, or more than one; `partner` names what it should be paired with.
+        FrameError: there is none, or more than one, or the folder cannot be read; `partner` names what it should be
+            paired with.
     """
     candidates = [folder / (key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
     # a case-insensitive file system answers for both spellings of one file
-    found = {path.stat().st_ino: path for path in reversed(candidates) if path.is_file()}
+    try:
+        found = {path.stat().st_ino: path for path in reversed(candidates) if path.is_file()}
+    except OSError as error:
+        remedy = REMEDIES.get(error.errno or 0, "check the path and its disk")
+        raise FrameError(folder / (key + suffixes[0]), f"cannot be read: {error.strerror or error}", remedy) from error
     if not found:
         names = " or ".join(key + suffix for suffix in suffixes)
         raise FrameError(folder / (key + suffixes[0]), "missing", f"put {names} beside {partner}, or remove the frame")

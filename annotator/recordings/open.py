@@ -6,6 +6,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
+from annotator.recordings.listing import looking_at
 from annotator.recordings.recording import NotFound, Recording
 from annotator.recordings.table import READERS
 from annotator.types.errors import RecordingError, UnknownFormatError
@@ -18,11 +19,13 @@ def open_recording(path: Path) -> Recording:
 
     Raises:
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
-        RecordingError: the format is clear, but the recording has no frames.
+        RecordingError: the format is clear, but the recording has no frames; or the path cannot be read.
     """
     found = _ask_all(path)
     if isinstance(found, list):
-        raise UnknownFormatError(_explain(path, found))
+        with looking_at(path):
+            message = _explain(path, found)
+        raise UnknownFormatError(message)
     return found
 
 
@@ -30,7 +33,7 @@ def detect_format(path: Path) -> str | None:
     """The name of the format at `path`, or None where no reader recognises it.
 
     Raises:
-        RecordingError: the format is clear, but the recording has no frames.
+        RecordingError: the format is clear, but the recording has no frames; or the path cannot be read.
     """
     found = _ask_all(path)
     return None if isinstance(found, list) else found.format
@@ -40,7 +43,9 @@ def _ask_all(path: Path) -> Recording | list[str]:
     """What the first reader that recognises `path` opens, or one line a reader of what it looked for."""
     looked_for = []
     for name, target in READERS.items():
-        answer = _load(target)(path)
+        reader = _load(target)
+        with looking_at(path):
+            answer = reader(path)
         if not isinstance(answer, NotFound):
             return answer
         looked_for.append(f"{name}: {answer.looked_for}")
@@ -73,7 +78,7 @@ def _openable_children(path: Path) -> list[str]:
     for child in sorted(child for child in path.iterdir() if child.is_dir()):
         try:
             answer = _ask_all(child)
-        except RecordingError:  # recognised, but it has no frames: no hint worth giving
+        except RecordingError:  # no frames, or not to be read: no hint worth giving
             continue
         if not isinstance(answer, list):
             names.append(child.name)

@@ -108,4 +108,6 @@ class MissingExtraError(AnnotatorError):
 
     def __init__(self, package: str, extra: str) -> None:
         self.extra = extra
-        super().__init__(f"{package} is not installed; run: pip install 'annotator[{extra}]'")
+        super().__init__(
+            f"{package} is not installed; run in your clone: scripts/setup {extra} (or pip install '.[{extra}]')"
+        )

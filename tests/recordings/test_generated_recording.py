@@ -121,6 +121,8 @@ def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
         ({"frames": 0}, "frames must be at least 1"),
         ({"width": 8}, "at least 16 x 16"),
         ({"path": "."}, "already exists"),
+        ({"seed": -1}, "the seed must be 0 or more"),
+        ({"path": "n" * 250}, "cannot be made: File name too long"),
     ],
 )
 def test_what_makes_no_sense_is_refused(tmp_path: Path, change: dict[str, object], complaint: str):

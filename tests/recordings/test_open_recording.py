@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -72,6 +74,39 @@ def test_a_file_and_a_missing_path_are_told_apart(tmp_path: Path):
         open_recording(tmp_path / "notes.txt")
     with pytest.raises(UnknownFormatError, match="no such file or folder"):
         open_recording(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("refused", ["take", "take/color", "parent"])
+def test_what_may_not_be_read_is_said_with_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str):
+    """Tests may run as root, who may read everything: the system's answer is made up."""
+    for folder in ("take/color", "take/depth", "parent/take"):
+        (tmp_path / folder).mkdir(parents=True)
+    listed, looked = Path.iterdir, Path.is_dir
+
+    def refuse(path: Path) -> None:
+        if path == tmp_path / refused:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    def iterdir(self: Path) -> Iterator[Path]:
+        refuse(self)
+        return listed(self)
+
+    def is_dir(self: Path) -> bool:
+        refuse(self.parent)  # without the right to search a folder nothing in it can be looked at
+        return looked(self)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    monkeypatch.setattr(Path, "is_dir", is_dir)
+    path = tmp_path / refused.split("/")[0]
+    with pytest.raises(RecordingError, match="Permission denied; allow this user to read it") as caught:
+        open_recording(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_path_that_is_too_long_is_told(tmp_path: Path):
+    for ask in (open_recording, detect_format):
+        with pytest.raises(RecordingError, match="File name too long; give a shorter path"):
+            ask(tmp_path / ("n" * 300))
 
 
 @pytest.mark.parametrize("folders", [("color", "depth"), ("image_2", "velodyne"), ("image_02", "velodyne")])

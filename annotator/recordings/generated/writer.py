@@ -64,11 +64,10 @@ def write_generated(
         report: called with (frames done, frames) after each frame.
 
     Raises:
-        ConfigError: the path exists, the preset is unknown, or a number makes no sense.
+        ConfigError: the path exists or cannot be made, the preset is unknown, or a number makes no sense.
     """
-    _check(path, preset, frames, width, height)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    _check(preset, frames, seed, width, height)
+    unfinished = _unfinished_folder(path)
     try:
         _write(unfinished, preset, frames, seed, _camera(width, height), report)
         unfinished.chmod(0o755)
@@ -78,13 +77,24 @@ def write_generated(
         raise
 
 
-def _check(path: Path, preset: str, frames: int, width: int, height: int) -> None:
-    if path.exists():
-        raise ConfigError(f"{path}: already exists; choose another path, or remove it first")
+def _unfinished_folder(path: Path) -> Path:
+    """A new folder beside `path`, which becomes `path` in the end."""
+    try:
+        if path.exists():
+            raise ConfigError(f"{path}: already exists; choose another path, or remove it first")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be made: {error.strerror or error}; choose another path") from error
+
+
+def _check(preset: str, frames: int, seed: int, width: int, height: int) -> None:
     if preset not in PRESETS:
         raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
     if frames < 1:
         raise ConfigError(f"frames must be at least 1, not {frames}")
+    if seed < 0:
+        raise ConfigError(f"the seed must be 0 or more, not {seed}")
     if width < 16 or height < 16:
         raise ConfigError(f"the image must have at least 16 x 16 pixels, not {width} x {height}")
 

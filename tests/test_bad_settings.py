@@ -1,0 +1,97 @@
+"""What no command can work with is told in a line, and is no fault of annotator; benchmarks do the same."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from annotator.cli.main import main
+from annotator.types.errors import MissingExtraError
+from benchmarks import axes, pseudo_view
+from benchmarks.report import guarded
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty project p in the folder of projects, and a file beside it."""
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "p", "--classes", "x"]) == 0
+    (tmp_path / "file").touch()
+    return tmp_path / "projects" / "p"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["train", "p", "--epochs", "-3"], "--epochs must be greater than or equal to 1, not -3"),
+        (["train", "p", "--image-epochs", "0"], "--image-epochs must be greater than or equal to 1, not 0"),
+        (["train", "p", "--size", "100"], "--size must be a multiple of 32, not 100"),
+        (["train", "p", "--image-size", "4096"], "--image-size must be less than or equal to 2048, not 4096"),
+        (["train", "p", "--seed", "-1"], "--seed must be greater than or equal to 0, not -1"),
+        (["generate", "g", "--seed", "-1"], "the seed must be 0 or more, not -1"),
+        (["generate", "file/g"], "cannot be made"),
+        (["generate", "file/deep/g"], "cannot be made"),
+        (["generate", "n" * 300], "File name too long; choose another path"),
+        (["inspect", "n" * 300], "File name too long; give a shorter path"),
+        (["add", "p", "n" * 300], "File name too long; give a shorter path"),
+        (["new", "q", "--classes", ""], "error: project q: classes: '' cannot be a class name"),
+        (["stats", "p/../p"], "'p/../p' is not a project name"),
+    ],
+)
+def test_one_line_says_what_is_wrong(
+    project: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+) -> None:
+    before = sorted(project.parent.parent.iterdir())
+    assert main(words) == 2
+    assert says in capsys.readouterr().err
+    assert sorted(project.parent.parent.iterdir()) == before
+
+
+def test_a_path_is_no_project_name(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stats", str(project)]) == 2
+    assert "is not a project name" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("benchmark", "words", "says"),
+    [
+        (pseudo_view.main, "--points 0", "--points must be 1 to"),
+        (pseudo_view.main, "--size-px 16", "--size-px must be 32 to 2048, not 16"),
+        (pseudo_view.main, "--repeats 0", "--repeats must be 1 to"),
+        (axes.main, "nowhere --jitter -1", "--jitter must be 0 or more, not -1"),
+        (axes.main, "nowhere --jitter nan", "--jitter must be 0 or more, not nan"),
+        (axes.main, "nowhere --upright --free", "contradict each other"),
+    ],
+)
+def test_a_benchmark_says_it_too(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    benchmark: Callable[[], None],
+    words: str,
+    says: str,
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["benchmark", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        guarded(benchmark)
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert says in said
+
+
+def test_a_fault_of_a_benchmark_is_not_hidden() -> None:
+    def fails() -> None:
+        raise ValueError("a fault")
+
+    with pytest.raises(ValueError, match="a fault"):
+        guarded(fails)
+
+
+def test_a_missing_extra_is_installed_from_the_clone() -> None:
+    message = str(MissingExtraError("viser", "web"))
+    assert "scripts/setup web" in message
+    assert "pip install '.[web]'" in message
