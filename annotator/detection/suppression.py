@@ -23,20 +23,25 @@ def suppress(
         groups: only boxes of the same group (picture and class) suppress each other.
         iou: a box that overlaps a better one by more than this goes.
     """
-    order = np.argsort(-scores, kind="stable")
-    kept = []
+    order = np.lexsort((-scores, groups))
+    kept = [np.empty(0, np.int64)]
+    # All groups take a step together: the best box left of each stays, and what it beats goes. So there are as many
+    # steps as the fullest group keeps boxes, however many pictures the batch has.
     while len(order):
-        best, order = order[0], order[1:]
+        group = groups[order]
+        begins = np.concatenate([[True], group[1:] != group[:-1]])
+        best = order[begins]
         kept.append(best)
-        beaten = (groups[order] == groups[best]) & (_ious(boxes[best], boxes[order]) > iou)
-        order = order[~beaten]
-    return np.array(kept, np.int64)
+        beaten = _ious(boxes[best[np.cumsum(begins) - 1]], boxes[order]) > iou
+        order = order[~(begins | beaten)]
+    found = np.concatenate(kept)
+    return found[np.lexsort((found, -scores[found]))]
 
 
-def _ious(box: Float[np.ndarray, "4"], others: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
-    low = np.maximum(box[:2], others[:, :2])
-    high = np.minimum(box[2:], others[:, 2:])
+def _ious(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
+    """Of each box with the one in the same row."""
+    low = np.maximum(a[:, :2], b[:, :2])
+    high = np.minimum(a[:, 2:], b[:, 2:])
     shared = np.prod(np.clip(high - low, 0, None), axis=1)
-    areas = np.prod(others[:, 2:] - others[:, :2], axis=1)
-    union = np.prod(box[2:] - box[:2]) + areas - shared
+    union = np.prod(a[:, 2:] - a[:, :2], axis=1) + np.prod(b[:, 2:] - b[:, :2], axis=1) - shared
     return shared / np.maximum(union, 1e-12)
