@@ -3,7 +3,8 @@
     python -m benchmarks.loop TRAIN_DIR [TEST_DIR] [--operator silhouette|box] [--upright | --free] [--json]
 
 With one folder every second frame trains and the others test. The truth is used twice only: by the simulated operator
-on the training frames, and to score the proposals on the test frames.
+on the training frames, and to score the proposals on the test frames. Masks alone will do for the operator
+`silhouette`; what needs true boxes to be scored is then null.
 """
 
 from __future__ import annotations
@@ -11,34 +12,35 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-import numpy as np
 import tyro
 from rich.console import Console
 
 from annotator.detection.progress import TrainingProgress
-from annotator.evaluation.oriented import FrameResult, average_precision, mask_agreement, matched_ious
 from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project, open_project
-from annotator.rcv.config import RcvConfig, Strategy
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import FrameProposals, propose
 from annotator.recordings import Recording, open_recording
-from annotator.types import BoxKind, Frame, Truth
-from annotator.types.errors import ConfigError
+from annotator.types import BoxKind, Frame
+from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.annotate import BATCH_FRAMES
 from annotator.workflows.detectors import Detectors, active_detectors
 from annotator.workflows.frames import orientation_for
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.samples import SampleConfig
-from annotator.workflows.simulate import simulate_recording
+from annotator.workflows.simulate import require_boxes_for, simulate_recording
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
-from annotator.workflows.truth import load_mask, load_truth
+from annotator.workflows.truth import has_masks, has_truth, load_truth
+from benchmarks.loop_scores import Scores
 from benchmarks.report import Table, finish, guarded
 
 NAME = "loop"
+# What objects are called where a folder has masks only.
+UNNAMED = "object"
 QUIET = Console(stderr=True)
 
 
@@ -47,17 +49,20 @@ class Arguments:
     """Label, train, propose and score, end to end."""
 
     train_dir: Annotated[Path, tyro.conf.Positional]
-    """A recording with truth (boxes, and masks for the silhouette operator)."""
+    """A recording with truth (boxes, or masks for the silhouette operator)."""
     test_dir: Annotated[Path | None, tyro.conf.Positional] = None
     """Another one to test on; without it every second frame of the first."""
-    operator: BoxKind = BoxKind.BOX
-    """What the simulated operator draws: around what is seen, or the projected true box."""
+    operator: BoxKind | None = None
+    """What the simulated operator draws: around what is seen (the default with masks alone), or the projected true box
+    (the default elsewhere)."""
     axes: Strategy = Strategy.CONSENSUS
     """The strategy that proposes."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Hold one axis at gravity (the default where the recording knows gravity)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Let boxes turn freely (the default elsewhere)."""
+    label: str | None = None
+    """The class of the objects in a folder with masks but no boxes; None = "object"."""
     epochs: int | None = None
     """Of both trainings; None = as many as show the default number of pictures."""
     views: int = SampleConfig.views
@@ -67,43 +72,107 @@ class Arguments:
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
+    @property
+    def rotation(self) -> BoxRotation | None:
+        """What was asked for; None for whatever suits.
+
+        Raises:
+            ConfigError: both at once.
+        """
+        if self.upright and self.free:
+            raise ConfigError("--upright and --free exclude each other; give one of them, or none")
+        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else None
+
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints."""
+    """The benchmark; what `--json` prints.
+
+    Raises:
+        ConfigError: arguments that contradict each other, the folders or the project that is kept.
+        AnnotatorError: of its stages.
+    """
+    rotation = args.rotation
     recording = open_recording(args.train_dir)
     test = recording if args.test_dir is None else open_recording(args.test_dir)
+    if not (has_truth(test) or has_masks(test)):
+        raise ConfigError(f"{test.path}: brings neither true boxes nor masks, so there is nothing to score")
     step = 2 if args.test_dir is None else 1
-    labels = sorted({t.label for i in range(len(recording)) for t in _truths(recording, i)})
-    if not labels:
-        raise ConfigError(f"{args.train_dir}: brings no true boxes, so there is nothing to learn or score")
-    rotation = BoxRotation.UPRIGHT if args.upright else BoxRotation.FREE if args.free else BoxRotation.AUTO
     frames = list(range(step - 1, len(test), step))
     seconds: dict[str, float] = {}
-    with TemporaryDirectory() as temporary, _project(args.project or Path(temporary), labels, rotation) as project:
+    with TemporaryDirectory() as temporary, _project(args, recording, rotation, Path(temporary)) as project:
         boxes_2d = _teach(project, recording, step, args, seconds)
         begin = time.perf_counter()
         detectors = active_detectors(project)
         config = RcvConfig(strategy=args.axes, box_kind=detectors.box_kind)
-        scored = _propose_all(test, frames, detectors, config, rotation, labels)
+        scores = Scores(test, project.config.classes)
+        _propose_all(frames, detectors, config, project.config.settings.rotation, scores)
         seconds["propose"] = time.perf_counter() - begin
     return {
-        **scored,
+        **scores.summary(),
         "boxes_2d": boxes_2d,
-        "operator": args.operator.value,
+        "operator": detectors.box_kind.value,
         "axes": args.axes.value,
         "seconds": seconds,
     }
 
 
-def _truths(recording: Recording, index: int) -> list[Truth]:
-    return load_truth(recording, index, recording.frame(index))
+def _labels(args: Arguments, recording: Recording) -> list[str]:
+    """The classes of a new project: those of the true boxes, or what the objects of the masks shall be called."""
+    if _masks_alone(recording):
+        return [args.label or UNNAMED]
+    if args.label is not None:
+        raise ConfigError(f"{recording.path}: --label is for masks alone; the classes are those of its true boxes")
+    labels: set[str] = set()
+    for index in range(len(recording)):
+        try:
+            frame = recording.frame(index)
+        except FrameError:
+            continue  # labelling tells of it if it is to be labelled, proposing if it is to be tested
+        labels.update(truth.label for truth in load_truth(recording, index, frame))
+    if not labels:
+        raise ConfigError(f"{recording.path}: brings no true boxes, so there is nothing to learn or score")
+    return sorted(labels)
 
 
-def _project(root: Path, labels: Sequence[str], rotation: BoxRotation) -> Project:
-    """A new project, or the one that an earlier run kept here."""
-    if (root / NAME).is_dir():
-        return open_project(root / NAME)
-    return create_project(root, NAME, labels, settings=ProjectSettings(rotation=rotation))
+def _masks_alone(recording: Recording) -> bool:
+    return has_masks(recording) and not has_truth(recording)
+
+
+def _project(args: Arguments, recording: Recording, rotation: BoxRotation | None, temporary: Path) -> Project:
+    """A new project, or the one that an earlier run kept, where that is what the arguments ask for."""
+    root = args.project or temporary
+    if not (root / NAME).is_dir():
+        if args.operator is not None:
+            require_boxes_for(args.operator, recording)
+        settings = ProjectSettings(rotation=rotation or BoxRotation.AUTO)
+        return create_project(root, NAME, _labels(args, recording), settings=settings)
+    project = open_project(root / NAME)
+    try:
+        _require_same(args, rotation, project)
+    except BaseException:
+        project.close()
+        raise
+    return project
+
+
+def _require_same(args: Arguments, rotation: BoxRotation | None, project: Project) -> None:
+    """A kept project stays what it is: its detectors would be measured as what they are not."""
+    stored, kind = project.config.settings.rotation, _taught_kind(project)
+    where = f"the project {project.path}"
+    if rotation not in (None, stored):
+        raise ConfigError(f"{where} keeps the rotation {stored.value}, not {rotation}; leave --{rotation} away")
+    if args.operator is not None and kind not in (None, args.operator):
+        raise ConfigError(f"{where} was labelled by the operator {kind}, not {args.operator}; leave --operator away")
+    if args.label is not None and args.label not in project.config.classes:
+        raise ConfigError(f"{where} has the classes {', '.join(project.config.classes)}, not {args.label!r}")
+
+
+def _taught_kind(project: Project) -> BoxKind | None:
+    """What the view detector learnt from, or will learn from; None where nothing is labelled yet."""
+    model = project.models.active(Role.VIEW)
+    if model is not None:
+        return model.box_kind
+    return next((boxes.box_kind for boxes in project.boxes.on_images()), None)
 
 
 def _teach(
@@ -113,17 +182,26 @@ def _teach(
     args: Arguments,
     seconds: dict[str, float],
 ) -> int:
-    """Labels and trains, unless the project has its detectors already; the number of 2D boxes drawn."""
+    """Labels and trains, as far as the project has not done so already; the number of 2D boxes drawn."""
     if project.models.active(Role.VIEW) is None:
-        begin = time.perf_counter()
-        stored = register_recording(project, recording)
-        simulate_recording(project, stored.id, args.operator, RcvConfig(), step)
-        seconds["label"] = time.perf_counter() - begin
+        default = BoxKind.SILHOUETTE if _masks_alone(recording) else BoxKind.BOX
+        _label(project, recording, step, args.operator or _taught_kind(project) or default, seconds)
         for trained in train(project, plan(args), progress=_report):
             seconds[f"train_{trained.role}"] = trained.seconds
             QUIET.print(f"{trained.role}: {trained.manifest.images['train']} pictures, {trained.result.metrics}")
     counts = project.statistics()
     return counts.image_boxes.boxes + counts.view_boxes.boxes
+
+
+def _label(project: Project, recording: Recording, step: int, operator: BoxKind, seconds: dict[str, float]) -> None:
+    """Labels every so many frames, unless an earlier run came as far as that and was ended in training."""
+    begin = time.perf_counter()
+    stored = register_recording(project, recording)
+    wanted = {frame.id for frame in [f for f in project.frames.of([stored.id]) if f.index is not None][::step]}
+    if wanted <= {boxes.frame_id for boxes in project.boxes.on_images([stored.id])}:
+        return
+    simulate_recording(project, stored.id, operator, RcvConfig(), step)
+    seconds["label"] = time.perf_counter() - begin
 
 
 def plan(args: Arguments) -> TrainPlan:
@@ -139,71 +217,34 @@ def _report(role: Role, step: TrainingProgress) -> None:
         QUIET.print(f"{role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s", highlight=False)
 
 
-@dataclass(eq=False)
-class _Scores:
-    """What the test frames gave."""
-
-    frames: int = 0
-    with_proposal: int = 0
-    ious: list[float] = field(default_factory=list)
-    recalls: list[float] = field(default_factory=list)
-    precisions: list[float] = field(default_factory=list)
-    results: dict[str, list[FrameResult]] = field(default_factory=lambda: defaultdict(list))
-
-    def add(self, recording: Recording, index: int, frame: Frame, found: FrameProposals, labels: Sequence[str]) -> None:
-        truths = [t for t in load_truth(recording, index, frame) if t.label in labels]
-        if not truths:
-            return
-        self.frames += 1
-        self.with_proposal += bool(found.proposals)
-        for label in labels:
-            own = [p for p in found.proposals if p.label == label]
-            result = FrameResult(
-                [p.box for p in own], [p.score for p in own], [t.box for t in truths if t.label == label]
-            )
-            self.results[label].append(result)
-            self.ious.extend(matched_ious(result))
-        mask = load_mask(recording, frame)
-        if mask is not None and frame.cloud.pixel_index is not None:
-            of_object = mask.ravel()[frame.cloud.pixel_index] > 0
-            agreement = mask_agreement([p.box for p in found.proposals], frame.cloud, of_object)
-            self.recalls.append(agreement.recall)
-            self.precisions.append(agreement.precision)
-
-    def summary(self) -> dict[str, object]:
-        ap = {t: [average_precision(r, t) for r in self.results.values()] for t in (0.25, 0.5)}
-        return {
-            "frames": self.frames,
-            "share_with_proposal": self.with_proposal / max(self.frames, 1),
-            "mask_recall": _mean(self.recalls),
-            "mask_precision": _mean(self.precisions),
-            "mean_iou": _mean(self.ious),
-            "ap25": _mean([a for a in ap[0.25] if np.isfinite(a)]),
-            "ap50": _mean([a for a in ap[0.5] if np.isfinite(a)]),
-        }
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")
-
-
 def _propose_all(
-    test: Recording,
-    frames: Sequence[int],
-    detectors: Detectors,
-    config: RcvConfig,
-    rotation: BoxRotation,
-    labels: Sequence[str],
-) -> dict[str, object]:
-    scores = _Scores()
+    frames: Sequence[int], detectors: Detectors, config: RcvConfig, rotation: BoxRotation, scores: Scores
+) -> None:
     for first in range(0, len(frames), BATCH_FRAMES):
-        indices = frames[first : first + BATCH_FRAMES]
-        read = [test.frame(i) for i in indices]
-        settings = config.model_copy(update={"orientation": orientation_for(rotation, read[0])})
-        results = propose(read, detectors.image, detectors.view, settings)
-        for index, frame, found in zip(indices, read, results, strict=True):
-            scores.add(test, index, frame, found, labels)
-    return scores.summary()
+        read: dict[int, Frame] = {}
+        for index in frames[first : first + BATCH_FRAMES]:
+            try:
+                read[index] = scores.recording.frame(index)
+            except FrameError as error:
+                QUIET.print(f"counted as a frame without a proposal: {error}", highlight=False, markup=False)
+                scores.add_unreadable()
+        for index, found in propose_batch(read, detectors, config, rotation).items():
+            scores.add(index, read[index], found)
+
+
+def propose_batch(
+    frames: dict[int, Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+) -> dict[int, FrameProposals]:
+    """The proposals of frames by their numbers; those that know gravity and those that do not go apart."""
+    alike: dict[Orientation, list[int]] = defaultdict(list)
+    for index, frame in frames.items():
+        alike[orientation_for(rotation, frame)].append(index)
+    found: dict[int, FrameProposals] = {}
+    for orientation, indices in alike.items():
+        settings = config.model_copy(update={"orientation": orientation})
+        results = propose([frames[i] for i in indices], detectors.image, detectors.view, settings)
+        found.update(zip(indices, results, strict=True))
+    return found
 
 
 def main() -> None:
