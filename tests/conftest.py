@@ -6,9 +6,13 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from jaxtyping import install_import_hook
+
+if TYPE_CHECKING:
+    from annotator.workflows.detectors import Detectors
 
 install_import_hook("annotator", "beartype.beartype")
 
@@ -43,3 +47,25 @@ def own_copy(generated: Path, tmp_path: Path) -> Callable[[str], Path]:
         return Path(shutil.copytree(generated / name, tmp_path / name))
 
     return copy
+
+
+@pytest.fixture(scope="session")
+def knowing(generated: Path) -> Callable[..., Detectors]:
+    """Detectors that know the truth of a generated recording: `knowing("people", kind=BoxKind.BOX)`."""
+    from annotator.detection.perfect import PerfectDetector, Scene
+    from annotator.recordings import open_recording
+    from annotator.types import BoxKind
+    from annotator.workflows.detectors import Detectors
+    from annotator.workflows.truth import load_truth
+
+    made: dict[tuple[str, BoxKind], PerfectDetector] = {}
+
+    def perfect(name: str, kind: BoxKind = BoxKind.BOX) -> Detectors:
+        if (name, kind) not in made:
+            recording = open_recording(generated / name)
+            frames = [recording.frame(index) for index in range(len(recording))]
+            scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
+            made[name, kind] = PerfectDetector(scenes, kind, min_points=50)
+        return Detectors(made[name, kind], made[name, kind], kind)
+
+    return perfect

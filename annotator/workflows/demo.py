@@ -111,8 +111,8 @@ def _propose(project: Project, tell: Tell) -> AnnotateSummary:
 
 
 def _counted(tell: Tell, stage: str) -> Callable[[int, int], None]:
-    return lambda done, total: tell(stage, done, total)
+    return lambda done, total: tell(stage, float(done), float(total))
 
 
 def _epochs(role: Role, step: TrainingProgress) -> tuple[str, float, float]:
-    return f"train the {role} detector", step.epochs_done, step.epochs
+    return f"train the {role} detector", float(step.epochs_done), float(step.epochs)

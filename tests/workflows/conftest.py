@@ -1,4 +1,4 @@
-"""Projects made of small generated recordings, and detectors that know their truth."""
+"""Projects made of small generated recordings."""
 
 from __future__ import annotations
 
@@ -7,13 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.project import BoxRotation, Project, ProjectSettings, create_project
 from annotator.recordings import open_recording
-from annotator.types import BoxKind
-from annotator.workflows.detectors import Detectors
 from annotator.workflows.recordings import register_recording
-from annotator.workflows.truth import load_truth
 
 MakeProject = Callable[..., Project]
 
@@ -50,19 +46,3 @@ def people(make_project: MakeProject, generated: Path) -> Project:
 def hands(make_project: MakeProject, generated: Path) -> Project:
     """The same for hands, whose boxes turn freely."""
     return make_project(generated / "hands", classes=("hand",), rotation=BoxRotation.FREE)
-
-
-@pytest.fixture(scope="session")
-def knowing(generated: Path) -> Callable[..., Detectors]:
-    """Detectors that know the truth of a generated recording: `knowing("people", kind=BoxKind.BOX)`."""
-    made: dict[tuple[str, BoxKind], PerfectDetector] = {}
-
-    def perfect(name: str, kind: BoxKind = BoxKind.BOX) -> Detectors:
-        if (name, kind) not in made:
-            recording = open_recording(generated / name)
-            frames = [recording.frame(index) for index in range(len(recording))]
-            scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
-            made[name, kind] = PerfectDetector(scenes, kind, min_points=50)
-        return Detectors(made[name, kind], made[name, kind], kind)
-
-    return perfect

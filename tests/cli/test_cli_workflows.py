@@ -1,0 +1,305 @@
+"""The commands of the loop, in process: what they print, what they leave behind, and how they refuse."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from annotator.cli import annotate as annotate_command
+from annotator.cli import demo as demo_command
+from annotator.cli.annotate import SHOWN_FAILURES, told
+from annotator.cli.main import main
+from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.formats.rcv import read_rcv
+from annotator.recordings import open_recording
+from annotator.types import Box2D
+from annotator.types.errors import ConfigError
+from annotator.workflows.annotate import AnnotateSummary
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of projects, which the environment names; commands run beside it."""
+    folder = tmp_path / "projects here"
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+@pytest.fixture
+def project(root: Path, generated: Path, capsys: Capture) -> str:
+    """A project for persons, with a recording but without its labels."""
+    assert main(["new", "room", "--classes", "person"]) == 0
+    assert main(["add", "room", str(generated / "people"), "--no-labels"]) == 0
+    capsys.readouterr()
+    return "room"
+
+
+@pytest.fixture
+def trained(project: str, knowing: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> str:
+    """The same with detectors that know everything."""
+    monkeypatch.setattr(annotate_command, "active_detectors", lambda _: knowing("people"))
+    return project
+
+
+def run(capsys: Capture, *words: str, code: int = 0) -> str:
+    """Runs a command that shall end with `code`; what it said on standard output (on standard error, if it failed)."""
+    capsys.readouterr()
+    assert main([str(word) for word in words]) == code
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return captured.err if code == 2 else captured.out
+
+
+def stats(capsys: Capture, name: str = "room") -> dict[str, object]:
+    content: dict[str, object] = json.loads(run(capsys, "stats", name, "--json"))
+    return content
+
+
+# --- add, simulate ---------------------------------------------------------------------------------------------------
+
+
+def test_add_takes_the_recordings_own_labels_over(root: Path, generated: Path, capsys: Capture) -> None:
+    run(capsys, "new", "both", "--classes", "person", "robot")
+    said = run(capsys, "add", "both", generated / "people", generated / "hands")
+    assert "added people: 5 frames (rgbd_folder)" in said
+    assert "  15 boxes of class person imported as labels" in said
+    assert "  left out: 10 boxes of class hand, which the project does not have" in said
+    assert "next: annotator train both" in said
+    counts = stats(capsys, "both")
+    assert counts["labels"]["by_source"]["imported"] == counts["labels"]["total"] == 15
+
+
+def test_add_leaves_labels_alone_where_asked(root: Path, generated: Path, capsys: Capture) -> None:
+    run(capsys, "new", "room", "--classes", "person")
+    said = run(capsys, "add", "room", generated / "people", "--no-labels")
+    assert "next: draw boxes" in said
+    assert stats(capsys)["labels"]["total"] == 0
+
+
+def test_add_names_frames_that_it_cannot_read(root: Path, own_copy: Callable[[str], Path], capsys: Capture) -> None:
+    folder = own_copy("people")
+    (folder / "depth" / "000003.png").write_bytes(b"")
+    run(capsys, "new", "room", "--classes", "person")
+    said = run(capsys, "add", "room", folder)
+    assert "12 boxes of class person" in said
+    assert "unreadable: 000003: " in said
+
+
+def test_simulate(project: str, capsys: Capture) -> None:
+    said = run(capsys, "simulate", project, "people", "--every", "2")
+    assert "3 frames, 9 objects, 45 2D boxes drawn" in said
+    assert stats(capsys)["labels"]["total"] == 0, "silhouettes by default"
+    run(capsys, "simulate", project, "people", "--operator", "box", "--every", "5")
+    assert stats(capsys)["labels"]["total"] == 3
+
+
+# --- views, import ---------------------------------------------------------------------------------------------------
+
+
+def test_views_and_import_go_round(project: str, tmp_path: Path, capsys: Capture) -> None:
+    boxes = (Box2D("person", 40.5, 40.5, 120.5, 200.5), Box2D("dog", 1.5, 1.5, 9.5, 9.5))
+    write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, boxes), CocoImage("x.jpg", 320, 240, boxes)])
+    said = run(capsys, "import", project, "c.json")
+    assert "1 boxes on 1 camera images" in said
+    assert "left out: 1 boxes of class dog, which the project does not have" in said
+    assert "left out: 1 images that are no frames of the project: x.jpg" in said
+
+    said = run(capsys, "views", project, "pictures")
+    assert "2 pictures in pictures" in said
+    assert "annotator import room pictures/coco.json --pictures pictures" in said
+    drawn = [
+        CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
+        for i in read_coco(tmp_path / "pictures" / "coco.json")
+    ]
+    write_coco(tmp_path / "pictures" / "coco.json", drawn)
+    said = run(capsys, "import", project, "pictures/coco.json", "--pictures", "pictures", "--kind", "box")
+    assert "2 boxes on 2 pseudo-views" in said
+    counts = stats(capsys)
+    assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
+
+
+# --- annotate --------------------------------------------------------------------------------------------------------
+
+
+def test_annotate_twice(trained: str, capsys: Capture) -> None:
+    said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
+    assert said.startswith("2 frames done, 6 proposals (0 frames without), 0 skipped, 0 failed; ")
+    assert "s a frame" in said
+    said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
+    assert said.startswith("2 frames done, 6 proposals (0 frames without), 2 skipped, 0 failed")
+    said = run(
+        capsys, "annotate", trained, "--recordings", "people", "--axes", "camera", "--rotation", "free", "--limit", "1"
+    )
+    assert said.startswith("1 frames done")
+    assert stats(capsys)["runs"] == 3
+
+
+def test_annotate_with_a_bad_frame_ends_with_1(
+    root: Path,
+    own_copy: Callable[[str], Path],
+    knowing: Callable[..., object],
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = own_copy("people")
+    depth = folder / "depth" / "000002.png"
+    depth.write_bytes(depth.read_bytes()[:700])
+    monkeypatch.setattr(annotate_command, "active_detectors", lambda _: knowing("people"))
+    run(capsys, "new", "room", "--classes", "person")
+    run(capsys, "add", "room", folder, "--no-labels")
+    said = run(capsys, "annotate", "room", "--axes", "camera", code=1)
+    assert "4 frames done" in said
+    assert "1 failed" in said
+    assert "  failed 000002: " in said
+    assert "depth/000002.png" in said
+    assert stats(capsys)["frames_failed"] == 1
+    # the same again: it is tried again, and fails again
+    assert "0 frames done, 0 proposals (0 frames without), 4 skipped, 1 failed" in run(
+        capsys, "annotate", "room", "--axes", "camera", code=1
+    )
+
+
+def test_many_failures_are_not_all_listed() -> None:
+    failed = [(f"{n:06d}", "no good") for n in range(SHOWN_FAILURES + 3)]
+    lines = told(AnnotateSummary(frames=20, failed=failed))
+    assert len(lines) == 1 + SHOWN_FAILURES + 1
+    assert lines[-1] == "  and 3 more"
+
+
+# --- export ----------------------------------------------------------------------------------------------------------
+
+
+def test_export(root: Path, generated: Path, tmp_path: Path, capsys: Capture) -> None:
+    run(capsys, "new", "room", "--classes", "person", "robot")
+    run(capsys, "add", "room", generated / "people")
+    said = run(capsys, "export", "room", "--format", "rcv", "out/3D_ROOM")
+    assert "out/3D_ROOM: 5 frames, 15 person" in said
+    assert len(read_rcv(tmp_path / "out" / "3D_ROOM")) == 5
+    assert "exists and is not empty" in run(capsys, "export", "room", "out/3D_ROOM", code=2)
+    run(capsys, "export", "room", "out/3D_ROOM", "--overwrite", "--images", "jpg", "--classes", "person")
+    assert {path.suffix for path in (tmp_path / "out" / "3D_ROOM" / "images").iterdir()} == {".jpg"}
+    said = run(
+        capsys, "export", "room", "out/states", "--states", "accepted", "--recordings", "people", "--empty-frames"
+    )
+    assert "5 frames" in said
+
+
+# --- generate, demo --------------------------------------------------------------------------------------------------
+
+
+def test_generate(tmp_path: Path, root: Path, capsys: Capture) -> None:
+    words = ["generate", "made/hands", "--preset", "hands", "--frames", "2", "--width", "64", "--height", "48"]
+    assert run(capsys, *words) == "made/hands: 2 frames of hands\n"
+    recording = open_recording(tmp_path / "made" / "hands")
+    assert len(recording) == 2
+    assert recording.frame(1).rgb.shape == (48, 64, 3)
+    assert "already exists" in run(capsys, *words, code=2)
+
+
+def test_demo_passes_its_words_on_and_refuses_like_all_others(
+    root: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = []
+
+    def refuse(folder: Path, plan: object, tell: Callable[[str, float, float], None]) -> None:
+        plans.append((folder, plan))
+        tell("train", 1.0, 2.0)
+        raise ConfigError("not today")
+
+    monkeypatch.setattr(demo_command, "run_demo", refuse)
+    words = ["demo", "there", "--preset", "hands", "--frames", "6", "--seed", "3", "--image-pictures", "7"]
+    assert "not today" in run(capsys, *words, code=2)
+    ((folder, plan),) = plans
+    assert (folder, plan.preset, plan.frames, plan.seed, plan.image_pictures) == (Path("there"), "hands", 6, 3, 7)
+    run(capsys, "demo", code=2)
+    run(capsys, "demo", code=2)
+    assert len({folder for folder, _ in plans}) == 3, "a new folder each time"
+    assert plans[1][0].parent == Path("out")
+
+
+# --- refusals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["simulate", "room", "nothing"], "no recording 'nothing'; it has: people"),
+        (["simulate", "room", "people", "--every", "0"], "give 1 or more"),
+        (["simulate", "nowhere", "people"], "no project 'nowhere' (there: room)"),
+        (["views", "room", "out"], "no object with boxes on camera images yet"),
+        (["views", "room", "out", "--step", "2"], "both views of the first step"),
+        (["views", "room", "out", "--step", "3"], "there is no step 3"),
+        (["views", "room", "file.txt"], "is there already"),
+        (["import", "room", "nothing.json"], "nothing.json"),
+        (["import", "room", "file.txt"], "file.txt"),
+        (["import", "room", "dogs.json"], "are of class dog, of which the project has none"),
+        (["import", "room", "dogs.json", "--recording", "x"], "are of class dog"),
+        (["import", "room", "dogs.json", "--pictures", "nowhere"], "are of class dog"),
+        (["train", "room"], "no boxes on camera images or pseudo-views to learn from"),
+        (["train", "room", "--only", "view"], "no boxes on pseudo-views to learn from"),
+        (["train", "room", "--size", "65"], "--size must be a multiple of 32, not 65"),
+        (["train", "room", "--epochs", "0"], "--epochs must be greater than or equal to 1, not 0"),
+        (["train", "room", "--seed", "-1"], "--seed must be greater than or equal to 0, not -1"),
+        (["annotate", "room"], "has no image detector yet; run `annotator train room`"),
+        (["export", "room", "out"], "has no labels in state proposed, accepted, edited to export"),
+        (["export", "room", "out", "--classes", "robot"], "has no class robot; it has person"),
+        (["export", "room", "out", "--recordings", "x"], "no recording 'x'"),
+        (["add", "room", "PEOPLE", "--name", "other"], "is in the project already, as people"),
+        (["generate", "file.txt"], "already exists"),
+        (["generate", "new", "--frames", "0"], "frames must be at least 1"),
+        (["generate", "new", "--width", "3"], "at least 16 x 16 pixels"),
+    ],
+)
+def test_bad_input_is_told_and_changes_nothing(
+    project: str, generated: Path, tmp_path: Path, capsys: Capture, words: list[str], says: str
+) -> None:
+    (tmp_path / "file.txt").write_text("no JSON")
+    write_coco(tmp_path / "dogs.json", [CocoImage("000000.jpg", 320, 240, (Box2D("dog", 1.5, 1.5, 9.5, 9.5),))])
+    before, content = stats(capsys), sorted(path.name for path in tmp_path.iterdir())
+    said = run(capsys, *[str(generated / "people") if word == "PEOPLE" else word for word in words], code=2)
+    assert "error: " in said
+    assert says in said
+    assert stats(capsys) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == content
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["annotate", "room", "--limit", "0"], "a limit of 0 frames"),
+        (["annotate", "room", "--limit", "-1"], "a limit of -1 frames"),
+        (["annotate", "room", "--recordings", "x"], "no recording 'x'; it has: people"),
+    ],
+)
+def test_annotate_refuses(trained: str, capsys: Capture, words: list[str], says: str) -> None:
+    assert says in run(capsys, *words, code=2)
+    assert stats(capsys)["runs"] == 0
+
+
+def test_debug_shows_where_it_happened(project: str) -> None:
+    with pytest.raises(ConfigError, match="give 1 or more"):
+        main(["simulate", project, "people", "--every", "0", "--debug"])
+
+
+def test_a_picture_in_the_folder_of_pictures_is_missing(project: str, tmp_path: Path, capsys: Capture) -> None:
+    write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, (Box2D("person", 40.5, 40.5, 120.5, 200.5),))])
+    run(capsys, "import", project, "c.json")
+    run(capsys, "views", project, "pictures")
+    next((tmp_path / "pictures").glob("*side.png")).unlink()
+    drawn = [
+        CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
+        for i in read_coco(tmp_path / "pictures" / "coco.json")
+    ]
+    write_coco(tmp_path / "drawn.json", drawn)
+    said = run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
+    assert "side.png is not in pictures; give the folder of the pictures" in said
+    assert stats(capsys)["view_boxes"]["boxes"] == 0
+    shutil.rmtree(tmp_path / "pictures")
+    assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
