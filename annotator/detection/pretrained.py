@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.ultralytics_api import api, cache_dir
-from annotator.types.errors import ConfigError
+from annotator.detection.ultralytics_api import api, cache_dir, load_weights
+from annotator.types.errors import ConfigError, DetectionError
+
+# The last layer of ultralytics' detection models; those of others that are detection models too (segmentation, poses)
+# end differently.
+DETECTING_LAYERS = {"Detect", "v10Detect"}
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,42 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
     return StartingPoint(str(path), True, f"starts from published weights, downloaded to {path}")
 
 
+def check_start(config: TrainingConfig) -> None:
+    """Finds out before a long preparation whether a training could begin; nothing is downloaded or trained.
+
+    Raises:
+        ConfigError: the model name is unknown; or the weights file, given or found here, is missing, damaged or holds
+            no detection model.
+        DetectionError: the packages cannot be loaded.
+    """
+    name = check_model_name(config.model)
+    if isinstance(config.pretrained, Path):
+        check_weights(config.pretrained, "give another file, or auto")
+    elif config.pretrained == "auto":
+        found = find_locally(f"{name}.pt")
+        if found is not None:
+            check_weights(found, "replace or remove it")
+
+
+def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
+    """Reads a weights file as a training would.
+
+    Raises:
+        ConfigError: it is missing, damaged or holds no detection model.
+        DetectionError: the packages cannot be loaded.
+    """
+    api()
+    try:
+        if not path.is_file():
+            raise ConfigError(f"{path}: no such weights file; {remedy}")
+        model = load_weights(path, "cpu", remedy)
+    except (DetectionError, OSError) as error:
+        raise ConfigError(str(error)) from error
+    head = type(model.model[-1]).__name__
+    if head not in DETECTING_LAYERS:
+        raise ConfigError(f"{path}: holds a model that ends in {head}, not one that detects boxes; {remedy}")
+
+
 def check_model_name(name: str) -> str:
     """The name without a file ending.
 
@@ -71,7 +111,7 @@ def check_model_name(name: str) -> str:
             model = api().DetectionModel(f"{stem}.yaml", nc=1, verbose=False)
         except Exception as error:  # an unknown name ends in one of many errors
             raise ConfigError(_unknown(name)) from error
-        if type(model.model[-1]).__name__ in {"Detect", "v10Detect"}:
+        if type(model.model[-1]).__name__ in DETECTING_LAYERS:
             return stem
     raise ConfigError(_unknown(name))
 

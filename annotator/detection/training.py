@@ -13,7 +13,7 @@ from typing import Any
 
 from annotator.detection.config import Role, TrainingConfig
 from annotator.detection.manifest import DatasetManifest, read_manifest
-from annotator.detection.pretrained import StartingPoint, find_starting_point
+from annotator.detection.pretrained import StartingPoint, check_weights, find_starting_point
 from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
 from annotator.detection.ultralytics_api import api, pick_device
@@ -49,7 +49,7 @@ def train_detector(
         the trained model, as `read_trained(out)` gives it again later.
 
     Raises:
-        ConfigError: an unknown model name or a missing weights file.
+        ConfigError: an unknown model name, or a weights file that is missing or damaged.
         DetectionError: the device is not there, or the training fails.
         FormatError: `dataset` is not a training set.
         TrainingStoppedError: `stop` said so.
@@ -63,6 +63,8 @@ def train_detector(
     run = _resumable(out, fingerprint)
     if run is None:
         start = find_starting_point(config)
+        if start.pretrained:
+            check_weights(Path(start.model))
         _clear(out)
         out.mkdir(parents=True, exist_ok=True)
         run = RunRecord(fingerprint=fingerprint, pretrained=start.pretrained, note=start.note, seconds=0.0)
@@ -182,7 +184,8 @@ def _finished(out: Path, fingerprint: str) -> TrainedModel | None:
     run = read_run(out)
     if run is None or run.fingerprint != fingerprint or not (out / "model.json").is_file():
         return None
-    return read_trained(out)
+    trained = read_trained(out)
+    return trained if trained.weights.is_file() else None
 
 
 def _resumable(out: Path, fingerprint: str) -> RunRecord | None:

@@ -137,8 +137,11 @@ def pick_device(device: str) -> Any:
     return picked
 
 
-def load_weights(path: Path, device: Any) -> Any:
+def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
     """A detection model in eval mode from a weights file.
+
+    Args:
+        remedy: what the user is told to do where the file is of no use.
 
     Raises:
         DetectionError: the file is missing, unreadable or holds no detection model.
@@ -150,9 +153,7 @@ def load_weights(path: Path, device: Any) -> Any:
         model, _ = parts.load_checkpoint(str(path.resolve()), device=device)
     except Exception as error:  # torch and ultralytics raise a dozen kinds for a damaged file
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise DetectionError(
-            f"{path}: cannot be read as detector weights ({reason}); train the detector again"
-        ) from error
+        raise DetectionError(f"{path}: cannot be read as detector weights ({reason}); {remedy}") from error
     if not isinstance(model, parts.DetectionModel):
-        raise DetectionError(f"{path}: holds a {type(model).__name__}, not a detection model")
+        raise DetectionError(f"{path}: holds a {type(model).__name__}, not a detection model; {remedy}")
     return model

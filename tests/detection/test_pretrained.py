@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.pretrained import check_model_name, find_starting_point, within
+from annotator.detection.pretrained import check_model_name, check_start, find_starting_point, within
 from annotator.detection.ultralytics_api import api
 from annotator.types.errors import ConfigError
 
@@ -20,6 +20,8 @@ def downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     asked: list[str] = []
 
     def fail(file: str, **_: Any) -> str:
+        if Path(file).is_file():  # so does ultralytics' own, which is asked for every file that is loaded
+            return file
         asked.append(file)
         raise ConnectionError("no route to host")
 
@@ -102,3 +104,48 @@ def test_an_error_in_the_thread_reaches_the_caller() -> None:
     with pytest.raises(KeyError, match="inside"):
         within(5.0, fail)
     assert within(5.0, lambda: 7) == 7
+
+
+def save_model(path: Path, name: str) -> Path:
+    """A weights file of an untrained model, as ultralytics keeps its own."""
+    from ultralytics.nn.tasks import DetectionModel, SegmentationModel
+
+    kind = SegmentationModel if name.endswith("-seg") else DetectionModel
+    path.parent.mkdir(parents=True, exist_ok=True)
+    api().torch.save({"model": kind(f"{name}.yaml", verbose=False)}, path)
+    return path
+
+
+def test_a_start_is_checked_without_training_or_download(downloads: list[str], tmp_path: Path) -> None:
+    check_start(TrainingConfig())
+    check_start(TrainingConfig(pretrained="never"))
+    check_start(TrainingConfig(pretrained=save_model(tmp_path / "own.pt", "yolo11n")))
+    save_model(tmp_path / "weights" / "yolo11n.pt", "yolo11n")
+    check_start(TrainingConfig())
+    assert downloads == []
+
+
+@pytest.mark.parametrize("content", [b"", b"weights", b"\x80\x02K\x01.", b"PK\x03\x04 cut off"])
+def test_damaged_weights_are_named(downloads: list[str], tmp_path: Path, content: bytes) -> None:
+    for path in (tmp_path / "own.pt", tmp_path / "weights" / "yolo11n.pt"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+    with pytest.raises(
+        ConfigError, match=r"own\.pt: cannot be read as detector weights .*; give another file, or auto"
+    ):
+        check_start(TrainingConfig(pretrained=tmp_path / "own.pt"))
+    with pytest.raises(ConfigError, match=r"yolo11n\.pt: cannot be read .*; replace or remove it"):
+        check_start(TrainingConfig())
+    check_start(TrainingConfig(pretrained="never"))
+    assert downloads == []
+
+
+def test_a_start_from_nothing_known_is_told(downloads: list[str], tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="try yolo11n"):
+        check_start(TrainingConfig(model="yolo99n"))
+    with pytest.raises(ConfigError, match="no such weights file"):
+        check_start(TrainingConfig(pretrained=tmp_path / "none.pt"))
+    with pytest.raises(ConfigError, match="File name too long"):
+        check_start(TrainingConfig(pretrained=tmp_path / ("n" * 300)))
+    with pytest.raises(ConfigError, match="ends in Segment"):
+        check_start(TrainingConfig(pretrained=save_model(tmp_path / "seg.pt", "yolo11n-seg")))

@@ -53,6 +53,25 @@ def test_a_finished_run_is_not_repeated_and_can_be_moved(
 
 
 @pytest.mark.slow
+def test_a_run_without_its_weights_is_not_finished(
+    tiny_model: TrainedModel, tiny_dataset: Path, quick_config: TrainingConfig, tmp_path: Path
+) -> None:
+    for name in ("model.json", "run.json"):
+        (tmp_path / name).write_bytes((tiny_model.weights.parent / name).read_bytes())
+    with pytest.raises(TrainingStoppedError):
+        train_detector(tiny_dataset, tmp_path, quick_config, stop=lambda: True)
+
+
+def test_damaged_weights_to_start_from_end_a_training_before_it_begins(tiny_dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "own.pt").write_bytes(b"weights")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "model.json").write_text("an older run")
+    with pytest.raises(ConfigError, match=r"own\.pt: cannot be read as detector weights"):
+        train_detector(tiny_dataset, tmp_path / "run", SHORT.model_copy(update={"pretrained": tmp_path / "own.pt"}))
+    assert (tmp_path / "run" / "model.json").read_text() == "an older run"
+
+
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_was(
     tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
