@@ -14,6 +14,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.recordings.generated import write_generated
 from annotator.types import BoxKind
+from annotator.types.errors import ConfigError
 from annotator.workflows.annotate import AnnotateSummary, annotate
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.export import export_dataset
@@ -23,6 +24,7 @@ from annotator.workflows.score import Scores, score_project
 from annotator.workflows.simulate import Drawn, simulate_recording
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
+RECORDING, PROJECT = "recording", "demo"
 LABELS = {"people": "person", "hands": "hand"}
 # The room knows gravity, but hands turn as they like.
 ROTATIONS = {"people": BoxRotation.UPRIGHT, "hands": BoxRotation.FREE}
@@ -67,6 +69,10 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
     Raises:
         ConfigError, ProjectError: something of that name is there already.
     """
+    out = root / f"3D_{LABELS.get(plan.preset, plan.preset).upper()}"
+    for path in (root / RECORDING, root / PROJECT, out):  # before minutes of work
+        if path.exists():
+            raise ConfigError(f"{path}: is there already; choose another folder for the demo")
     seconds: dict[str, float] = {}
     begin = time.perf_counter()
 
@@ -76,11 +82,11 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
         seconds[name] = now - begin
         begin = now
 
-    write_generated(root / "recording", plan.preset, plan.frames, plan.seed, report=_counted(tell, "ray-cast a room"))
+    write_generated(root / RECORDING, plan.preset, plan.frames, plan.seed, report=_counted(tell, "ray-cast a room"))
     stage("generate")
     settings = ProjectSettings(rotation=ROTATIONS[plan.preset])
-    with create_project(root, "demo", (LABELS[plan.preset],), settings=settings) as project:
-        stored = register_recording(project, open_recording(root / "recording"))
+    with create_project(root, PROJECT, (LABELS[plan.preset],), settings=settings) as project:
+        stored = register_recording(project, open_recording(root / RECORDING))
         report = _counted(tell, "draw 2D boxes")
         drawn = simulate_recording(project, stored.id, BoxKind.BOX, RcvConfig(), plan.every, report)
         stage("label")
@@ -90,7 +96,6 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
         stage("propose")
         unlabelled = {f.id for n, f in enumerate(project.frames.of([stored.id])) if n % plan.every}
         scores = score_project(project, stored.id, unlabelled)
-        out = root / f"3D_{LABELS[plan.preset].upper()}"
         dataset = export_dataset(project, out, progress=_counted(tell, "write the dataset"))
         stage("score and export")
     return DemoResult(drawn, trained, annotated, scores, dataset, seconds)

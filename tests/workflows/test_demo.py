@@ -1,0 +1,95 @@
+"""The demo, tiny: a few frames, two trainings that learn next to nothing, and everything is there at the end."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from annotator.formats.rcv import read_rcv
+from annotator.project import BoxRotation, Role, open_project
+from annotator.recordings import open_recording
+from annotator.recordings.generated import writer
+from annotator.types.errors import ConfigError
+from annotator.workflows import demo
+from annotator.workflows.demo import DemoPlan, run_demo
+from annotator.workflows.train import TrainPlan
+
+STAGES = ["generate", "label", "train", "propose", "score and export"]
+
+
+def tiny(plan: DemoPlan) -> TrainPlan:
+    """The demo's own trainings at 64 pixels."""
+    full = TRAINING(plan)
+    small = {"image_size_px": 64, "epochs": 1}
+    return TrainPlan(full.image.model_copy(update=small), full.view.model_copy(update=small), full.samples)
+
+
+TRAINING = demo._training
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("preset", "label", "rotation"), [("hands", "hand", BoxRotation.FREE)])
+def test_the_whole_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str, label: str, rotation: BoxRotation
+) -> None:
+    monkeypatch.setattr(demo, "_training", tiny)
+    told: dict[str, list[float]] = {}
+    plan = DemoPlan(preset=preset, frames=4, image_pictures=16, view_pictures=32)
+    result = run_demo(tmp_path, plan, lambda stage, done, of: told.setdefault(stage, []).append(done / of))
+
+    assert list(result.seconds) == STAGES
+    assert all(seconds > 0 for seconds in result.seconds.values())
+    assert list(told) == [
+        "ray-cast a room",
+        "draw 2D boxes",
+        "train the image detector",
+        "train the view detector",
+        "propose 3D boxes",
+        "write the dataset",
+    ]
+    for stage, done in told.items():
+        assert all(0 <= share <= 1 for share in done), stage
+        assert done[-1] == 1, stage
+
+    assert (result.drawn.frames, result.drawn.boxes) == (2, 5 * result.drawn.objects)
+    assert [trained.role for trained in result.trained] == [Role.IMAGE, Role.VIEW]
+    assert (result.annotated.done, result.annotated.failed) == (4, [])
+    (scores,) = result.scores
+    assert (scores.label, scores.frames) == (label, 2), "only frames that nobody labelled are scored"
+    assert 0 <= scores.mean_iou <= 1
+    assert math.isfinite(scores.ap50)
+
+    assert len(open_recording(tmp_path / "recording")) == 4
+    dataset = read_rcv(tmp_path / f"3D_{label.upper()}")
+    assert dataset.manifest == result.dataset
+    assert {detector.role for detector in dataset.manifest.detectors} == {"image", "view"}
+    with open_project(tmp_path / "demo") as project:
+        assert project.config.classes == (label,)
+        assert project.config.settings.rotation is rotation
+        assert project.statistics().labels.total == dataset.manifest.counts.objects
+        assert project.problems() == []
+
+
+def test_trainings_have_the_asked_for_lengths() -> None:
+    plan = demo._training(DemoPlan(image_pictures=11, view_pictures=22))
+    assert (plan.image.pictures_seen, plan.view.pictures_seen) == (11, 22)
+
+
+@pytest.mark.parametrize("there", ["recording", "demo", "3D_PERSON"])
+def test_what_is_there_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
+    (tmp_path / there).mkdir()
+    (tmp_path / there / "precious").write_text("mine")
+    monkeypatch.setattr(
+        writer, "_write", lambda *_: pytest.fail("the recording was made before the place was looked at")
+    )
+    with pytest.raises(ConfigError, match="is there already; choose another folder"):
+        run_demo(tmp_path, DemoPlan(frames=4), lambda *_: None)
+    assert (tmp_path / there / "precious").read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == [there]
+
+
+def test_a_preset_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="unknown preset 'cats'"):
+        run_demo(tmp_path, DemoPlan(preset="cats"), lambda *_: None)
