@@ -1,0 +1,66 @@
+"""The loop by command line, with real (if hardly trained) detectors, as a user types it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from annotator.formats.rcv import read_rcv
+
+
+@pytest.mark.slow
+def test_from_a_recording_to_a_dataset(generated: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "ANNOTATOR_PROJECTS": str(tmp_path / "projects"), "OMP_NUM_THREADS": "1"}
+
+    def annotator(*words: str | Path, code: int = 0) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "annotator.cli.main", *map(str, words)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=400,
+        )
+        assert done.returncode == code, done.stderr
+        assert "Traceback" not in done.stderr
+        return done.stdout
+
+    annotator("new", "room", "--classes", "person")
+    assert "15 boxes of class person imported as labels" in annotator("add", "room", generated / "people")
+
+    said = annotator(
+        *("train", "room", "--epochs", "1", "--image-epochs", "1"),
+        *("--size", "64", "--image-size", "64", "--views", "16", "--weights", "never"),
+    )
+    assert "image detector: learnt from" in said
+    assert "view detector: learnt from" in said
+    assert said.count("random weights") == 2
+    assert "next: annotator annotate room" in said
+
+    said = annotator("annotate", "room")
+    assert said.startswith("5 frames done, ")
+    assert ", 0 skipped, 0 failed; " in said
+    assert annotator("annotate", "room").startswith(
+        "0 frames done, 0 proposals (0 frames without), 5 skipped, 0 failed"
+    )
+
+    assert "5 frames, " in annotator("export", "room", "--format", "rcv", "out/3D_ROOM")
+    counts = json.loads(annotator("stats", "room", "--json"))
+    assert (counts["frames"], counts["models"], counts["runs"], counts["frames_failed"]) == (5, 2, 2, 0)
+    assert counts["labels"]["by_source"]["imported"] == 15
+    dataset = read_rcv(tmp_path / "out" / "3D_ROOM")
+    assert len(dataset) == 5
+    assert dataset.manifest.counts.objects == counts["labels"]["total"]
+    assert [detector.role for detector in dataset.manifest.detectors] == ["image", "view"]
+
+    # the manifest of each model says which labels it learnt from
+    for manifest in (tmp_path / "projects" / "room" / "models").glob("*/*-*/manifest.json"):
+        entries = json.loads(manifest.read_text())["entries"]
+        assert {uid for entry in entries for uid in entry["label_uids"]} == {
+            label.uid for index in range(5) for label in dataset.labels(index) if label.source == "imported"
+        }
