@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.types import BoxKind
 
+# Part of what decides whether a frame has been done: raise it when the same settings would give other boxes.
+REVISION = 1
+
 
 class Strategy(StrEnum):
     """How the projection axes of a step are found; the order is from simple to rich."""

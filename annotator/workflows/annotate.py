@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -13,7 +14,7 @@ from annotator.project.frames import StoredFrame
 from annotator.project.project import Project
 from annotator.project.proposals import RunShare
 from annotator.project.writing import Change
-from annotator.rcv.config import Orientation, RcvConfig
+from annotator.rcv.config import REVISION, Orientation, RcvConfig
 from annotator.rcv.propose import FrameProposals, propose
 from annotator.types import Frame, Source
 from annotator.types.errors import AnnotatorError, ConfigError, FinalisedFrameError, StaleRevisionError
@@ -80,7 +81,9 @@ def annotate(
         raise ConfigError(f"a limit of {limit} frames leaves nothing to do; give 1 or more")
     begin = time.perf_counter()
     rotation = rotation or project.config.settings.rotation
-    settings = config.model_dump_json(exclude={"orientation"})[:-1] + f',"rotation":"{rotation.value}"}}'
+    settings = json.dumps(
+        {**config.model_dump(mode="json", exclude={"orientation"}), "rotation": rotation.value, "method": REVISION}
+    )
     run = project.jobs.start(
         image_detector=detectors.image.fingerprint, view_detector=detectors.view.fingerprint, config_json=settings
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import write_dataset
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
+from annotator.detection.pretrained import check_start
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.trained import TrainedModel
 from annotator.detection.training import train_detector
@@ -83,6 +84,8 @@ def train(
         DetectionError: nothing to learn from, or the training failed.
     """
     material = gather(project, roles)
+    for role in roles:  # a model that does not exist is told before the pictures are made, not after
+        check_start(plan.image if role is Role.IMAGE else plan.view)
     return [_train_one(project, material, role, plan, progress, stop) for role in roles]
 
 
