@@ -1,0 +1,181 @@
+"""Each benchmark as a program, small: a table for people, and one JSON object as the last line for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annotator.recordings import open_recording
+from benchmarks import axes, pseudo_view
+from benchmarks.memory import FOLDERS, growth, lengthen
+
+ROOT = Path(__file__).resolve().parents[2]
+STRATEGIES = ["camera", "eigenvectors", "normals", "consensus"]
+LOOP_KEYS = ["frames", "share_with_proposal", "mask_recall", "mask_precision", "mean_iou", "ap25", "ap50", "boxes_2d"]
+
+
+def program(name: str, *words: str | Path, json_asked: bool = True) -> tuple[dict[str, Any], list[str]]:
+    """Runs `python -m benchmarks.NAME`; its JSON object, and the lines before."""
+    done = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.{name}", *map(str, words), *(["--json"] if json_asked else [])],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=500,
+    )
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    return (json.loads(lines[-1]) if json_asked else {}), lines[:-1]
+
+
+def in_process(module: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object) -> Any:
+    """The same without a process of its own."""
+    monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, words), "--json"])
+    module.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) > 3, "a table comes first"
+    return json.loads(lines[-1])
+
+
+@pytest.fixture
+def two_frames(generated: Path, tmp_path: Path) -> Path:
+    """The first two frames of the generated people."""
+    folder = Path(shutil.copytree(generated / "people", tmp_path / "two"))
+    for number in (2, 3, 4):
+        for name, suffix in FOLDERS.items():
+            (folder / name / f"{number:06d}{suffix}").unlink()
+    return folder
+
+
+def test_axes(two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    result = in_process(axes, monkeypatch, capsys, two_frames)
+    assert list(result) == ["results", "default_axes"]
+    assert result["default_axes"] == "consensus"
+    assert [row["axes"] for row in result["results"]] == STRATEGIES
+    for row in result["results"]:
+        assert list(row) == [
+            "label",
+            "axes",
+            "objects",
+            "mean_iou",
+            "share_50",
+            "share_70",
+            "steps",
+            "ms_per_object",
+        ]
+        assert (row["label"], row["objects"]) == ("person", 6)
+        assert 0 < row["mean_iou"] <= 1
+        assert 0 <= row["share_70"] <= row["share_50"] <= 1
+        assert row["ms_per_object"] > 0
+        assert 1 <= row["steps"] <= 10
+    by_axes = {row["axes"]: row["mean_iou"] for row in result["results"]}
+    assert by_axes["consensus"] > 0.97
+    assert by_axes["consensus"] > max(by_axes[name] for name in STRATEGIES[:-1])
+
+
+def test_axes_with_jitter_one_strategy_and_free(
+    two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--jitter", "0.02", "--free", "--strategies", "camera"]
+    first, again, other = (
+        in_process(axes, monkeypatch, capsys, two_frames, *words, "--seed", seed)["results"] for seed in (1, 1, 2)
+    )
+    assert [row["axes"] for row in first] == ["camera"]
+    assert first[0]["mean_iou"] == again[0]["mean_iou"] != other[0]["mean_iou"]
+    assert 0.1 < first[0]["mean_iou"] < 0.99
+
+
+@pytest.mark.shared
+def test_axes_on_a_kitti_drive(
+    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its first two frames: classes apart, and upright by default, since the drive knows gravity."""
+    source, folder = shared / "data" / "kitti_drive_0005", tmp_path / "drive"
+    for name in ("image_02", "velodyne"):
+        (folder / name).mkdir(parents=True)
+        for path in sorted((source / name).iterdir())[:2]:
+            shutil.copyfile(path, folder / name / path.name)
+    for name in ("calib.txt", "label_02.txt"):
+        shutil.copyfile(source / name, folder / name)
+    result = in_process(axes, monkeypatch, capsys, folder, "--strategies", "normals", "consensus")
+    labels = {row["label"] for row in result["results"]}
+    assert {"Van", "Cyclist"} <= labels
+    consensus = {row["label"]: row["mean_iou"] for row in result["results"] if row["axes"] == "consensus"}
+    assert min(consensus.values()) > 0.95
+
+
+def test_pseudo_view(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--points", 500, 2000, "--size-px", 64, 96, "--repeats", 2]
+    result = in_process(pseudo_view, monkeypatch, capsys, *words)
+    assert list(result) == ["results"]
+    assert [(row["points"], row["size_px"]) for row in result["results"]] == [
+        (500, 64),
+        (500, 96),
+        (2000, 64),
+        (2000, 96),
+    ]
+    assert all(list(row) == ["points", "size_px", "ms"] and 0 < row["ms"] < 500 for row in result["results"])
+
+
+def test_memory() -> None:
+    result, lines = program("memory", "--frames", "1", "3", "--different", "2", "--width", "160")
+    assert list(result) == ["results", "growth_mb_per_1000_frames"]
+    assert [row["frames"] for row in result["results"]] == [1, 3]
+    peaks = [row["peak_mb"] for row in result["results"]]
+    assert all(50 < peak < 2000 for peak in peaks)
+    assert result["growth_mb_per_1000_frames"] == pytest.approx((peaks[1] - peaks[0]) / 2 * 1000)
+    assert any("peak MB" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("frames", "peaks", "expected"),
+    [((20, 220), (300.0, 500.0), 1.0), ((10, 20, 30), (5.0, 5.0, 5.0), 0.0), ((7,), (300.0,), math.nan)],
+)
+def test_growth_is_a_slope(frames: tuple[int, ...], peaks: tuple[float, ...], expected: float) -> None:
+    assert growth(frames, peaks) == pytest.approx(expected, nan_ok=True)
+
+
+def test_a_lengthened_recording_repeats_its_frames(generated: Path, tmp_path: Path) -> None:
+    lengthen(generated / "people", tmp_path / "long", 7, 3)
+    recording, source = open_recording(tmp_path / "long"), open_recording(generated / "people")
+    assert recording.keys == tuple(f"{n:06d}" for n in range(7))
+    assert (recording.frame(5).rgb == source.frame(2).rgb).all()
+    assert not (recording.frame(5).rgb == source.frame(0).rgb).all()
+
+
+@pytest.mark.slow
+def test_the_loop(generated: Path) -> None:
+    """With real trainings, which need no more than a minute at one epoch."""
+    result, _ = program("loop", generated / "hands", "--epochs", "1", "--views", "16", "--operator", "silhouette")
+    assert set(LOOP_KEYS) <= set(result)
+    assert result["frames"] == 2
+    assert result["boxes_2d"] == 3 * 2 * 5
+    assert {"label", "train_image", "train_view", "propose"} <= set(result["seconds"])
+    assert all(value is None or 0 <= value <= 1 for key, value in result.items() if key in LOOP_KEYS[1:7])
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("axes", ["nowhere"]),
+        ("loop", ["nowhere"]),
+        ("memory", ["--frames", "0"]),
+        ("memory", ["--frames", "1", "--different", "0"]),
+    ],
+)
+def test_unusable_input_is_one_line(name: str, words: list[str], tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.{name}", *words], cwd=ROOT, capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert "Traceback" not in done.stderr
