@@ -8,6 +8,7 @@ from pathlib import Path
 from annotator.cli.output import print_line
 from annotator.cli.projects import Root, open_named
 from annotator.types import BoxKind
+from annotator.types.errors import ConfigError
 from annotator.workflows.import_coco import import_image_boxes, import_view_boxes
 
 
@@ -40,6 +41,8 @@ def run(
         recording: which recording the camera images belong to, where several have frames of the same name.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
+    if pictures is not None and recording is not None:
+        raise ConfigError("--recording says where camera images belong; the boxes on --pictures belong to pseudo-views")
     with open_named(project, root) as opened:
         if pictures is None:
             done = import_image_boxes(opened, file, kind, recording)
