@@ -10,12 +10,10 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
 from annotator.geometry.oriented_box import EDGES, box_corners, contains
-from annotator.geometry.projection import project
+from annotator.geometry.outline import NEAR_M, box_on_image, points_on_image
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Truth
 from annotator.types.errors import DetectionError
 
-# What lies nearer to the camera than this is not on the image, metres.
-NEAR_M = 0.1
 # Points along each edge of a box: the edges are straight on an ideal image and bent on a distorted one.
 SAMPLES_IDEAL, SAMPLES_DISTORTED = 2, 17
 # A detected box is never thinner than this, pixels.
@@ -70,7 +68,7 @@ class PerfectDetector:
             scenes: the frames that will be asked about.
             kind: what the boxes measure.
             jitter: standard deviation by which each edge is moved, as a share of the view's extent in that direction
-                (on a camera image: of the box's own extent).
+                (on a camera image: of the box's own extent there).
             seed: of the jitter, which depends on the picture and not on the order of calls.
             min_points: objects with fewer points in the whole cloud are not seen.
             min_view_share: objects of which a view draws fewer than this share of their points (and fewer than 3
@@ -148,22 +146,19 @@ class PerfectDetector:
             truth = scene.truths[index]
             if scene.points[index] < self._min_points:
                 continue
-            span = self._image_span(scene, truth)
-            if span is None:
+            box = self._image_box(scene, truth)
+            if box is None:
                 continue
+            span = np.array(box.xyxy).reshape(2, 2)
             rng = self._rng(frame.key.encode(), int(index))
             boxes.append(_answer(truth.label, span, self._jitter * (span[1] - span[0]), size, rng))
         return [box for box in boxes if box is not None]
 
-    def _image_span(self, scene: Scene, truth: Truth) -> Float64[np.ndarray, "2 2"] | None:
+    def _image_box(self, scene: Scene, truth: Truth) -> Box2D | None:
         if self._kind is BoxKind.BOX:
-            xyz = box_outline(truth, scene.camera)
-        else:
-            xyz = scene.xyz_m[contains(truth.box, scene.xyz_m)]
-            xyz = xyz[xyz[:, 2] >= NEAR_M].astype(np.float64)
-        px = project(scene.camera, xyz)
-        px = px[np.isfinite(px).all(axis=1)]
-        return np.stack([px.min(axis=0), px.max(axis=0)]) if len(px) else None
+            return box_on_image(scene.camera, truth.box, truth.label, MIN_SIDE_PX)
+        xyz_m = scene.xyz_m[contains(truth.box, scene.xyz_m)]
+        return points_on_image(scene.camera, xyz_m, truth.label, MIN_SIDE_PX)
 
     def _count(self, xyz_m: Float32[np.ndarray, "n 3"]) -> tuple[Scene | None, Int64[np.ndarray, "k"]]:
         """The frame that a view's points come from, and how many of each of its objects' points are among them."""

@@ -52,9 +52,12 @@ def pixel_rays(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
 
     NaN for pixels in a corner that the distortion model does not reach.
     """
-    return _pixel_rays(
-        (camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
-    )
+    return _pixel_rays(camera_key(camera))
+
+
+def camera_key(camera: Camera) -> CameraKey:
+    """The numbers of a camera: equal cameras have equal keys, so that what is computed once a camera can be kept."""
+    return (camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)
 
 
 def unproject_depth(

@@ -13,11 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from annotator.detection.perfect import box_outline
 from annotator.geometry.fit import aligned_box
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.projection import project
+from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.project import REVIEWED, Change, NewLabel, Project, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import DrawnObject, draw_object
@@ -138,18 +137,8 @@ def draw_frame(
 
 def _image_box(frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:
     if kind is BoxKind.BOX:
-        xyz_m = box_outline(Truth(item.label, item.box), frame.camera)
-    else:
-        xyz_m = frame.cloud.xyz_m[item.points].astype(np.float64)
-    px = project(frame.camera, xyz_m)
-    px = px[np.isfinite(px).all(axis=1)]
-    if len(px) == 0:  # all of it lies behind the camera
-        return None
-    low = np.maximum(px.min(axis=0), -0.5)
-    high = np.minimum(px.max(axis=0), [frame.camera.width_px - 0.5, frame.camera.height_px - 0.5])
-    if (high - low < 2).any():
-        return None
-    return Box2D(item.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+        return box_on_image(frame.camera, item.box, item.label)
+    return points_on_image(frame.camera, frame.cloud.xyz_m[item.points], item.label)
 
 
 def _draw(view: PseudoView, frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:

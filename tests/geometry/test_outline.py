@@ -1,0 +1,144 @@
+"""2D boxes of 3D boxes and of points, against dense samples of the surface and OpenCV's projection."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from geometry_strategies import boxes, cameras
+from hypothesis import given, settings
+
+from annotator.geometry.oriented_box import CORNER_SIGNS
+from annotator.geometry.outline import FACES, NEAR_M, box_on_image, cut_polygon, points_on_image
+from annotator.types import Camera, OrientedBox
+
+CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
+FISHY = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
+# a model that turns back within the picture: its corners have no ray
+FOLDING = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.5, 0.0, 0.0, 0.0))
+
+
+def straight_box(center: tuple[float, ...], size: tuple[float, ...]) -> OrientedBox:
+    return OrientedBox.from_parts(np.array(center), np.eye(3), np.array(size))
+
+
+def surface_px(camera: Camera, box: OrientedBox, steps: int = 41) -> np.ndarray:
+    """Pixels within the picture of samples of the box's surface in front of the camera."""
+    a, b = (grid.reshape(-1) for grid in np.meshgrid(*[np.linspace(-1, 1, steps)] * 2))
+    local = [np.roll(np.column_stack([np.full(len(a), side), a, b]), k, 1) for k in range(3) for side in (-1.0, 1.0)]
+    xyz = box.T_camera_box.apply(np.concatenate(local) * box.size_m / 2)
+    xyz = xyz[xyz[:, 2] >= NEAR_M]
+    if not camera.is_ideal:  # where the lens model holds
+        xyz = xyz[np.hypot(xyz[:, 0], xyz[:, 1]) < 1.0 * xyz[:, 2]]
+    if len(xyz) == 0:
+        return np.empty((0, 2))
+    px = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))[0][:, 0]
+    return px[((px >= -0.5) & (px <= [camera.width_px - 0.5, camera.height_px - 0.5])).all(axis=1)]
+
+
+def test_faces_are_the_six_faces() -> None:
+    for face in FACES:
+        corners = CORNER_SIGNS[face]
+        assert (np.ptp(corners, axis=0) == 0).sum() == 1
+        assert (np.abs(corners - np.roll(corners, 1, axis=0)).sum(axis=1) == 2).all()  # neighbours share an edge
+    assert len({frozenset(face.tolist()) for face in FACES}) == 6
+
+
+@settings(max_examples=60, deadline=None)
+@given(boxes(2.0), cameras((200, 160)))
+def test_it_is_the_span_of_what_is_visible(box: OrientedBox, camera: Camera) -> None:
+    """Boxes about the camera too: beside it, behind it, around it."""
+    px = surface_px(camera, box)
+    found = box_on_image(camera, box, "thing", 1e-6)
+    if len(px) == 0:
+        # the samples are 3 cm apart, which is much on the image near the camera
+        assert found is None or min(found.width_px, found.height_px) < 70
+        return
+    assert found is not None and found.label == "thing"
+    low, high = px.min(axis=0), px.max(axis=0)
+    got = np.array(found.xyxy)
+    assert (got[:2] <= low + 0.1).all()
+    assert (got[2:] >= high - 0.1).all()
+    assert (got[:2] >= -0.5).all()
+    assert (got[2:] <= [199.5, 159.5]).all()
+    if (box.center_m[2] - np.linalg.norm(box.size_m) / 2) > 0.5:
+        np.testing.assert_allclose(got, np.concatenate([low, high]), atol=12.0)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, FISHY])
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.9])
+def test_a_box_in_the_middle_of_the_picture_is_exact(camera: Camera, turn: float) -> None:
+    rotation = cv2.Rodrigues(np.array([turn, -turn / 2, turn / 3]))[0]
+    box = OrientedBox.from_parts(np.array([0.1, -0.1, 4.0]), rotation, np.array([1.0, 0.6, 0.8]))
+    px = surface_px(camera, box, 201)
+    found = box_on_image(camera, box, "thing")
+    assert found is not None
+    np.testing.assert_allclose(found.xyxy, np.concatenate([px.min(axis=0), px.max(axis=0)]), atol=0.02)
+
+
+def test_a_box_with_a_corner_behind_the_camera_has_the_box_of_its_visible_part() -> None:
+    """A wall along the right side: its near end, beside the camera, is out of the picture and must not count."""
+    # from 1 m behind to 5 m before the camera, 1 m to the right, 0.2 m to 0.3 m below the axis
+    wall = straight_box((1.05, 0.25, 2.0), (0.1, 0.1, 6.0))
+    found = box_on_image(CAMERA, wall, "wall")
+    assert found is not None
+    # it leaves the picture on the right, where it is 1.0 * 150 / 100 = 1.5 m away and reaches 30 px below the axis
+    expected = (99.5 + 150 / 5, 79.5 + 0.2 * 150 / 5, 199.5, 79.5 + 0.3 * 150 / 1.5)
+    assert found.xyxy == pytest.approx(expected)
+
+
+def test_a_box_that_leaves_the_picture_at_a_slant_is_not_wider_than_what_is_seen() -> None:
+    turned = cv2.Rodrigues(np.array([0.0, 0.0, np.pi / 4]))[0]
+    stick = OrientedBox.from_parts(np.array([0.0, 1.0, 3.0]), turned, np.array([3.0, 0.01, 0.01]))
+    found = box_on_image(CAMERA, stick, "stick")
+    px = surface_px(CAMERA, stick, 401)
+    assert found is not None
+    np.testing.assert_allclose(found.xyxy, np.concatenate([px.min(axis=0), px.max(axis=0)]), atol=0.5)
+    assert found.x_max < 160
+
+
+def test_around_the_camera_is_the_whole_picture() -> None:
+    for camera in (CAMERA, FISHY):
+        found = box_on_image(camera, straight_box((0.0, 0.0, 0.0), (3.0, 3.0, 3.0)), "room")
+        assert found is not None
+        assert found.xyxy == pytest.approx((-0.5, -0.5, 199.5, 159.5))
+
+
+@pytest.mark.parametrize("center", [(0.0, 0.0, -3.0), (9.0, 0.0, 3.0), (0.0, -9.0, 3.0), (30.0, 0.0, 0.2)], ids=str)
+@pytest.mark.parametrize("camera", [CAMERA, FISHY, FOLDING], ids=["ideal", "fishy", "folding"])
+def test_what_is_not_in_the_picture_has_no_box(camera: Camera, center: tuple[float, ...]) -> None:
+    assert box_on_image(camera, straight_box(center, (1.0, 1.0, 1.0)), "thing") is None
+
+
+def test_a_lens_model_that_folds_back_shows_a_box_as_far_as_it_reaches() -> None:
+    # the model ends at 0.816 off the axis, at 0.544 on the image: 81.6 px from its centre
+    found = box_on_image(FOLDING, straight_box((2.0, 0.0, 2.0), (4.0, 0.2, 0.1)), "bar")
+    assert found is not None
+    assert found.x_min == pytest.approx(99.5, abs=0.01)
+    assert 99.5 + 81.0 < found.x_max < 99.5 + 81.7
+
+
+def test_slivers_are_none() -> None:
+    far = straight_box((0.0, 0.0, 100.0), (1.0, 1.0, 1.0))
+    assert box_on_image(CAMERA, far, "far") is None
+    small = box_on_image(CAMERA, far, "far", 1.0)
+    assert small is not None and small.width_px == pytest.approx(150 / 99.5)
+
+
+def test_points_span_what_of_them_is_in_the_picture() -> None:
+    xyz = np.array([[0.0, 0.0, 2.0], [0.4, 0.2, 2.0], [5.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.02, 0.05]], np.float32)
+    found = points_on_image(CAMERA, xyz, "a")
+    assert found is not None and found.xyxy == pytest.approx((99.5, 79.5, 129.5, 94.5), abs=1e-4)
+    assert points_on_image(CAMERA, xyz[2:], "a") is None
+    assert points_on_image(CAMERA, xyz[:1], "a") is None
+
+
+def test_cutting_a_square() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    assert cut_polygon(square, np.array([[1.0, 0.0, -1.0]])) is square
+    np.testing.assert_allclose(
+        cut_polygon(square, np.array([[1.0, 0.0, 0.25]])), [[0.25, 0.0], [1.0, 0.0], [1.0, 1.0], [0.25, 1.0]]
+    )
+    diagonal = cut_polygon(square, np.array([[-1.0, -1.0, -0.5]]))
+    np.testing.assert_allclose(diagonal, [[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+    assert cut_polygon(square, np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.5]])).shape == (0, 2)
