@@ -23,7 +23,7 @@ class ImageBoxes:
         frame_id: the frame.
         boxes: in the image's pixels.
         box_kind: what they measure.
-        author, time_ns, source: of the latest change.
+        author, time_ns, source, event_id: of the latest change.
     """
 
     frame_id: int
@@ -32,6 +32,7 @@ class ImageBoxes:
     author: str
     time_ns: int
     source: Source
+    event_id: int
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class ViewBoxes:
         box_kind: what they measure.
         step: the step of the recursion that drew the view, from 0, where known.
         geometry: how the view lies in space, where known.
-        author, time_ns, source: of the latest change.
+        author, time_ns, source, event_id: of the latest change.
     """
 
     view_id: str
@@ -59,6 +60,7 @@ class ViewBoxes:
     author: str
     time_ns: int
     source: Source
+    event_id: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +153,7 @@ def _image_boxes(row: AnyRow) -> ImageBoxes:
         row.author,
         row.time_ns,
         Source(row.source),
+        row.event_id,
     )
 
 
@@ -166,4 +169,5 @@ def _view_boxes(row: AnyRow) -> ViewBoxes:
         row.author,
         row.time_ns,
         Source(row.source),
+        row.event_id,
     )

@@ -102,12 +102,12 @@ def _set_view_boxes(connection: Connection, event: Event, payload: ViewBoxesSet)
 def _replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
     unreviewed = (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
     connection.execute(delete(labels).where(unreviewed))
-    rows = [_proposed_row(event, entry) for entry in payload.objects if entry.covered_by is None]
+    rows = [_proposed_row(event, entry, payload.run) for entry in payload.objects if entry.covered_by is None]
     if rows:
         connection.execute(insert(labels), rows)
 
 
-def _proposed_row(event: Event, entry: ProposedObject) -> dict[str, Value]:
+def _proposed_row(event: Event, entry: ProposedObject, run_id: int | None) -> dict[str, Value]:
     proposal = entry.proposal
     row: dict[str, Value] = {
         "uid": entry.uid,
@@ -121,6 +121,7 @@ def _proposed_row(event: Event, entry: ProposedObject) -> dict[str, Value]:
         "kept_share": proposal.quality.kept_share,
         "last_change": proposal.quality.last_change,
         "proposal_event_id": event.id,
+        "run_id": run_id,
     }
     # an automatic pass proposes, whoever started it
     return row | _stamp(event) | {"source": Source.AUTO.value}

@@ -45,11 +45,13 @@ class StoredLabel:
         frame_id: its frame.
         label: the label itself.
         quality: the recursion's signals for the review, where it was proposed; a signal that had no value is NaN.
+        run_id: of the batch run that proposed it, where one did.
     """
 
     frame_id: int
     label: Label
     quality: Quality | None
+    run_id: int | None
 
 
 @dataclass(frozen=True)
@@ -171,4 +173,5 @@ def _stored(row: AnyRow) -> StoredLabel:
     signals = [
         float("nan") if value is None else value for value in (row.view_disagreement, row.kept_share, row.last_change)
     ]
-    return StoredLabel(row.frame_id, _label(row), None if row.proposal_event_id is None else Quality(*signals))
+    quality = None if row.proposal_event_id is None else Quality(*signals)
+    return StoredLabel(row.frame_id, _label(row), quality, row.run_id)

@@ -11,7 +11,7 @@ from sqlalchemy import select
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.project.events import Event, event_of
-from annotator.project.jobs import record_result
+from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_labels
 from annotator.project.payloads import ProposalsReplaced, ProposedObject
 from annotator.project.records import ProposalRecord, storable
@@ -110,6 +110,8 @@ class Proposals:
         with self.writer.store.write() as connection:
             # the cheap refusals before the geometry
             where = require_writable(connection, frame_id, change)
+            if run is not None:
+                read_run(connection, run.run_id)
             reviewed = [label for label in read_labels(connection, frame_id) if label.state is not ReviewState.PROPOSED]
             covering = covered_by(proposals, reviewed)
             with storable(f"{where}: a proposal"):

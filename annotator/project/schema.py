@@ -67,6 +67,7 @@ labels = Table(
     Column("last_change", Float),
     Column("proposal_event_id", Integer, ForeignKey("events.id")),
     Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
+    Column("run_id", Integer, ForeignKey("runs.id")),
 )
 
 image_labels = Table(

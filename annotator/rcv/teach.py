@@ -84,19 +84,24 @@ def teach_views(
     config: RcvConfig,
     up: Float64[np.ndarray, "3"] | None,
     rng: np.random.Generator,
+    doubtful: Sequence[OrientedBox] = (),
 ) -> list[TaughtView]:
     """Front and side views of each object along `draws` random axes and crops, with all objects labelled.
 
     Args:
         kind: what the boxes shall measure.
         up: for upright objects; views are then level too.
+        doubtful: where there may be more objects. A view that shows enough of one is left out, because it would teach
+            that this is background.
     """
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
+    known = np.logical_or.reduce(masks) if masks else np.zeros(len(frame.cloud), bool)
+    doubts = [contains(box, frame.cloud.xyz_m) & ~known for box in doubtful]
     taught: list[TaughtView] = []
     for target, mask in zip(objects, masks, strict=True):
         if mask.sum() < MIN_POINTS:
             continue
-        scene = _Scene(frame, objects, masks)
+        scene = _Scene(frame, objects, masks, doubts)
         # All crops but the frustum stay near the object: the rest of a large cloud need not be looked at each time.
         near = scene.near(target.box)
         for _ in range(draws):
@@ -106,18 +111,24 @@ def teach_views(
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """A frame, its objects, and which points are whose."""
+    """A frame, its objects, which points are whose, and whose may be another object's."""
 
     frame: Frame
     objects: Sequence[TaughtObject]
     masks: Sequence[np.ndarray]
+    doubts: Sequence[np.ndarray]
 
     def near(self, box: OrientedBox) -> _Scene:
         """The part of the scene within reach of any crop around a box; shares of points stay those of the whole."""
         distance = np.linalg.norm(self.frame.cloud.xyz_m - box.center_m.astype(np.float32), axis=1)
         keep = distance < 1.5 * np.linalg.norm(box.size_m)
         frame = replace(self.frame, cloud=self.frame.cloud.select(keep))
-        return _Scene(frame, self.objects, [mask[keep] for mask in self.masks])
+        return _Scene(frame, self.objects, [mask[keep] for mask in self.masks], [mask[keep] for mask in self.doubts])
+
+    def shows_doubtful(self, keep: np.ndarray, whole: _Scene) -> bool:
+        """True where these points show enough of a doubtful object to be labelled, if it is one."""
+        pairs = zip(self.doubts, whole.doubts, strict=True)
+        return any(_is_shown(int((mask & keep).sum()), int(all_of.sum())) for mask, all_of in pairs)
 
 
 def _draw(
@@ -143,7 +154,7 @@ def _draw(
     else:
         crop = _near_crop(target.box, up, rng)
         keep, axes, show = contains(crop, xyz), look_from_camera(_near_turn(crop, up, rng), up), box_corners(crop)
-    if keep.sum() < MIN_POINTS:
+    if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return []
     views = render_pairs(scene.frame.cloud.select(keep), [axes], config.view, show)
     totals = [int(mask.sum()) for mask in whole.masks]
@@ -155,7 +166,7 @@ def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[i
     objects: list[int] = []
     for index, (item, mask, total) in enumerate(zip(scene.objects, scene.masks, totals, strict=True)):
         shown = mask & keep
-        if shown.sum() < max(MIN_POINTS, MIN_SHARE * total):
+        if not _is_shown(int(shown.sum()), total):
             continue
         if kind is BoxKind.BOX:
             box = project_box(view, item.box, item.label)
@@ -165,6 +176,10 @@ def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[i
             boxes.append(box)
             objects.append(index)
     return TaughtView(view, tuple(boxes), tuple(objects))
+
+
+def _is_shown(points: int, total: int) -> bool:
+    return points >= max(MIN_POINTS, MIN_SHARE * total)
 
 
 def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> Box2D | None:

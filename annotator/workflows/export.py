@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from annotator import __version__
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvItem, RcvOptions, export_rcv
 from annotator.formats.rcv.model import RcvManifest
-from annotator.project.models import Role
+from annotator.project.labels import StoredLabel
 from annotator.project.project import Project
-from annotator.types import Label, ReviewState
+from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.frames import FrameSource
 
 # A rejected box is no label; everything else leaves with its state written beside it.
 DEFAULT_STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED)
+UNREGISTERED = "unregistered"
 
 
 @dataclass(frozen=True)
@@ -74,31 +75,36 @@ def export_dataset(
     def items() -> Iterator[RcvItem]:
         for number, stored in enumerate(frames, 1):
             name = source.stored(stored.recording_id).name
-            yield RcvItem(name, source.read(stored), labels.get(stored.id, ()))
+            yield RcvItem(name, source.read(stored), [entry.label for entry in labels.get(stored.id, ())])
             if progress is not None:
                 progress(number, len(frames))
 
     info = RcvInfo(
         classes=project.config.classes,
-        detectors=_detectors(project),
+        detectors=_detectors(project, labels),
         generator=f"annotator {__version__}",
         options=options or RcvOptions(),
     )
     return export_rcv(out, items(), info, overwrite=overwrite)
 
 
-def _labels(project: Project, choose: ExportFilter) -> dict[int, Sequence[Label]]:
-    chosen: dict[int, list[Label]] = defaultdict(list)
+def _labels(project: Project, choose: ExportFilter) -> dict[int, Sequence[StoredLabel]]:
+    chosen: dict[int, list[StoredLabel]] = defaultdict(list)
     found = project.labels.select(states=choose.states, recordings=choose.recordings, classes=choose.classes)
     for stored in found:
-        chosen[stored.frame_id].append(stored.label)
+        chosen[stored.frame_id].append(stored)
     return dict(chosen)
 
 
-def _detectors(project: Project) -> tuple[RcvDetector, ...]:
-    active = [(role, project.models.active(role)) for role in Role]
-    return tuple(
-        RcvDetector(role=role.value, name=model.path.parent.name, fingerprint=model.fingerprint)
-        for role, model in active
-        if model is not None
+def _detectors(project: Project, labels: Mapping[int, Sequence[StoredLabel]]) -> tuple[RcvDetector, ...]:
+    """The detectors that proposed these labels, whatever the project uses by now; in the order of their runs."""
+    wanted = {entry.run_id for entries in labels.values() for entry in entries}
+    names = {(model.role.value, model.fingerprint): model.path.parent.name for model in project.models.all()}
+    found = dict.fromkeys(
+        used
+        for run in project.jobs.all()
+        if run.id in wanted
+        for used in (("image", run.image_detector), ("view", run.view_detector))
     )
+    # a detector that was never trained here (it came with the run, as in the benchmarks) has no name but what it is
+    return tuple(RcvDetector(role=r, name=names.get((r, f), UNREGISTERED), fingerprint=f) for r, f in found)

@@ -8,8 +8,8 @@ edited or imported 3D box, or the points that an operator's drags cut out, seen 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,12 +18,12 @@ from annotator.detection.perfect import box_outline
 from annotator.geometry.fit import aligned_box
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project as project_points
-from annotator.project import REVIEWED, ImageBoxes, Project, Role, StoredFrame, ViewBoxes
+from annotator.project import REVIEWED, ImageBoxes, Project, Role, StoredFrame, StoredLabel, ViewBoxes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
-from annotator.types import Box2D, BoxKind, Frame, Label, Truth
+from annotator.types import Box2D, BoxKind, Frame, Label, ReviewState, Truth
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.view_pairs import front_and_side, views_by_object
@@ -60,6 +60,7 @@ class Material:
         labels: reviewed 3D labels, by frame.
         kind: what the view detector's boxes will measure.
         left_out: view labels of the other kind, which would teach the opposite.
+        open: labels that nobody has reviewed yet, by frame: there may be an object, or none.
     """
 
     images: dict[int, ImageBoxes]
@@ -67,6 +68,12 @@ class Material:
     labels: dict[int, tuple[Label, ...]]
     kind: BoxKind
     left_out: int
+    open: dict[int, tuple[Label, ...]] = field(default_factory=dict)
+
+    @property
+    def untold(self) -> int:
+        """Camera images that teach nothing because some of their objects wait for a review, and none is drawn."""
+        return sum(frame in self.open for frame in self.labels.keys() - self.images.keys())
 
     @property
     def image_kind(self) -> BoxKind:
@@ -86,9 +93,7 @@ def gather(project: Project, roles: Sequence[Role] = tuple(Role)) -> Material:
     """
     images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
     views = project.boxes.on_views()
-    reviewed: dict[int, list[Label]] = defaultdict(list)
-    for stored in project.labels.select(states=REVIEWED):
-        reviewed[stored.frame_id].append(stored.label)
+    reviewed = _by_frame(project.labels.select(states=REVIEWED))
     held = {Role.IMAGE: (images, "camera images"), Role.VIEW: (views, "pseudo-views")}
     missing = [name for role, (found, name) in held.items() if role in roles and not found]
     if missing and not reviewed:
@@ -101,16 +106,34 @@ def gather(project: Project, roles: Sequence[Role] = tuple(Role)) -> Material:
     kinds[BoxKind.BOX] += 4 * sum(map(len, reviewed.values()))
     kind = BoxKind.BOX if kinds[BoxKind.BOX] >= kinds[BoxKind.SILHOUETTE] else BoxKind.SILHOUETTE
     same = tuple(view for view in views if view.box_kind is kind or not view.boxes)
-    labels = {frame: tuple(found) for frame, found in reviewed.items()}
-    return Material(images, same, labels, kind, len(views) - len(same))
+    unreviewed = _by_frame(project.labels.select(states=[ReviewState.PROPOSED]))
+    material = Material(images, same, reviewed, kind, len(views) - len(same), unreviewed)
+    if Role.IMAGE in roles and not images and material.untold == len(reviewed):
+        raise DetectionError(
+            f"project {project.config.name} has no camera image to learn from: every frame with reviewed boxes also "
+            "has proposals that nobody has reviewed, and would teach that these are background; review a frame to its "
+            "end"
+        )
+    return material
+
+
+def _by_frame(found: Iterable[StoredLabel]) -> dict[int, tuple[Label, ...]]:
+    frames: dict[int, list[Label]] = defaultdict(list)
+    for stored in found:
+        frames[stored.frame_id].append(stored.label)
+    return {frame: tuple(labels) for frame, labels in frames.items()}
 
 
 def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[TrainingSample]:
-    """Camera images with their boxes; where only 3D labels are known, with those projected."""
-    for stored, frame in _frames(project, sorted({*material.images, *material.labels}), skip):
+    """Camera images with their boxes; where only 3D labels are known, with those projected.
+
+    A frame reviewed only in part is left out: its other objects would be taught as background.
+    """
+    known = material.labels.keys() - material.open.keys()
+    for stored, frame in _frames(project, sorted({*material.images, *known}), skip):
         drawn = material.images.get(stored.id)
         if drawn is not None:
-            yield TrainingSample(frame.rgb, drawn.boxes, _group(stored), DRAWN)
+            yield TrainingSample(frame.rgb, drawn.boxes, _group(stored), DRAWN, _drawn_uids(drawn))
         else:
             pairs = [(label.uid, projected_box(frame, label)) for label in material.labels[stored.id]]
             shown = {uid: box for uid, box in pairs if box is not None}
@@ -137,7 +160,7 @@ def view_samples(
     groups = {stored.id: _group(stored) for stored in project.frames.of()}
     for view in material.views:
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
-        yield TrainingSample(project.views.load(view.view_id), view.boxes, group, DRAWN)
+        yield TrainingSample(project.views.load(view.view_id), view.boxes, group, DRAWN, _drawn_uids(view))
     drags = drawn_objects(material)
     total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
     if total == 0:
@@ -152,7 +175,8 @@ def view_samples(
         orientation = orientation_for(project.config.settings.rotation, frame)
         settings = rcv.model_copy(update={"orientation": orientation})
         up = held_direction(frame.up, settings)
-        for taught in teach_views(frame, known, material.kind, draws, settings, up, rng):
+        doubtful = [label.box for label in material.open.get(stored.id, ())]
+        for taught in teach_views(frame, known, material.kind, draws, settings, up, rng, doubtful):
             uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
             yield TrainingSample(taught.view.rgb, taught.boxes, _group(stored), TAUGHT, uids)
 
@@ -191,6 +215,11 @@ def _is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bo
     """True for an object that has an accepted 3D box by now: known twice, it would have two boxes on each view."""
     xyz_m = frame.cloud.xyz_m[cut.points]
     return any(label.label == cut.label and contains(label.box, xyz_m).mean() >= 0.5 for label in labels)
+
+
+def _drawn_uids(drawn: ImageBoxes | ViewBoxes) -> tuple[str, ...]:
+    """Drawn boxes have no uid of their own: the event that set them, and their place in it."""
+    return tuple(f"event {drawn.event_id}, box {place}" for place in range(len(drawn.boxes)))
 
 
 def _group(stored: StoredFrame) -> str:

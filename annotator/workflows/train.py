@@ -107,6 +107,8 @@ def _train_one(
 
     if role is Role.IMAGE:
         samples, kind, config = image_samples(project, material, skip), material.image_kind, plan.image
+        if material.untold:
+            left_out.append(f"{material.untold} camera images with proposals that nobody has reviewed")
     else:
         samples, kind, config = view_samples(project, material, plan.rcv, plan.samples, skip), material.kind, plan.view
         if material.left_out:

@@ -132,7 +132,7 @@ def _newer(folder: Path) -> None:
         (_overwrite("project.db", b""), "not one of annotator's"),
         (_truncate, "project.db: is damaged"),
         (_foreign, "not one of annotator's"),
-        (_newer, r"newer annotator \(database version 99, this one knows up to 2\); update annotator"),
+        (_newer, r"newer annotator \(database version 99, this one knows up to \d+\); update annotator"),
     ],
 )
 def test_what_is_wrong_is_said_at_opening(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:

@@ -99,17 +99,44 @@ def test_the_tables_are_as_the_code_believes(tmp_path: Path) -> None:
             assert found == wanted, name
 
 
+def test_labels_of_older_databases_learn_which_run_proposed_them(tmp_path: Path) -> None:
+    path = tmp_path / "project.db"
+    with sqlite3.connect(path) as connection:
+        for migration in MIGRATIONS[:2]:
+            for statement in migration.statements:
+                connection.execute(statement)
+        connection.execute("INSERT INTO recordings VALUES (1, '/take', 'rgbd', 'take', 1, NULL, 7)")
+        connection.execute("INSERT INTO frames VALUES (1, 1, 'a', 0, 2, 0)")
+        connection.execute("INSERT INTO runs VALUES (4, 'k', 'image', 'view', '{}', 5, NULL)")
+        insert = "INSERT INTO events VALUES (?, 1, NULL, ?, 'proposals_replaced', ?, 'ann', 5, 'auto')"
+        connection.execute(insert, (1, 1, ProposalsReplaced(run=4, objects=()).model_dump_json()))
+        connection.execute(insert, (2, 2, ProposalsReplaced(objects=()).model_dump_json()))
+        for uid, event in (("a", 1), ("b", 2), ("drawn", None)):
+            values = (uid, event, event or 1)
+            connection.execute(
+                "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, proposal_event_id, "
+                "event_id) VALUES (?, 1, 'hand', '{}', 'auto', 'proposed', 'ann', 5, ?, ?)",
+                values,
+            )
+        for statement in MIGRATIONS[2].statements:
+            connection.execute(statement)
+        runs = dict(connection.execute("SELECT uid, run_id FROM labels").fetchall())
+    connection.close()
+    assert runs == {"a": 4, "b": None, "drawn": None}
+
+
 def test_a_newer_database_is_refused_and_not_touched(old: Path) -> None:
     open_project(old).close()
     path = old / "project.db"
-    with pytest.raises(ProjectError, match=r"newer annotator \(database version 2, this one knows up to 1\)"):
+    newest = MIGRATIONS[-1].version
+    with pytest.raises(ProjectError, match=rf"newer annotator \(database version {newest}, this one knows up to 1\)"):
         open_store(path, migrations=MIGRATIONS[:1])
-    assert _version(path) == 2
+    assert _version(path) == newest
 
 
 def test_a_migration_that_fails_leaves_the_database_as_it_was(old: Path) -> None:
     path = old / "project.db"
-    bad = (*MIGRATIONS, Migration(3, ("CREATE TABLE half (a)", "CREATE TABLE frames (a)")))
+    bad = (*MIGRATIONS, Migration(len(MIGRATIONS) + 1, ("CREATE TABLE half (a)", "CREATE TABLE frames (a)")))
     with pytest.raises(OperationalError, match="already exists"):
         open_store(path, migrations=bad)
     assert _version(path) == 1

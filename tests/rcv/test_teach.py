@@ -235,3 +235,18 @@ def test_a_turned_box_spans_more_than_its_sides() -> None:
     assert found is not None
     assert found.width_px == pytest.approx(20 * np.sqrt(2))
     assert found.height_px == pytest.approx(20 * np.sqrt(2))
+
+
+def test_a_view_that_shows_a_doubtful_object_is_left_out() -> None:
+    """Known is the left half of an object; the rest of it may be another one's."""
+    frame, (left, _) = two()
+    shift = left.box.rotation @ (left.box.size_m * [0.25, 0, 0])
+    half = OrientedBox.from_parts(left.box.center_m - shift, left.box.rotation, left.box.size_m * [0.5, 1, 1])
+    known = [TaughtObject("left", half)]
+
+    def draws(doubtful: list[OrientedBox]) -> int:
+        return len(teach_views(frame, known, BoxKind.BOX, 40, CONFIG, UP, np.random.default_rng(3), doubtful))
+
+    assert draws([]) > 40
+    assert draws([left.box]) < draws([]) - 10
+    assert draws([half]) == draws([]), "a proposal of the known object itself doubts nothing"

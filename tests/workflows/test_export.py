@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from annotator.formats.rcv import RcvOptions, read_rcv
-from annotator.project import Change, NewLabel, Project, Role
+from annotator.project import Change, NewLabel, Project, Role, RunShare
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, ReviewState, Source
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
 from annotator.workflows.export import ExportFilter, export_dataset
 from annotator.workflows.frames import FrameSource
@@ -96,14 +96,43 @@ def test_classes_and_recordings_are_chosen(
     assert of_class.classes == ("person", "hand"), "class numbers stay those of the project"
 
 
-def test_the_detectors_are_named(people: Project, tmp_path: Path) -> None:
-    label_all(people, (0,))
-    weights = people.models_folder / "view" / "0123-4567" / "detector.pt"
+def trained(project: Project, role: Role, name: str, fingerprint: str) -> None:
+    weights = project.models_folder / role.value / name / "detector.pt"
     weights.parent.mkdir(parents=True)
     weights.write_bytes(b"weights")
-    people.models.register(Role.VIEW, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint="abc")
-    (detector,) = export_dataset(people, tmp_path / "out").detectors
-    assert (detector.role, detector.name, detector.fingerprint) == ("view", "0123-4567", "abc")
+    project.models.register(role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=fingerprint)
+
+
+def propose_as(project: Project, index: int, image: str, view: str) -> None:
+    """One proposal on a frame, in a run of these detectors."""
+    stored = project.frames.of()[index]
+    run = project.jobs.start(image_detector=image, view_detector=view, config_json="{}")
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
+    found = Proposal("person", 0.5, box, Box2D("person", 1.0, 1.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0))
+    project.proposals.replace(stored.id, [found], Change(0, "rcv", Source.AUTO), run=RunShare(run.id, 1.0))
+
+
+def test_the_detectors_that_made_the_boxes_are_named_and_no_others(people: Project, tmp_path: Path) -> None:
+    trained(people, Role.IMAGE, "image-1", "i1")
+    trained(people, Role.VIEW, "view-1", "v1")
+    propose_as(people, 0, "i1", "v1")
+    propose_as(people, 1, "from elsewhere", "v1")
+    propose_as(people, 2, "i1", "rejected all")
+    (rejected,) = people.labels.of_frame(people.frames.of()[2].id)
+    people.labels.reject(people.frames.of()[2].id, rejected.uid, Change(1, "me"))
+    trained(people, Role.VIEW, "view-2", "v2")  # active by now, and has made nothing
+    found = export_dataset(people, tmp_path / "out").detectors
+    assert [(detector.role, detector.name, detector.fingerprint) for detector in found] == [
+        ("image", "image-1", "i1"),
+        ("view", "view-1", "v1"),
+        ("image", "unregistered", "from elsewhere"),
+    ]
+
+
+def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -> None:
+    trained(people, Role.VIEW, "view-1", "v1")
+    label_all(people, (0,))
+    assert export_dataset(people, tmp_path / "out").detectors == ()
 
 
 def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.project import Change, NewLabel, Project, Role, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Label, OrientedBox, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import DetectionError, FrameError, RecordingError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.recordings import add_recordings
@@ -160,6 +160,56 @@ def test_projected_boxes_span_the_corners(people: Project) -> None:
         assert box.xyxy == pytest.approx(expected)
 
 
+def propose_true(project: Project, index: int, place: int) -> str:
+    """One object of a frame, the `place`-th, as a proposal that nobody has reviewed; its uid."""
+    recording = open_recording(project.recordings.all()[0].path)
+    truth = load_truth(recording, index, recording.frame(index))[place]
+    stored = project.frames.of()[index]
+    found = Proposal(truth.label, 0.9, truth.box, SOME, (), Quality(0.0, 1.0, 0.0))
+    change = Change(project.frames.get(stored.id).revision, "rcv", Source.AUTO)
+    (uid,) = project.proposals.replace(stored.id, [found], change).uids
+    assert uid is not None
+    return uid
+
+
+def test_a_frame_reviewed_in_part_does_not_teach_its_other_objects_as_background(people: Project) -> None:
+    accept(people, 0, count=2)
+    uid = propose_true(people, 0, 2)
+    with pytest.raises(DetectionError, match="every frame with reviewed boxes also has proposals that nobody"):
+        gather(people)
+    assert gather(people, [Role.VIEW]).labels, "its pseudo-views can still teach"
+    accept(people, 1)
+    material = gather(people)
+    assert material.untold == 1
+    assert [sample.group for sample in image_samples(people, material, never)] == ["1/000001"]
+    stored = people.frames.of()[0]
+    people.labels.reject(stored.id, uid, Change(people.frames.get(stored.id).revision, "me"))
+    material = gather(people)
+    assert material.untold == 0
+    assert len(list(image_samples(people, material, never))) == 2
+
+
+def test_boxes_drawn_on_the_image_teach_whatever_is_proposed(people: Project) -> None:
+    stored = people.frames.of()[0]
+    people.boxes.set_on_image(stored.id, [SOME], BoxKind.BOX, Change(0, "me"))
+    accept(people, 0, count=2)
+    propose_true(people, 0, 2)
+    material = gather(people)
+    assert material.untold == 0
+    (sample,) = image_samples(people, material, never)
+    (event,) = {boxes.event_id for boxes in material.images.values()}
+    assert (sample.origin, sample.label_uids) == (DRAWN, (f"event {event}, box 0",))
+
+
+def test_no_taught_view_shows_an_object_that_nobody_has_reviewed(people: Project) -> None:
+    accept(people, 0, count=1)
+    before = views(people, gather(people), 40)
+    propose_true(people, 0, 1)
+    propose_true(people, 0, 2)  # a pass replaces the one before: only this one is open
+    after = views(people, gather(people, [Role.VIEW]), 40)
+    assert 0 < len(after) < len(before)
+
+
 def label_at(center: list[float], size: list[float]) -> Label:
     box = OrientedBox.from_parts(np.array(center), np.eye(3), np.array(size))
     return Label("u", "person", box, None, Source.MANUAL, ReviewState.ACCEPTED, "me", 0)
@@ -197,6 +247,7 @@ def test_drawn_views_come_as_they_were_drawn(people: Project) -> None:
     assert origins[TAUGHT] == 18, "one pair for each of nine objects"
     for sample, view in zip(samples, material.views, strict=False):
         assert sample.origin == DRAWN
+        assert len(sample.label_uids) == len(sample.boxes)
         assert sample.boxes == view.boxes
         np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
         assert view.frame_id is not None

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from annotator.project.migrations import m0001_events, m0002_batch
+from annotator.project.migrations import m0001_events, m0002_batch, m0003_label_runs
 from annotator.types.errors import ProjectError
 
 APPLICATION_ID = 0x416E6E6F  # "Anno": tells our databases from other SQLite files
@@ -34,6 +34,7 @@ class Migration:
 MIGRATIONS: tuple[Migration, ...] = (
     Migration(1, m0001_events.STATEMENTS),
     Migration(2, m0002_batch.STATEMENTS),
+    Migration(3, m0003_label_runs.STATEMENTS),
 )
 
 

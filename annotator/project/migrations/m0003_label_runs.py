@@ -1,0 +1,13 @@
+"""Version 3: each label knows the batch run that proposed it, without a look into its event."""
+
+from __future__ import annotations
+
+_RUN = "ALTER TABLE labels ADD COLUMN run_id INTEGER REFERENCES runs (id)"
+_FILL = """
+UPDATE labels SET run_id = (
+    SELECT json_extract(events.payload, '$.run') FROM events WHERE events.id = labels.proposal_event_id
+)
+WHERE proposal_event_id IS NOT NULL
+"""
+
+STATEMENTS = (_RUN, _FILL)
