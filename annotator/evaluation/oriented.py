@@ -21,12 +21,15 @@ class FrameResult:
 
     Attributes:
         boxes, scores: what was proposed.
-        truth: what is there.
+        truth: what is there and shall be found.
+        ignored: what is there, too, but cannot be asked for, as with too few points; to find it is neither right nor
+            wrong, as in KITTI's own evaluation.
     """
 
     boxes: Sequence[OrientedBox]
     scores: Sequence[float]
     truth: Sequence[OrientedBox]
+    ignored: Sequence[OrientedBox] = ()
 
 
 def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
@@ -43,7 +46,8 @@ def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> f
     """Area under the precision envelope (PASCAL VOC 2010 on), with exact oriented 3D IoU.
 
     All frames are pooled; detections in descending score each look at the true box of their frame that they overlap
-    most, taken or not; a hit needs IoU above the threshold and a box not yet taken.
+    most, taken or not; a hit needs IoU above the threshold and a box not yet taken. A detection whose box is one that
+    is ignored, with IoU above the threshold, does not count.
 
     Returns:
         0..1; NaN where there is no true box.
@@ -52,21 +56,28 @@ def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> f
     if total == 0:
         return float("nan")
     rows = [(score, frame, index) for frame, result in enumerate(results) for index, score in enumerate(result.scores)]
-    matrices = {frame: iou_3d_matrix(r.boxes, r.truth) for frame, r in enumerate(results) if r.boxes and r.truth}
+    known = [[*result.truth, *result.ignored] for result in results]
+    matrices = {i: iou_3d_matrix(r.boxes, known[i]) for i, r in enumerate(results) if r.boxes and known[i]}
     taken: dict[int, set[int]] = defaultdict(set)
-    hits = np.zeros(len(rows))
-    for rank, (_, frame, index) in enumerate(sorted(rows, key=lambda row: (-row[0], row[1], row[2]))):
-        if frame not in matrices:
+    hits: list[int] = []
+    for _, frame, index in sorted(rows, key=lambda row: (-row[0], row[1], row[2])):
+        best, iou = _best(matrices[frame][index]) if frame in matrices else (0, 0.0)
+        if iou > iou_threshold and best >= len(results[frame].truth):
             continue
-        best = int(np.argmax(matrices[frame][index]))
-        if matrices[frame][index, best] > iou_threshold and best not in taken[frame]:
+        hit = iou > iou_threshold and best not in taken[frame]
+        hits.append(int(hit))
+        if hit:
             taken[frame].add(best)
-            hits[rank] = 1
     found = np.cumsum(hits)
     recall = np.concatenate([[0.0], found / total, [1.0]])
-    precision = np.concatenate([[0.0], found / np.arange(1, len(rows) + 1), [0.0]])
+    precision = np.concatenate([[0.0], found / np.arange(1, len(hits) + 1), [0.0]])
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float(np.sum(np.diff(recall) * envelope[1:]))
+
+
+def _best(ious: Float64[np.ndarray, "t"]) -> tuple[int, float]:
+    place = int(np.argmax(ious))
+    return place, float(ious[place])
 
 
 @dataclass(frozen=True)

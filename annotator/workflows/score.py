@@ -45,7 +45,8 @@ def score_project(
 
     Args:
         frame_ids: only these frames; None = all.
-        min_points: objects with fewer points in their true box cannot be seen and are left out.
+        min_points: objects with fewer points in their true box cannot be asked for: they are left out, and a label
+            on one of them is neither right nor wrong.
 
     Raises:
         RecordingError: the recording brings no truth.
@@ -59,12 +60,16 @@ def score_project(
             continue
         frame = source.read(stored)
         truths = load_truth(recording, places[stored.key], frame)
-        seen = [t for t in truths if contains(t.box, frame.cloud.xyz_m).sum() >= min_points]
+        seen = [bool(contains(t.box, frame.cloud.xyz_m).sum() >= min_points) for t in truths]
         labels = [label for label in project.labels.of_frame(stored.id) if label.state in SCORED_STATES]
         for name in project.config.classes:
             own = [label for label in labels if label.label == name]
             scores = [1.0 if label.score is None else label.score for label in own]
-            results[name].append(FrameResult([x.box for x in own], scores, [t.box for t in seen if t.label == name]))
+            wanted, ignored = (
+                [t.box for t, is_seen in zip(truths, seen, strict=True) if t.label == name and is_seen is asked]
+                for asked in (True, False)
+            )
+            results[name].append(FrameResult([x.box for x in own], scores, wanted, ignored))
     return [_scores(name, found) for name, found in results.items()]
 
 

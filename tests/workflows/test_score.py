@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from annotator.geometry.oriented_box import contains
 from annotator.project import Change, NewLabel, Project
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox, ReviewState
@@ -75,6 +76,19 @@ def test_objects_of_few_points_are_left_out(people: Project) -> None:
     assert np.isnan(nothing.mean_iou)
     assert np.isnan(nothing.ap50)
     assert score(people, min_points=0).objects == 15
+
+
+def test_a_label_on_an_object_of_few_points_is_neither_right_nor_wrong(people: Project) -> None:
+    recording = open_recording(people.recordings.all()[0].path)
+    frame = recording.frame(0)
+    points = [int(contains(t.box, frame.cloud.xyz_m).sum()) for t in load_truth(recording, 0, frame)]
+    least = int(np.argmin(points))
+    options = {"frame_ids": [people.frames.of()[0].id], "min_points": min(points) + 1}
+    # equal scores count in the order of the labels: the first is the one that would do harm
+    put(people, 0, lambda number, box: box if number == least else None)
+    put(people, 0, lambda number, box: None if number == least else box)
+    scores = score(people, **options)
+    assert (scores.objects, scores.ap50) == (2, 1.0)
 
 
 def test_classes_are_scored_apart(make_project: Callable[..., Project], generated: Path) -> None:
