@@ -9,9 +9,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
-def progress_bar() -> Progress:
-    """A bar with counts, elapsed and remaining time; leaves standard output to results."""
-    return Progress(
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar with counts, elapsed and remaining time; leaves standard output to results.
+
+    Where an error ends the work, the bar is taken away: it would stand above the message and say nothing.
+    """
+    bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -22,6 +26,18 @@ def progress_bar() -> Progress:
         TextColumn("{task.fields[note]}"),
         console=Console(stderr=True),
     )
+    bar.start()
+    try:
+        yield bar
+    except Exception:
+        bar.live.transient = True
+        bar.live.stop()  # not the bar's own stop, which leaves an empty line where there is no terminal
+        raise
+    except BaseException:  # an interrupt: how far it came is worth knowing
+        bar.stop()
+        raise
+    else:
+        bar.stop()
 
 
 @contextmanager

@@ -21,6 +21,8 @@ def run(
 ) -> None:
     """Let a simulated operator draw 2D boxes from a recording's truth, five an object, as a person would.
 
+    Masks alone (mask/, no boxes.json) are truth enough for silhouettes, in a project with one class.
+
     Args:
         project: the project's name.
         recording: its name in the project.
