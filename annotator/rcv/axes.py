@@ -15,12 +15,8 @@ from jaxtyping import Float, Float64
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.types import PointCloud
 
-# A normal within 25 degrees of the vertical belongs to a floor or a table top, not to a side.
-STEEP_NORMAL = float(np.cos(np.deg2rad(25)))
-MAX_NORMALS = 2000
+# K-means settles in a few rounds and stops then; this only bounds the time of one that swings to and fro.
 KMEANS_ROUNDS = 20
-# Clusters nearer than this to the major axis cannot give the second one.
-MIN_SECOND_ANGLE_RAD = float(np.deg2rad(30))
 
 
 class NoAxesError(Exception):
@@ -106,7 +102,7 @@ def eigenvector_frame(
 
 
 def _require_distinct(values: np.ndarray, config: RcvConfig) -> None:
-    if values[-1] <= 0 or np.diff(values).min() < config.min_flatness * values[-1]:
+    if values[-1] <= 0 or np.diff(values).min() < config.axes.min_flatness * values[-1]:
         raise NoAxesError("eigenvalues too alike to fix the axes")
 
 
@@ -121,26 +117,26 @@ def normal_frame(
     known = np.asarray(normals, np.float64)
     known = known[np.einsum("ij,ij->i", known, known) > 0.25]
     if up is not None:
-        known = known[np.abs(known @ up) < STEEP_NORMAL]
+        known = known[np.abs(known @ up) < np.cos(config.axes.steep_normal_rad)]
         known = known - np.outer(known @ up, up)
         known /= np.linalg.norm(known, axis=1, keepdims=True)
-    if len(known) < config.min_normals:
+    if len(known) < config.axes.min_normals:
         raise NoAxesError(f"{len(known)} usable normals are too few")
-    if len(known) > MAX_NORMALS:
-        known = known[np.linspace(0, len(known) - 1, MAX_NORMALS).astype(int)]
-    centres, counts = axial_kmeans(known, min(config.kmeans_clusters, len(known)), config.seed)
+    if len(known) > config.axes.max_normals:
+        known = known[np.linspace(0, len(known) - 1, config.axes.max_normals).astype(int)]
+    centres, counts = axial_kmeans(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
     major = centres[np.argmax(counts)]
     if up is not None:
         return upright_frame(major, up)
-    second = _second_direction(centres, counts, major)
+    second = _second_direction(centres, counts, major, config.axes.min_second_angle_rad)
     a1 = second - major * (second @ major)
     a1 /= np.linalg.norm(a1)
     return np.stack([a1, np.cross(major, a1), major])
 
 
-def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray) -> np.ndarray:
+def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray, min_angle_rad: float) -> np.ndarray:
     for index in np.argsort(-counts, kind="stable"):
-        if np.abs(centres[index] @ major) < np.cos(MIN_SECOND_ANGLE_RAD):
+        if np.abs(centres[index] @ major) < np.cos(min_angle_rad):
             return centres[index]
     # One direction only, such as a wall: the camera axis that is most nearly perpendicular completes it.
     return np.eye(3)[np.argmin(np.abs(major))]

@@ -1,7 +1,11 @@
-"""Every threshold of Recursive Cross-View, each with its unit."""
+"""Every threshold of Recursive Cross-View, each with its unit.
+
+Numbers that are no settings, such as how densely a search looks, are constants beside their code.
+"""
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -39,6 +43,76 @@ class ViewConfig(BaseModel):
     max_splat_px: int = Field(9, ge=1, le=31, description="largest square that one point is drawn as, pixels")
 
 
+class AxesConfig(BaseModel):
+    """How axes are found in a cloud and its normals."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    min_flatness: float = Field(
+        0.05, ge=0, lt=1, description="relative gap of neighbouring eigenvalues below which they fix no axes"
+    )
+    normal_neighbours: int = Field(
+        16, ge=3, le=256, description="neighbours that a normal is estimated from without a depth image, points"
+    )
+    min_normals: int = Field(30, ge=3, description="fewer usable normals fall back to eigenvectors, points")
+    max_normals: int = Field(2000, ge=16, description="of more normals, so many are clustered, points")
+    kmeans_clusters: int = Field(6, ge=1, le=16, description="clusters of point normals")
+    seed: int = Field(0, ge=0, description="of K-means")
+    steep_normal_rad: float = Field(
+        math.radians(25),
+        ge=0,
+        le=math.pi / 2,
+        description="upright: a normal nearer to the vertical is a floor's or a table top's and fixes no side, radians",
+    )
+    min_second_angle_rad: float = Field(
+        math.radians(30),
+        gt=0,
+        le=math.pi / 2,
+        description="free: a cluster nearer to the major axis cannot give the second one, radians",
+    )
+
+
+class FitConfig(BaseModel):
+    """The robust fit of one box through measured intervals."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    edge_noise: float = Field(0.02, gt=0, description="expected error of a detected edge, share of the view's extent")
+    cut_doubt: float = Field(
+        3.0, ge=1, description="an edge that its picture cut off counts as so many times less certain, factor"
+    )
+    huber_sigmas: float = Field(
+        1.5, gt=0, description="an edge that is further off weighs less, multiples of its expected error"
+    )
+    min_size_m: float = Field(1e-3, gt=0, description="a box with a side this short is no fit, metres")
+    min_determinacy: float = Field(
+        0.02,
+        gt=0,
+        lt=1,
+        description="smallest singular value of the equations, each unknown scaled to one; below, they fix no box",
+    )
+
+
+class ConsensusConfig(BaseModel):
+    """The axis hypotheses of a consensus step, and which of their boxes may win where silhouettes were taught."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    upright_hypotheses: int = Field(4, ge=2, le=16, description="yaws of a wide step, over a quarter turn")
+    free_hypotheses: int = Field(12, ge=4, le=64, description="orientations of a wide step")
+    refine_hypotheses: int = Field(3, ge=1, le=16, description="hypotheses of a step around the last fit")
+    refine_spread_rad: float = Field(0.35, gt=0, description="how far these lie from the last fit, radians")
+    whole_share: float = Field(
+        0.95,
+        ge=0,
+        le=1,
+        description="a silhouette's box with less than this share of the median's points has lost a part of the object",
+    )
+    silhouette_margin: float = Field(
+        0.03, ge=0, le=1, description="points this share of a box's size outside still count as held (detector's blur)"
+    )
+
+
 class RcvConfig(BaseModel):
     """Settings of the recursion. Defaults are the ones that measured best (docs/benchmarks.md)."""
 
@@ -48,6 +122,9 @@ class RcvConfig(BaseModel):
     orientation: Orientation = Orientation.FREE
     box_kind: BoxKind = Field(BoxKind.BOX, description="what the view detector's boxes measure")
     view: ViewConfig = ViewConfig()
+    axes: AxesConfig = AxesConfig()
+    consensus: ConsensusConfig = ConsensusConfig()
+    fit: FitConfig = FitConfig()
 
     max_steps: int = Field(5, ge=1, le=20, description="step limit, the first (camera axes) included")
     min_points: int = Field(5, ge=1, description="a cloud with fewer points ends the recursion, points")
@@ -62,6 +139,11 @@ class RcvConfig(BaseModel):
         0.3, ge=0, le=1, description="1D IoU of front and side box on their shared axis for a pair, first step"
     )
     max_objects_per_frustum: int = Field(5, ge=1, description="pairs that survive the first step, objects")
+    stranger_weight: float = Field(
+        0.1, ge=0, description="what a detection away from the last box still counts, against 1 for one that fits it"
+    )
+    border_px: float = Field(1.0, ge=0, description="an edge this near to the picture's border was cut off, pixels")
+    cut_room: float = Field(1.4, ge=1, description="pictures after a cut-off show so many times the box, factor")
     keep_margin: float = Field(0.03, ge=0, le=1, description="points this share of the box's size outside are kept")
     keep_margin_view: float = Field(
         0.04, ge=0, le=1, description="points this share of the view's extent outside are kept (the detector's blur)"
@@ -71,18 +153,3 @@ class RcvConfig(BaseModel):
         description="propose a coarse box for a lost object: its last one, or that around its frustum's points",
     )
     nms_iou: float = Field(0.3, ge=0, le=1, description="of two boxes of a class that overlap more, the better stays")
-
-    kmeans_clusters: int = Field(6, ge=1, le=16, description="clusters of point normals")
-    min_normals: int = Field(30, ge=3, description="fewer usable normals fall back to eigenvectors, points")
-    min_flatness: float = Field(
-        0.05, ge=0, lt=1, description="relative gap of neighbouring eigenvalues below which they fix no axes"
-    )
-
-    upright_hypotheses: int = Field(4, ge=2, le=16, description="yaws of a wide consensus step, over a quarter turn")
-    free_hypotheses: int = Field(12, ge=4, le=64, description="orientations of a wide consensus step")
-    refine_hypotheses: int = Field(3, ge=1, le=16, description="hypotheses of a step around the last fit")
-    refine_spread_rad: float = Field(0.35, gt=0, description="how far these lie from the last fit, radians")
-    edge_noise: float = Field(
-        0.02, gt=0, description="expected error of a detected edge, share of the view's extent; scales the robust fit"
-    )
-    seed: int = Field(0, description="of K-means")

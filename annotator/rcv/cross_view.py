@@ -13,12 +13,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-# An edge this near to the picture's border was cut off by it, pixels: the object may go on beyond.
-BORDER_PX = 1.0
-# A cut edge is known only not to lie further inside; it counts as so many times less certain.
-CUT_DOUBT = 3.0
-# A detection that fits the last box not at all still competes with this share of its score.
-STRANGER = 0.1
+# Keeps the error of an edge finite, whatever the detector says of itself; its square root is taken.
+LEAST_SCORE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +106,7 @@ def pair_all(
     return chosen
 
 
-def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) -> int | None:
+def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, config: RcvConfig) -> int | None:
     """The one detection that goes on: the best score times agreement with the last box.
 
     Args:
@@ -127,7 +123,7 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None) ->
     seen = last @ view.axes[:2].T
     expected = view.box_px(np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1), boxes[0].label)
     agreement = np.array([box_iou(box, expected) for box in boxes])
-    return int(np.argmax(scores * (STRANGER + agreement)))
+    return int(np.argmax(scores * (config.stranger_weight + agreement)))
 
 
 def box_iou(a: Box2D, b: Box2D) -> float:
@@ -140,21 +136,22 @@ def box_iou(a: Box2D, b: Box2D) -> float:
     return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
-def measured_intervals(view: PseudoView, box: Box2D, edge_noise: float) -> Intervals:
+def measured_intervals(view: PseudoView, box: Box2D, config: RcvConfig) -> Intervals:
     """What a detection measures along the view's x and y, with the expected error of each end."""
-    noise = edge_noise * view.extent_m[:, None] / np.sqrt(max(box.score, 0.05))
+    noise = config.fit.edge_noise * view.extent_m[:, None] / np.sqrt(max(box.score, LEAST_SCORE))
     sigma = np.repeat(noise, 2, axis=1)
-    sigma[cut_edges(view, box)] *= CUT_DOUBT
+    # A cut edge is known only not to lie further inside.
+    sigma[cut_edges(view, box, config)] *= config.fit.cut_doubt
     return Intervals(view.axes[:2], view.interval_m(box), sigma)
 
 
-def cut_edges(view: PseudoView, box: Box2D) -> Bool[np.ndarray, "2 2"]:
+def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> Bool[np.ndarray, "2 2"]:
     """Which edges of a box lie on the picture's border: rows x and y, columns low and high."""
     height_px, width_px = view.rgb.shape[:2]
     return np.array(
         [
-            [box.x_min <= BORDER_PX - 0.5, box.x_max >= width_px - 0.5 - BORDER_PX],
-            [box.y_min <= BORDER_PX - 0.5, box.y_max >= height_px - 0.5 - BORDER_PX],
+            [box.x_min <= config.border_px - 0.5, box.x_max >= width_px - 0.5 - config.border_px],
+            [box.y_min <= config.border_px - 0.5, box.y_max >= height_px - 0.5 - config.border_px],
         ]
     )
 

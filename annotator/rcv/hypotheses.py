@@ -15,10 +15,10 @@ def wide_frames(up: Float64[np.ndarray, "3"] | None, config: RcvConfig) -> list[
     """Frames spread over all orientations that a box can have: yaws of a quarter turn, or over SO(3)."""
     base = camera_frame(up)
     if up is not None:
-        turns = np.arange(config.upright_hypotheses) * (np.pi / 2 / config.upright_hypotheses)
+        turns = np.arange(config.consensus.upright_hypotheses) * (np.pi / 2 / config.consensus.upright_hypotheses)
         rotations = Rotation.from_rotvec(turns[:, None] * up).as_matrix()
     else:
-        rotations = spread_rotations(config.free_hypotheses)
+        rotations = spread_rotations(config.consensus.free_hypotheses)
     return [look_from_camera(base @ turn.T, up) for turn in rotations]
 
 
@@ -29,7 +29,7 @@ def near_frames(
 
     A fit learns little from more views along its own axes; views from beside them are what holds its rotation.
     """
-    count, spread = config.refine_hypotheses, config.refine_spread_rad
+    count, spread = config.consensus.refine_hypotheses, config.consensus.refine_spread_rad
     if up is not None:
         angles = np.linspace(-spread, spread, count) if count > 1 else np.zeros(1)
         offsets = angles[:, None] * up

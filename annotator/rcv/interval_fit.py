@@ -16,17 +16,18 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.axes import BOX_SYMMETRIES
+from annotator.rcv.config import FitConfig
 
-HUBER_DELTA = 1.5
+# How densely the search looks and how long it refines: steps of a computation, which decide nothing about an object.
 GRID_SIZE = 400
 YAW_GRID = 36
 STARTS = 6
+START_DISTANCE_RAD = float(np.deg2rad(10))
 REFINE_ROUNDS = 12
-MIN_SIZE_M = 1e-3
 # Keeps the normal equations solvable while a direction is not measured at all; such a fit is refused in the end.
 RIDGE = 1e-6
-# Below this the equations, each unknown scaled to one, leave a combination of the unknowns open.
-MIN_SINGULAR = 0.02
+
+DEFAULTS = FitConfig()
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,19 @@ class BoxFit:
     residual_m: float
 
 
-def fit_box(intervals: Intervals, up: Float64[np.ndarray, "3"] | None, near: np.ndarray | None = None) -> BoxFit | None:
+def fit_box(
+    intervals: Intervals,
+    up: Float64[np.ndarray, "3"] | None,
+    near: np.ndarray | None = None,
+    config: FitConfig = DEFAULTS,
+) -> BoxFit | None:
     """The box that explains the intervals best; None where they do not fix one.
 
     Args:
         up: holds the box's z axis at this unit vector; None leaves the rotation free.
         near: (3, 3) box rotation to try besides the grid, such as the last step's.
     """
-    problem = _Edges.of(intervals)
+    problem = _Edges.of(intervals, config)
     if problem.count < (7 if up is not None else 9):
         return None
     rotations = _yaw_grid(up) if up is not None else _free_grid()
@@ -86,7 +92,7 @@ def fit_box(intervals: Intervals, up: Float64[np.ndarray, "3"] | None, near: np.
     starts = rotations[_distinct_best(rotations, costs, STARTS)]
     fits = problem.refine(starts, up)
     best = int(np.argmin(fits.cost))
-    if not np.isfinite(fits.cost[best]) or (fits.size[best] <= MIN_SIZE_M).any():
+    if not np.isfinite(fits.cost[best]) or (fits.size[best] <= config.min_size_m).any():
         return None
     if not problem.fixes(fits.rotation[best : best + 1], fits.size[best : best + 1], up):
         return None
@@ -116,15 +122,17 @@ class _Edges:
     value: np.ndarray  # (e,)
     sigma: np.ndarray  # (e,)
     shift: np.ndarray  # (3,) what was subtracted from all positions
+    config: FitConfig
 
     @classmethod
-    def of(cls, intervals: Intervals) -> _Edges:
+    def of(cls, intervals: Intervals, config: FitConfig) -> _Edges:
         finite = np.isfinite(intervals.sigma_m)
         middle = intervals.ends_m.mean(axis=1)
         shift = np.linalg.lstsq(intervals.directions, middle, rcond=None)[0]
         direction = np.repeat(intervals.directions[:, None], 2, axis=1)[finite]
         sign = np.broadcast_to(np.array([-1.0, 1.0]), finite.shape)[finite]
-        return cls(direction, sign, intervals.ends_m[finite] - direction @ shift, intervals.sigma_m[finite], shift)
+        value = intervals.ends_m[finite] - direction @ shift
+        return cls(direction, sign, value, intervals.sigma_m[finite], shift, config)
 
     @property
     def count(self) -> int:
@@ -137,9 +145,9 @@ class _Edges:
 
     def weights(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Huber weights (k, e) and costs (k,) of residuals."""
-        scaled = np.abs(residual) / self.sigma
-        weight = np.minimum(1.0, HUBER_DELTA / np.maximum(scaled, 1e-12)) / self.sigma**2
-        cost = np.where(scaled <= HUBER_DELTA, 0.5 * scaled**2, HUBER_DELTA * (scaled - 0.5 * HUBER_DELTA))
+        scaled, delta = np.abs(residual) / self.sigma, self.config.huber_sigmas
+        weight = np.minimum(1.0, delta / np.maximum(scaled, 1e-12)) / self.sigma**2
+        cost = np.where(scaled <= delta, 0.5 * scaled**2, delta * (scaled - 0.5 * delta))
         return weight, cost.sum(axis=1)
 
     def linear(self, rotation: np.ndarray, rounds: int) -> _Solutions:
@@ -153,7 +161,7 @@ class _Edges:
         solution = np.zeros((k, 6))
         for _ in range(rounds):
             solution = _solve(design, weight, np.broadcast_to(self.value, (k, self.count)))
-            solution[:, 3:] = np.maximum(solution[:, 3:], MIN_SIZE_M)
+            solution[:, 3:] = np.maximum(solution[:, 3:], self.config.min_size_m)
             weight, cost = self.weights((design @ solution[:, :, None])[:, :, 0] - self.value)
         return _Solutions(solution[:, :3], rotation, solution[:, 3:], cost)
 
@@ -169,7 +177,7 @@ class _Edges:
             jacobian = self._jacobian(rotation, size, up)
             step = _solve(jacobian, weight, -residual, damping)
             new_center = center + step[:, :3]
-            new_size = np.maximum(size + step[:, 3:6], MIN_SIZE_M)
+            new_size = np.maximum(size + step[:, 3:6], self.config.min_size_m)
             vector = step[:, 6 : 6 + turns] * up if up is not None else step[:, 6:9]
             new_rotation = Rotation.from_rotvec(vector).as_matrix() @ rotation
             _, new_cost = self.weights(self.residuals(new_center, new_rotation, new_size))
@@ -187,7 +195,7 @@ class _Edges:
         scale = np.linalg.norm(jacobian, axis=0)
         if (scale == 0).any():
             return False
-        return bool(np.linalg.svd(jacobian / scale, compute_uv=False)[-1] > MIN_SINGULAR)
+        return bool(np.linalg.svd(jacobian / scale, compute_uv=False)[-1] > self.config.min_determinacy)
 
     def _jacobian(self, rotation: np.ndarray, size: np.ndarray, up: np.ndarray | None) -> np.ndarray:
         """(k, e, 7 or 9) derivative of the residuals by centre, size and rotation (about camera axes, or `up`)."""
@@ -214,9 +222,9 @@ def _solve(design: np.ndarray, weight: np.ndarray, target: np.ndarray, damping: 
 
 
 def _distinct_best(rotations: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
-    """Indices of the best rotations that are at least 10 degrees apart, box symmetries counted as equal."""
+    """Indices of the best rotations that are at least `START_DISTANCE_RAD` apart, box symmetries counted as equal."""
     chosen: list[int] = []
-    limit = 1 + 2 * np.cos(np.deg2rad(10))
+    limit = 1 + 2 * np.cos(START_DISTANCE_RAD)
     for index in np.argsort(costs, kind="stable"):
         relative = np.einsum("sij,mjl->smil", BOX_SYMMETRIES, rotations[chosen].swapaxes(1, 2)) if chosen else None
         if relative is not None:

@@ -15,11 +15,6 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-# A silhouette that holds less than this share of the points that most hold has lost a part of the object.
-WHOLE_SHARE = 0.95
-# Points so far outside of a silhouette's box still count as held, share of its size: the detector's blur.
-SILHOUETTE_MARGIN = 0.03
-
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
@@ -47,11 +42,11 @@ class Measurement:
 
 
 def choose_all(
-    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None, config: RcvConfig
 ) -> tuple[int | None, ...]:
     """For each view the one detection that continues the last box."""
     corners = None if last is None else box_corners(last)
-    return tuple(cross_view.choose(view, found, corners) for view, found in zip(views, boxes, strict=True))
+    return tuple(cross_view.choose(view, found, corners, config) for view, found in zip(views, boxes, strict=True))
 
 
 def measure_pair(
@@ -59,14 +54,15 @@ def measure_pair(
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
+    config: RcvConfig,
 ) -> Measurement | None:
     """The paper's step: one front and one side detection; None where a view has none."""
-    front, side = choose_all(views, boxes, last)
+    front, side = choose_all(views, boxes, last, config)
     if front is None or side is None:
         return None
     pair = cross_view.make_pair(frame, (views[0], views[1]), boxes[0], boxes[1], front, side)
     used = (front, side)
-    return Measurement(pair.box, frame, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used))
+    return Measurement(pair.box, frame, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config))
 
 
 def measure_consensus(
@@ -82,20 +78,20 @@ def measure_consensus(
 
     None where no view has a detection; the least-volume pair where the intervals do not fix a box.
     """
-    used = choose_all(views, boxes, last)
+    used = choose_all(views, boxes, last, config)
     seen = [(view, found[i]) for view, found, i in zip(views, boxes, used, strict=True) if i is not None]
     if not seen:
         return None
-    parts = [cross_view.measured_intervals(view, box, config.edge_noise) for view, box in seen]
+    parts = [cross_view.measured_intervals(view, box, config) for view, box in seen]
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
-    fit = fit_box(intervals, up, None if last is None else last.rotation)
+    fit = fit_box(intervals, up, None if last is None else last.rotation, config.fit)
     if fit is None:
         pairs = _pairs(frames, views, boxes, used)
         return _least_volume(pairs, used, intervals, ("consensus: the measured intervals fix no box",))
     box = OrientedBox(RigidTransform.from_components(fit.center_m, Rotation.from_matrix(fit.rotation)), fit.size_m)
     score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
-    return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used))
+    return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used, config))
 
 
 def _pairs(
@@ -113,10 +109,12 @@ def _pairs(
     return pairs
 
 
-def any_cut(views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None]) -> bool:
+def any_cut(
+    views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None], config: RcvConfig
+) -> bool:
     """True where a used detection touches the border of its picture."""
     return any(
-        i is not None and bool(cross_view.cut_edges(view, found[i]).any())
+        i is not None and bool(cross_view.cut_edges(view, found[i], config).any())
         for view, found, i in zip(views, boxes, used, strict=True)
     )
 
@@ -139,17 +137,22 @@ def measure_tightest(
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
     cloud: PointCloud,
+    config: RcvConfig,
 ) -> Measurement | None:
     """The least-volume box among the hypotheses: silhouettes are narrower than the box off its own axes.
 
     A hypothesis whose detections missed a part of the object would win by being small; so those that hold clearly
     fewer points than most do not take part.
     """
-    used = choose_all(views, boxes, last)
+    used = choose_all(views, boxes, last, config)
     pairs = _pairs(frames, views, boxes, used)
     if not pairs:
         return None
-    margin = SILHOUETTE_MARGIN * float(np.median([pair.box.size_m.mean() for pair in pairs]))
+    margin = config.consensus.silhouette_margin * float(np.median([pair.box.size_m.mean() for pair in pairs]))
     held = np.array([contains(pair.box, cloud.xyz_m, margin).sum() for pair in pairs])
-    whole = [pair for pair, points in zip(pairs, held, strict=True) if points >= WHOLE_SHARE * np.median(held)]
+    whole = [
+        pair
+        for pair, points in zip(pairs, held, strict=True)
+        if points >= config.consensus.whole_share * np.median(held)
+    ]
     return _least_volume(whole, used, None)

@@ -19,7 +19,7 @@ def needs_normals(config: RcvConfig) -> bool:
     )
 
 
-def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"]) -> PointCloud:
+def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"], config: RcvConfig) -> PointCloud:
     """The frame's cloud with normals at least for the wanted points; zero where unknown.
 
     An organised depth image gives them from pixel neighbours; otherwise the nearest neighbours among the wanted
@@ -33,5 +33,5 @@ def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"]) -> PointCloud:
         return replace(cloud, normals=grid[cloud.pixel_index])
     normals = np.zeros((len(cloud), 3), np.float32)
     if wanted.any():
-        normals[wanted] = normals_knn(cloud.xyz_m[wanted])
+        normals[wanted] = normals_knn(cloud.xyz_m[wanted], config.axes.normal_neighbours)
     return replace(cloud, normals=normals)

@@ -97,7 +97,7 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
     mask &= contains(box, frame.cloud.xyz_m, config.keep_margin * float(box.size_m.mean()))
     if mask.sum() < config.min_points:
         return None
-    cloud = with_normals(frame, mask).select(mask)
+    cloud = with_normals(frame, mask, config).select(mask)
     up = held_direction(frame.up, config)
     axes = find_axes(cloud, Strategy.NORMALS, front_axes, up, config).frame
     front, side = render_pairs(cloud, [axes], config.view, box_corners(box))

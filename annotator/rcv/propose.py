@@ -70,7 +70,7 @@ def _frustums(index: int, frame: Frame, boxes: Sequence[Box2D], config: RcvConfi
     masks = [in_frustum(frame.camera, frame.cloud.xyz_m, box) for box in boxes]
     cloud = frame.cloud
     if boxes and needs_normals(config):
-        cloud = with_normals(frame, np.logical_or.reduce(masks))
+        cloud = with_normals(frame, np.logical_or.reduce(masks), config)
     return [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
 
 

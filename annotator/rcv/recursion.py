@@ -35,9 +35,6 @@ from annotator.types import (
     ViewTrace,
 )
 
-# How much larger than the box the pictures are after one of them cut it off.
-CUT_ROOM = 1.4
-
 
 @dataclass(frozen=True, eq=False)
 class ObjectState:
@@ -119,13 +116,13 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
     else:
         axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
-    show = None if state.box is None else box_corners(_shown(state.box, state.is_cut))
+    show = None if state.box is None else box_corners(_shown(state.box, state.is_cut, config))
     return StepPlan(strategy, fallback, tuple(frames), tuple(render_pairs(state.cloud, frames, config.view, show)))
 
 
-def _shown(box: OrientedBox, is_cut: bool) -> OrientedBox:
+def _shown(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
     """What the next pictures must show: the box, or, where it was cut off, room around it."""
-    return OrientedBox(box.T_camera_box, box.size_m * (CUT_ROOM if is_cut else 1.0))
+    return OrientedBox(box.T_camera_box, box.size_m * (config.cut_room if is_cut else 1.0))
 
 
 def _consensus_frames(
@@ -156,9 +153,9 @@ def absorb_step(
     if not state.steps:
         return _absorb_first(state, plan, boxes, config)
     if plan.strategy is not Strategy.CONSENSUS:
-        measured = measure_pair(plan.frames[0], plan.views, boxes, state.box)
+        measured = measure_pair(plan.frames[0], plan.views, boxes, state.box, config)
     elif config.box_kind is BoxKind.SILHOUETTE:
-        measured = measure_tightest(plan.frames, plan.views, boxes, state.box, state.cloud)
+        measured = measure_tightest(plan.frames, plan.views, boxes, state.box, state.cloud, config)
     else:
         measured = measure_consensus(plan.frames, plan.views, boxes, state.box, state.measured, state.up, config)
     return [_advance(state, plan, boxes, measured, config)]
@@ -175,13 +172,13 @@ def _absorb_first(
     for pair in pairs:
         intervals = Intervals.concatenate(
             [
-                cross_view.measured_intervals(views[0], boxes[0][pair.front], config.edge_noise),
-                cross_view.measured_intervals(views[1], boxes[1][pair.side], config.edge_noise),
+                cross_view.measured_intervals(views[0], boxes[0][pair.front], config),
+                cross_view.measured_intervals(views[1], boxes[1][pair.side], config),
             ]
         )
         used = (pair.front, pair.side)
         measured = Measurement(
-            pair.box, frame, pair.disagreement, pair.score, used, intervals, cut=any_cut(views, boxes, used)
+            pair.box, frame, pair.disagreement, pair.score, used, intervals, cut=any_cut(views, boxes, used, config)
         )
         results.append(_advance(state, plan, boxes, measured, config))
     return results

@@ -23,6 +23,8 @@ from annotator.rcv.hypotheses import look_from_camera
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 
+# How random crops are made: they describe what training pictures shall look like and not the recursion, which reads its
+# thresholds from `RcvConfig`. Other values need a new training and a new measurement, so they are no settings.
 MIN_POINTS = 5
 # An object of which less than this share of its points is in a picture is not labelled on it.
 MIN_SHARE = 0.3
