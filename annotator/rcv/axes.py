@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
-from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import PointCloud
 
 # K-means settles in a few rounds and stops then; this only bounds the time of one that swings to and fro.
@@ -179,10 +179,9 @@ def find_axes(
 
     Args:
         strategy: camera, eigenvectors or normals.
-        up: unit vector against gravity; used with an upright orientation only.
+        up: unit vector against gravity that the frame is held at, as `held_direction` gives it; None leaves it free.
     """
-    held = up if config.orientation is Orientation.UPRIGHT else None
-    symmetries = UPRIGHT_SYMMETRIES if held is not None else BOX_SYMMETRIES
+    symmetries = UPRIGHT_SYMMETRIES if up is not None else BOX_SYMMETRIES
     failed: list[str] = []
     simpler = {
         Strategy.NORMALS: (Strategy.NORMALS, Strategy.EIGENVECTORS),
@@ -192,11 +191,11 @@ def find_axes(
         try:
             if candidate is Strategy.NORMALS:
                 normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
-                frame = normal_frame(normals, held, config)
+                frame = normal_frame(normals, up, config)
             else:
-                frame = eigenvector_frame(cloud.xyz_m, held, config)
+                frame = eigenvector_frame(cloud.xyz_m, up, config)
         except NoAxesError as error:
             failed.append(f"{candidate}: {error}")
             continue
         return Axes(match_frame(frame, reference, symmetries), candidate, tuple(failed))
-    return Axes(camera_frame(held), Strategy.CAMERA, tuple(failed))
+    return Axes(camera_frame(up), Strategy.CAMERA, tuple(failed))

@@ -29,13 +29,9 @@ class Window:
     height_px: int
 
 
-def front_axes(frame: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3 3"]:
-    """Rows = x, y, z of the view along the third of a frame's axes (rows a1, a2, a3, camera frame)."""
-    return frame
-
-
 def side_axes(frame: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3 3"]:
-    """Rows = x, y, z of the view that shares a2 with the front view and has a3 to the right."""
+    """Rows = x, y, z of the view that shares a2 with the front view (whose rows are the frame's: a1, a2, a3, camera
+    frame) and has a3 to the right."""
     return np.stack([frame[2], frame[1], -frame[0]])
 
 
@@ -175,4 +171,4 @@ def _render_pair(
         picture = draw(along[right], along[down], depth, packed, window, config.max_splat_px)
         return PseudoView(picture, axes, window.metres_per_px, window.origin_m, cloud.xyz_m)
 
-    return view(front_axes(frame), 0, 1, along[2]), view(side_axes(frame), 2, 1, -along[0])
+    return view(frame, 0, 1, along[2]), view(side_axes(frame), 2, 1, -along[0])
