@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from annotator.detection.config import TrainingConfig
+from annotator.detection.config import DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.training import train_detector
@@ -160,7 +160,7 @@ def run(args: Arguments) -> dict[str, object]:
         samples = (TrainingSample(view.view.rgb, view.boxes, key, "projected") for key, view in taught)
         write_dataset(folder / "set", samples, classes, seed=args.seed, kind=BoxKind.BOX)
         trained = train_detector(folder / "set", folder / "run", config, report)
-        detector = YoloDetector(trained.weights, args.size)
+        detector = YoloDetector(trained.weights, DetectorConfig(image_size_px=args.size))
         found = detector.detect([view.view for view in asked])
         speed = {str(batch): milliseconds(detector, asked, batch) for batch in BATCHES}
     return {

@@ -1,4 +1,4 @@
-"""How a detector is trained."""
+"""How a detector is trained, and how it is run."""
 
 from __future__ import annotations
 
@@ -85,3 +85,18 @@ class TrainingConfig(BaseModel):
     def epochs_for(self, images: int) -> int:
         """Epochs of a run over that many training pictures; at least 10 and at most 300 where they are not given."""
         return self.epochs or min(max(round(self.pictures_seen / images), 10), 300)
+
+
+class DetectorConfig(BaseModel):
+    """Settings of a trained detector at work; all but the device are part of its fingerprint."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    image_size_px: int = Field(
+        ge=32, description="the longer side of a picture is scaled to this; best what it was trained with; pixels"
+    )
+    confidence: float = Field(
+        0.05, ge=0, le=1, description="boxes with a lower score are left out; low, because the 3D method weighs them"
+    )
+    iou: float = Field(0.6, ge=0, le=1, description="of two boxes of a class that overlap more (IoU), the better stays")
+    device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")

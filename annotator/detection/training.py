@@ -17,7 +17,7 @@ from annotator.detection.pretrained import StartingPoint, check_weights, find_st
 from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
 from annotator.detection.ultralytics_api import api, pick_device
-from annotator.types.errors import DetectionError
+from annotator.types.errors import ConfigError, DetectionError
 
 MEASUREMENTS = 12
 
@@ -49,11 +49,14 @@ def train_detector(
         the trained model, as `read_trained(out)` gives it again later.
 
     Raises:
-        ConfigError: an unknown model name, or a weights file that is missing or damaged.
+        ConfigError: an unknown model name, a weights file that is missing or damaged, or a path that ultralytics
+            cannot read.
         DetectionError: the device is not there, or the training fails.
         FormatError: `dataset` is not a training set.
         TrainingStoppedError: `stop` said so.
     """
+    if "?" in str(out.resolve()):  # ultralytics reads no weights there, and would say so after the training
+        raise ConfigError(f"{out.resolve()}: a detector cannot be kept in a folder with a question mark; rename it")
     manifest = read_manifest(dataset)
     device = pick_device(config.device)
     fingerprint = _fingerprint(manifest, config, role)

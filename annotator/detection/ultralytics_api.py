@@ -82,6 +82,7 @@ def _load() -> SimpleNamespace:
     from ultralytics.utils.torch_utils import strip_optimizer
 
     _hide_repository(trainer)
+    _take_paths_as_they_are(downloads)
     return SimpleNamespace(
         torch=torch,
         load_checkpoint=load_checkpoint,
@@ -99,6 +100,17 @@ def _load() -> SimpleNamespace:
 def _hide_repository(trainer: ModuleType) -> None:
     """Checkpoints would otherwise hold the path, branch and origin of whatever repository surrounds the packages."""
     trainer.GIT = SimpleNamespace(root=None, branch=None, commit=None, message=None, origin=None)  # type: ignore[attr-defined]
+
+
+def _take_paths_as_they_are(downloads: ModuleType) -> None:
+    """Ultralytics looks for weights without the quotation marks and outer spaces of their path; a file that is there
+    needs no looking for. (Also, it would take a user's own yolov5n.pt for its newer relative.)"""
+    search = downloads.attempt_download_asset
+
+    def attempt_download_asset(file: str | Path, *args: Any, **kwargs: Any) -> str:
+        return str(file) if Path(file).is_file() else search(file, *args, **kwargs)
+
+    downloads.attempt_download_asset = attempt_download_asset  # type: ignore[attr-defined]
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
+from annotator.detection.config import DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
 from annotator.detection.suppression import suppress
 from annotator.detection.ultralytics_api import api, load_weights, pick_device
@@ -38,36 +39,22 @@ class YoloDetector:
         weights: its weights file.
     """
 
-    def __init__(
-        self,
-        weights: Path,
-        image_size_px: int,
-        confidence: float = 0.05,
-        iou: float = 0.6,
-        device: str = "auto",
-    ) -> None:
+    def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """
         Args:
             weights: `detector.pt` of a training run, or any detection weights of ultralytics.
-            image_size_px: the longer side of a picture is scaled to this; best what it was trained with.
-            confidence: boxes with a lower score are left out.
-            iou: of two boxes of a class that overlap more, the better stays.
-            device: auto, cpu, cuda, cuda:1 or mps.
+            config: settings.
 
         Raises:
-            DetectionError: unusable weights, settings or device.
+            DetectionError: unusable weights or device.
         """
-        if not 0 <= confidence <= 1 or not 0 <= iou <= 1:
-            raise DetectionError(f"confidence and iou of a detector must be 0 to 1, not {confidence} and {iou}")
-        if image_size_px < 32:
-            raise DetectionError(f"a detector needs pictures of at least 32 px, not {image_size_px}")
         self.weights = weights
-        self._image_size_px, self._confidence, self._iou = image_size_px, confidence, iou
-        self._device = pick_device(device)
+        self._config = config
+        self._device = pick_device(config.device)
         self._model = prepare_model(weights, self._device)
         self._stride = max(int(self._model.stride.max()), 32)
         self._labels = tuple(str(self._model.names[number]) for number in sorted(self._model.names))
-        settings = f"{REVISION} {image_size_px} {confidence} {iou}"
+        settings = f"{REVISION} {config.image_size_px} {config.confidence} {config.iou}"
         self._fingerprint = hashlib.sha256(weights.read_bytes() + settings.encode()).hexdigest()
 
     @property
@@ -87,7 +74,7 @@ class YoloDetector:
             DetectionError: a picture is not (H, W, 3) uint8.
         """
         pictures = [_checked(image.rgb) for image in images]
-        placements = [place(picture.shape[:2], self._image_size_px, self._stride) for picture in pictures]
+        placements = [place(picture.shape[:2], self._config.image_size_px, self._stride) for picture in pictures]
         # Pictures that need the same canvas share a batch. So an answer does not depend on what else is asked,
         # and narrow pictures are not computed with wide borders.
         by_canvas: dict[tuple[int, int], list[int]] = defaultdict(list)
@@ -112,7 +99,10 @@ class YoloDetector:
             batch = pixels.to(self._device).permute(0, 3, 1, 2).float().div_(255)
             answer = self._model(batch)
             picture, boxes, scores, numbers = select(
-                answer[0] if isinstance(answer, tuple) else answer, len(self._labels), self._confidence, self._iou
+                answer[0] if isinstance(answer, tuple) else answer,
+                len(self._labels),
+                self._config.confidence,
+                self._config.iou,
             )
         found: list[list[Box2D]] = [[] for _ in pictures]
         edges = to_pictures(boxes, picture, placements)
@@ -144,7 +134,7 @@ def select(
         prediction: (n, 4 + classes, candidates) with centre, size and class scores, or from networks that need no
             suppression (n, candidates, 6) with x_min y_min x_max y_max score class.
         classes: number of classes.
-        confidence, iou: as for `YoloDetector`.
+        confidence, iou: as in `DetectorConfig`.
 
     Returns:
         for k boxes, best score first: number of the picture, x_min y_min x_max y_max in pixels from the batch's

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.project.models import Role, StoredModel
@@ -29,7 +30,7 @@ def load_detector(weights: Path) -> Detector:
         DetectionError: missing or unreadable weights.
         FormatError: what should lie beside them is missing.
     """
-    return YoloDetector(weights, read_trained(weights.parent).image_size_px)
+    return YoloDetector(weights, DetectorConfig(image_size_px=read_trained(weights.parent).image_size_px))
 
 
 def active_detectors(project: Project) -> Detectors:

@@ -71,6 +71,12 @@ def test_damaged_weights_to_start_from_end_a_training_before_it_begins(tiny_data
     assert (tmp_path / "run" / "model.json").read_text() == "an older run"
 
 
+def test_a_folder_that_ultralytics_cannot_read_is_told_before_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="question mark; rename it"):
+        train_detector(tiny_dataset, tmp_path / "what?" / "run", SHORT)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_was(
     tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.yolo import YoloDetector, select
@@ -24,9 +26,13 @@ class Picture:
     rgb: np.ndarray
 
 
+def make(weights: Path, **settings: Any) -> YoloDetector:
+    return YoloDetector(weights, DetectorConfig(**{"image_size_px": 96, "device": "cpu", **settings}))
+
+
 @pytest.fixture(scope="module")
 def detector(tiny_model: TrainedModel) -> YoloDetector:
-    return YoloDetector(tiny_model.weights, 96, device="cpu")
+    return make(tiny_model.weights)
 
 
 def test_it_is_a_detector(detector: YoloDetector) -> None:
@@ -46,7 +52,7 @@ def test_it_finds_and_tells_apart_what_it_was_taught(detector: YoloDetector, sce
 
 
 def test_best_score_first_and_on_the_picture(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    eager = YoloDetector(detector.weights, 96, confidence=0.001, device="cpu")
+    eager = make(detector.weights, confidence=0.001)
     for boxes in eager.detect([scene(seed) for seed in range(8)]):
         scores = [box.score for box in boxes]
         assert scores == sorted(scores, reverse=True)
@@ -74,7 +80,7 @@ def test_it_agrees_with_ultralytics_own_predictor(
     from ultralytics import YOLO
 
     theirs = YOLO(str(tiny_model.weights))
-    ours = YoloDetector(tiny_model.weights, 96, confidence=0.1, iou=0.6, device="cpu")
+    ours = make(tiny_model.weights, confidence=0.1, iou=0.6)
     compared = 0
     for seed, size in enumerate([(96, 96), (70, 96), (96, 50), (240, 180), (96, 96), (120, 130)]):
         one = scene(seed + 50, size)
@@ -118,7 +124,7 @@ def test_the_fingerprint_follows_weights_and_settings(
     detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path
 ) -> None:
     def fingerprint(weights: Path = tiny_model.weights, size: int = 96, **settings: float) -> str:
-        return YoloDetector(weights, size, device="cpu", **settings).fingerprint
+        return make(weights, image_size_px=size, **settings).fingerprint
 
     assert fingerprint() == detector.fingerprint
     moved = tmp_path / "moved.pt"
@@ -127,10 +133,20 @@ def test_the_fingerprint_follows_weights_and_settings(
     assert len({fingerprint(), fingerprint(size=128), fingerprint(confidence=0.2), fingerprint(iou=0.5)}) == 4
 
 
+@pytest.mark.parametrize("name", ["o'neil", "a [1]", "100%", " "])
+def test_weights_are_found_whatever_their_folder_is_called(
+    detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path, name: str
+) -> None:
+    path = tmp_path / name / "yolov5n.pt"
+    path.parent.mkdir()
+    path.write_bytes(tiny_model.weights.read_bytes())
+    assert make(path).fingerprint == detector.fingerprint
+
+
 @pytest.mark.parametrize("settings", [{"confidence": 1.5}, {"iou": -0.1}, {"image_size_px": 8}])
-def test_settings_out_of_range(tiny_model: TrainedModel, settings: dict[str, Any]) -> None:
-    with pytest.raises(DetectionError):
-        YoloDetector(tiny_model.weights, **{"image_size_px": 96, **settings})
+def test_settings_out_of_range(settings: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError, match=next(iter(settings))):
+        DetectorConfig(**{"image_size_px": 96, **settings})
 
 
 def test_networks_that_need_no_suppression() -> None:
