@@ -2,12 +2,44 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import Any
 
-from sqlalchemy import Boolean, Column, Float, ForeignKey, Integer, MetaData, Table, Text
+from sqlalchemy import Boolean, Column, Dialect, Float, ForeignKey, Integer, MetaData, Table, Text
+from sqlalchemy.types import TypeDecorator
+
+from annotator.types.errors import ProjectError
+
+# Shorter texts stay as they are: they would gain little, and can be read with any SQLite tool.
+PACKED_FROM = 1000
 
 # a row that a query gives, with its columns as attributes (SQLAlchemy's `Row` cannot be checked at run time)
 AnyRow = Any
+
+
+class PackedText(TypeDecorator[str]):
+    """Text; a long one lies in the database as a zlib-compressed blob (from version 4 on, older rows stay text)."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: str | None, dialect: Dialect) -> str | bytes | None:
+        """From Python to the database."""
+        return value if value is None or len(value) < PACKED_FROM else zlib.compress(value.encode())
+
+    def process_result_value(self, value: str | bytes | None, dialect: Dialect) -> str | None:
+        """From the database to Python.
+
+        Raises:
+            ProjectError: a damaged blob.
+        """
+        if not isinstance(value, bytes):
+            return value
+        try:
+            return zlib.decompress(value).decode()
+        except (zlib.error, UnicodeDecodeError) as error:
+            raise ProjectError(f"an event of the project is damaged ({error}); restore it from a backup") from error
+
 
 METADATA = MetaData()
 
@@ -42,7 +74,7 @@ events = Table(
     Column("view_id", Text),
     Column("revision", Integer, nullable=False),
     Column("kind", Text, nullable=False),
-    Column("payload", Text, nullable=False),
+    Column("payload", PackedText, nullable=False),
     Column("author", Text, nullable=False),
     Column("time_ns", Integer, nullable=False),
     Column("source", Text, nullable=False),

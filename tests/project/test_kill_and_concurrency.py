@@ -158,7 +158,7 @@ def test_a_full_disk_is_said_and_loses_nothing(project: Project, frame: int) -> 
     with project.store.read() as connection:  # the pool's only connection so far, and so the next one too
         pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
         connection.exec_driver_sql(f"PRAGMA max_page_count = {pages + 2}")
-    many = [proposal_at(5.0 * n, steps=2, views=8) for n in range(10)]
+    many = [proposal_at(5.0 * n, steps=2, views=8) for n in range(100)]
     with pytest.raises(ProjectError, match=r"project\.db: cannot grow, the disk is full; nothing was changed"):
         project.proposals.replace(frame, many, by_hand(1))
     assert state_of(project) == before

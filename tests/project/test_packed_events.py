@@ -1,0 +1,73 @@
+"""Long events are packed in the database, and nobody who asks the project notices."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+
+import pytest
+from store_samples import by_hand, by_machine, proposal_at, state_of
+
+from annotator.project import Project
+from annotator.project.schema import PACKED_FROM
+from annotator.types import Box2D, BoxKind
+from annotator.types.errors import ProjectError
+
+
+def stored(project: Project) -> list[str | bytes]:
+    connection = sqlite3.connect(project.path / "project.db")
+    rows = [row[0] for row in connection.execute("SELECT payload FROM events ORDER BY id")]
+    connection.close()
+    return rows
+
+
+def fill(project: Project, frame: int) -> None:
+    project.proposals.replace(frame, [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)], by_machine())
+    project.boxes.set_on_image(frame, [Box2D("hand", 1.0, 2.0, 3.0, 4.0)], BoxKind.BOX, by_hand(1))
+
+
+def test_long_events_are_packed_and_read_back(project: Project, frame: int) -> None:
+    fill(project, frame)
+    packed, text = stored(project)
+    assert isinstance(packed, bytes)
+    assert isinstance(text, str)
+    passed, _ = project.log.of_frame(frame)
+    content = passed.payload.model_dump_json()
+    assert zlib.decompress(packed).decode() == content
+    assert len(content) > max(PACKED_FROM, 3 * len(packed))
+    before = state_of(project)
+    assert project.log.rebuild() == 2
+    assert state_of(project) == before
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    assert [found.proposal.trace for found in latest.objects] == [proposal_at(steps=3, views=8).trace] * 3
+
+
+def test_long_events_of_older_versions_are_still_text(
+    project: Project, frame: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as old:
+        old.setattr("annotator.project.schema.PACKED_FROM", 10**9)
+        fill(project, frame)
+    assert [type(row) for row in stored(project)] == [str, str]
+    before = state_of(project)
+    assert project.log.rebuild() == 2
+    assert state_of(project) == before
+    again = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
+    project.proposals.replace(frame, again, by_machine(2))
+    assert [type(row) for row in stored(project)] == [str, str, bytes]
+    first, _, third = project.log.of_frame(frame)
+    assert len(first.payload.model_dump_json()) == len(third.payload.model_dump_json())
+
+
+def test_a_damaged_event_is_told(project: Project, frame: int) -> None:
+    connection = sqlite3.connect(project.path / "project.db")
+    connection.execute(
+        "INSERT INTO events (frame_id, revision, kind, payload, author, time_ns, source) "
+        "VALUES (?, 1, 'frame_finalised', ?, 'ann', 5, 'manual')",
+        (frame, zlib.compress(b"{}" * 1000)[:-5]),
+    )
+    connection.commit()
+    connection.close()
+    with pytest.raises(ProjectError, match=r"event of the project is damaged .* restore it from a backup"):
+        project.log.of_frame(frame)
