@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool
 
+from annotator.geometry.frustum import in_frustum
 from annotator.geometry.normals import normals_from_depth, normals_knn
 from annotator.rcv.config import RcvConfig, Strategy
-from annotator.types import BoxKind, Frame, PointCloud
+from annotator.types import Box2D, BoxKind, Frame, PointCloud
 
 
 def needs_normals(config: RcvConfig) -> bool:
@@ -35,3 +37,11 @@ def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"], config: RcvConfig)
     if wanted.any():
         normals[wanted] = normals_knn(cloud.xyz_m[wanted], config.axes.normal_neighbours)
     return replace(cloud, normals=normals)
+
+
+def frame_with_normals(frame: Frame, image_boxes: Sequence[Box2D], config: RcvConfig) -> Frame:
+    """The frame whose cloud has normals in the frustums of these boxes, for who looks at one object after another."""
+    if not image_boxes or frame.cloud.normals is not None:
+        return frame
+    wanted = np.logical_or.reduce([in_frustum(frame.camera, frame.cloud.xyz_m, box) for box in image_boxes])
+    return replace(frame, cloud=with_normals(frame, wanted, config))

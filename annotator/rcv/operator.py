@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Bool
 
 from annotator.geometry.frustum import in_frustum
-from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.oriented_box import box_corners
 from annotator.rcv.axes import camera_frame, find_axes
 from annotator.rcv.config import RcvConfig, Strategy
-from annotator.rcv.cross_view import span_box
+from annotator.rcv.cross_view import make_pair
+from annotator.rcv.measure import any_cut
 from annotator.rcv.normals import with_normals
 from annotator.rcv.pseudo_view import render_pairs
-from annotator.rcv.recursion import held_direction
+from annotator.rcv.recursion import cut_cloud, held_direction, shown_box
 from annotator.types import Box2D, Frame, PseudoView
 
 LABELLED_STEPS = 2
@@ -57,6 +58,9 @@ class DrawnObject:
 def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvConfig) -> DrawnObject | None:
     """Goes through both steps with one object.
 
+    Args:
+        frame: with normals already (`frame_with_normals`) where several of its objects are drawn.
+
     Returns:
         None where the object gets lost: too few points, or a view on which nothing could be drawn.
     """
@@ -86,21 +90,28 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
     """The views after a step: what the front and the side box have cut out, along the normals' axes.
 
     Args:
+        frame: see `draw_object`.
         spans: of the front and the side view's box, in this order.
 
     Returns:
         None where too few points are left.
     """
-    (front_axes, front_span), (_, side_span) = spans
-    box = span_box(front_axes, np.stack([front_span[0], (front_span[1] + side_span[1]) / 2, side_span[0]]))
+    (axes, front_span), (_, side_span) = spans
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
-    mask &= contains(box, frame.cloud.xyz_m, config.keep_margin * float(box.size_m.mean()))
     if mask.sum() < config.min_points:
         return None
-    cloud = with_normals(frame, mask, config).select(mask)
-    up = held_direction(frame.up, config)
-    axes = find_axes(cloud, Strategy.NORMALS, front_axes, up, config).frame
-    front, side = render_pairs(cloud, [axes], config.view, box_corners(box))
+    frustum = with_normals(frame, mask, config).select(mask)
+    # As the recursion does it, so that the drawn views look like those that a detector will be shown.
+    front, side = render_pairs(frustum, [axes], config.view)
+    label = image_box.label
+    drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
+    box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box
+    cloud = cut_cloud(frustum, box, (front, side), config)
+    if len(cloud) < config.min_points:
+        return None
+    found = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).frame
+    show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0), config), config))
+    front, side = render_pairs(cloud, [found], config.view, show)
     return front, side
 
 

@@ -116,13 +116,18 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
     else:
         axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
-    show = None if state.box is None else box_corners(_shown(state.box, state.is_cut, config))
+    show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
     return StepPlan(strategy, fallback, tuple(frames), tuple(render_pairs(state.cloud, frames, config.view, show)))
 
 
-def _shown(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
+def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
     """What the next pictures must show: the box, or, where it was cut off, room around it."""
     return OrientedBox(box.T_camera_box, box.size_m * (config.cut_room if is_cut else 1.0))
+
+
+def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> PointCloud:
+    """What a step keeps: the points in its box, and those as near to it as its views may have blurred."""
+    return cloud.select(contains(box, cloud.xyz_m, cross_view.cut_margin_m(box, views, config)))
 
 
 def _consensus_frames(
@@ -197,8 +202,7 @@ def _advance(
         step = _step_trace(plan, boxes, (None,) * len(boxes), None, n, 0, StopReason.LOST)
         return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
     box = canonical_box(measured.box, state.up)
-    margin = cross_view.cut_margin_m(box, plan.views, config)
-    cloud = state.cloud.select(contains(box, state.cloud.xyz_m, margin))
+    cloud = cut_cloud(state.cloud, box, plan.views, config)
     inside = int(contains(box, cloud.xyz_m).sum())
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
     turned = np.inf if state.box is None else frame_angle(measured.frame, state.axes)

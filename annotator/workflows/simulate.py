@@ -19,6 +19,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.project import REVIEWED, Change, NewLabel, Project, StoredFrame
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.operator import DrawnObject, draw_object
 from annotator.rcv.teach import TaughtObject, project_box, span_on_view
 from annotator.recordings import Recording
@@ -122,13 +123,11 @@ def draw_frame(
     frame: Frame, objects: Sequence[TaughtObject], kind: BoxKind, config: RcvConfig
 ) -> tuple[list[Box2D], list[DrawnObject]]:
     """The boxes on the image, and the objects that could be finished."""
-    on_image: list[Box2D] = []
+    seen = [(item, box) for item in objects if (box := _image_box(frame, item, kind)) is not None]
+    on_image = [box for _, box in seen]
+    frame = frame_with_normals(frame, on_image, config)
     finished: list[DrawnObject] = []
-    for item in objects:
-        image_box = _image_box(frame, item, kind)
-        if image_box is None:
-            continue
-        on_image.append(image_box)
+    for item, image_box in seen:
         drawn = draw_object(frame, image_box, partial(_draw, frame=frame, item=item, kind=kind), config)
         if drawn is not None:
             finished.append(drawn)

@@ -22,6 +22,7 @@ from annotator.formats.json_file import write_text
 from annotator.formats.rcv.folder import new_folder
 from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.operator import first_views, next_views
 from annotator.types import Box2D, Frame, PseudoView
 from annotator.types.errors import ConfigError, FormatError, FrameError
@@ -187,6 +188,7 @@ def _second(frames: _Frames) -> Iterator[_Drawn]:
         if read is None:
             continue
         stored, frame, settings = read
+        frame = frame_with_normals(frame, [image_box for image_box, _ in objects], settings)
         for number, (image_box, pair) in enumerate(objects):
             spans = [(np.array(v.geometry.axes), spans_m(v)) for v in pair if v.geometry is not None]
             following = next_views(frame, image_box, spans, settings)

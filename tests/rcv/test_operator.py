@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scenes import CAMERA, frame_with, some_box
 
-from annotator.rcv.config import Orientation, RcvConfig
+from annotator.detection.perfect import PerfectDetector
+from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.operator import LABELLED_STEPS, DrawnObject, cut_out, draw_object, first_views, next_views
+from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.teach import project_box
-from annotator.types import Box2D, Frame, PseudoView
+from annotator.types import Box2D, Frame, Image, PseudoView
 
 UP = np.array([0.0, -1.0, 0.0])
 TILTED_UP = np.array([0.0, -np.cos(0.3), -np.sin(0.3)])
@@ -83,6 +88,60 @@ def test_the_second_step_shows_the_object_alone(orientation: Orientation) -> Non
     assert len(shown) == mine, "the wall has been cut away"
     if orientation is Orientation.UPRIGHT:
         np.testing.assert_allclose(views[0].axes[1], -UP, atol=1e-9)
+
+
+def test_the_second_step_shows_what_the_recursion_shows() -> None:
+    """Views cut more tightly than the detector will meet them would teach it another picture."""
+    frame, truths = frame_with([BOX], up=UP)
+    config = CONFIG.model_copy(update={"strategy": Strategy.NORMALS, "max_steps": 2})
+    detector = PerfectDetector.for_frame(frame, truths)
+    seen: list[PseudoView] = []
+
+    class Watching:
+        labels, fingerprint = detector.labels, detector.fingerprint
+
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            seen.extend(image for image in images if isinstance(image, PseudoView))
+            return detector.detect(images)
+
+    propose_from_boxes([frame], [[image_box(frame)]], Watching(), config)
+    first = [(view.axes, view.interval_m(detector.detect([view])[0][0])) for view in seen[:2]]
+    views = next_views(frame, image_box(frame), first, config)
+    assert views is not None
+    for drawn_on, met in zip(views, seen[2:], strict=True):
+        np.testing.assert_allclose(drawn_on.axes, met.axes, atol=1e-6)
+        np.testing.assert_allclose(drawn_on.origin_m, met.origin_m, atol=1e-6)
+        np.testing.assert_array_equal(drawn_on.xyz_m, met.xyz_m)
+
+
+def test_a_box_that_its_picture_cut_off_gets_room_in_the_second_step() -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    shown = [(item.view, item.view.interval_m(item.box)) for item in drawn(frame).views[:2]]
+    (front, front_span), (side, side_span) = shown
+    cut = front_span.copy()
+    cut[0, 0] = front.origin_m[0] - 0.5 * front.metres_per_px  # the left edge of the picture
+    extents = []
+    for span in (front_span, cut):
+        for room in (1.0, 2.0):
+            config = CONFIG.model_copy(update={"cut_room": room})
+            views = next_views(frame, image_box(frame), [(front.axes, span), (side.axes, side_span)], config)
+            assert views is not None
+            extents.append(views[0].extent_m.max())
+    assert extents[0] == extents[1]
+    assert extents[3] > 1.3 * extents[2]
+
+
+def test_normals_are_estimated_once_a_frame() -> None:
+    frame, _ = frame_with([BOX], up=UP)
+    ready = frame_with_normals(frame, [image_box(frame)], CONFIG)
+    assert ready.cloud.normals is not None
+    assert frame_with_normals(ready, [image_box(frame)], CONFIG) is ready
+    assert frame_with_normals(frame, [], CONFIG) is frame
+    first = spans(drawn(frame))[:2]
+    one, other = (next_views(given, image_box(frame), first, CONFIG) for given in (frame, ready))
+    assert one is not None
+    assert other is not None
+    np.testing.assert_array_equal(one[0].rgb, other[0].rgb)
 
 
 def test_what_the_drags_cut_out_are_the_objects_points() -> None:
