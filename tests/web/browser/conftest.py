@@ -1,0 +1,116 @@
+"""Fixtures for tests in a real browser: headless Chromium with software WebGL against the live server.
+
+`open_page()` gives pages of their own browser context (an own operator, own cookies), `page` is one of them. A test
+that fails leaves a screenshot of each page, and what the pages said on their console, under `out/screenshots` (git
+ignores it). A page that raised an error nobody caught fails its test.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+SCREENSHOTS = Path(__file__).resolve().parents[3] / "out" / "screenshots"
+CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM_ARGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-background-networking",
+)
+VIEWPORT = {"width": 1366, "height": 768}
+TIMEOUT_MS = 15_000.0
+
+outcome_key = pytest.StashKey[bool]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Remembers that a test failed, for the fixtures that are torn down after it."""
+    report = yield
+    if report.failed:
+        item.stash[outcome_key] = True
+    return report
+
+
+def find_chromium() -> str | None:
+    """The browser: named by ANNOTATOR_CHROMIUM, or the first on the path."""
+    named = os.environ.get("ANNOTATOR_CHROMIUM")
+    return named or next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One headless Chromium for the tests of a file.
+
+    Not for the session: while it runs, Playwright keeps an event loop in this thread, in which no other test could
+    start its own.
+    """
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed; run scripts/setup test"
+    )
+    chromium = find_chromium()
+    if chromium is None:
+        pytest.skip(f"none of {', '.join(CHROMIUM_NAMES)} on the path; install chromium, or set ANNOTATOR_CHROMIUM")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser: Browser, live_server, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
+    """`open_page()` -> a new page in a context of its own; `page.goto("/")` is the live server's start page.
+
+    Keyword arguments go to `Browser.new_context` (`color_scheme="dark"`, another `viewport` ...). Errors that a page
+    raised are in `page.errors`; clear the list in a test that expects one.
+    """
+    pages: list[Page] = []
+
+    def open_one(**options: object) -> Page:
+        settings: dict = {"base_url": live_server.url, "viewport": VIEWPORT, "accept_downloads": True, **options}
+        page = browser.new_context(**settings).new_page()
+        page.set_default_timeout(TIMEOUT_MS)
+        page.errors, page.said = [], []
+        page.on("pageerror", lambda error: page.errors.append(str(error)))
+        page.on("console", lambda message: page.said.append(f"{message.type}: {message.text}"))
+        pages.append(page)
+        return page
+
+    yield open_one
+    errors = [error for page in pages for error in page.errors]
+    if errors or request.node.stash.get(outcome_key, False):
+        _keep(pages, request.node.nodeid)
+    for page in pages:
+        page.context.close()
+    assert not errors, f"a page raised {errors}; screenshots are in {SCREENSHOTS}"
+
+
+@pytest.fixture
+def page(open_page: Callable[..., Page]) -> Page:
+    """One page, 1366 x 768."""
+    return open_page()
+
+
+def _keep(pages: list[Page], test: str) -> None:
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    name = re.sub(r"[^\w.-]+", "_", test)
+    for number, page in enumerate(pages):
+        stem = SCREENSHOTS / f"{name}.{number}"
+        try:
+            page.screenshot(path=stem.with_suffix(f"{stem.suffix}.png"))
+        except (
+            Exception
+        ) as error:  # a page that crashed or was closed has no picture, but what it said is worth keeping
+            page.said.append(f"no screenshot: {error}")
+        stem.with_suffix(f"{stem.suffix}.txt").write_text("\n".join([page.url, *page.errors, *page.said]) + "\n")
