@@ -1,0 +1,124 @@
+// A camera as the server describes it, and the outline of a box on its picture; OpenCV's model, px as everywhere
+// (the centre of the first pixel is (0, 0)).
+//
+// camera: {fx, fy, cx, cy, distortion: [0, 4, 5, 8, 12 or 14 coefficients], width, height}
+
+import { EDGES, corners } from "./box3d.js";
+
+/** What lies nearer to the camera is not on the picture, metres. */
+const NEAR_M = 0.1;
+/** Straight edges are bent by a lens: each is followed in so many steps. */
+const STEPS = 16;
+
+/** Where a point of the camera frame appears, px; null behind the camera or beyond what the lens model reaches. */
+export function project(camera, [x, y, z]) {
+  if (!(z > 0)) return null;
+  const seen = distorted(camera, x / z, y / z);
+  return seen && [seen[0] * camera.fx + camera.cx, seen[1] * camera.fy + camera.cy];
+}
+
+/** Whether the picture bends straight lines. */
+export const isBent = (camera) => camera.distortion.some((value) => value !== 0);
+
+/** Lines (lists of two or more px) along the edges of a box, cut at the near plane and at the picture's border. */
+export function outline(camera, box) {
+  const points = corners(box);
+  return EDGES.flatMap(([a, b]) => line(camera, points[a], points[b]));
+}
+
+/** The parts of a straight line of the camera frame that are on the picture: lists of px. */
+export function line(camera, from, to) {
+  const ends = cutNear(from, to);
+  if (!ends) return [];
+  const count = isBent(camera) ? STEPS : 1;
+  const px = Array.from({ length: count + 1 }, (_, i) => project(camera, between(...ends, i / count)));
+  const parts = [];
+  for (let i = 0; i < count; i += 1) {
+    const part = px[i] && px[i + 1] && cutToPicture(camera, px[i], px[i + 1]);
+    if (!part) continue;
+    const last = parts.at(-1);
+    const goesOn = last && last.at(-1)[0] === part[0][0] && last.at(-1)[1] === part[0][1];
+    if (goesOn) last.push(part[1]);
+    else parts.push(part);
+  }
+  return parts;
+}
+
+const between = (a, b, share) => a.map((value, i) => value + share * (b[i] - value));
+
+function cutNear(a, b) {
+  if (a[2] < NEAR_M && b[2] < NEAR_M) return null;
+  const crossing = () => between(a, b, (NEAR_M - a[2]) / (b[2] - a[2]));
+  return [a[2] < NEAR_M ? crossing() : a, b[2] < NEAR_M ? crossing() : b];
+}
+
+// Liang and Barsky's cut of a line to a rectangle.
+function cutToPicture(camera, a, b) {
+  const low = [-0.5, -0.5];
+  const high = [camera.width - 0.5, camera.height - 0.5];
+  let [enter, leave] = [0, 1];
+  for (const i of [0, 1]) {
+    const along = b[i] - a[i];
+    if (along === 0) {
+      if (a[i] < low[i] || a[i] > high[i]) return null;
+      continue;
+    }
+    const [first, second] = [(low[i] - a[i]) / along, (high[i] - a[i]) / along].sort((p, q) => p - q);
+    enter = Math.max(enter, first);
+    leave = Math.min(leave, second);
+  }
+  if (enter > leave) return null;
+  return [enter === 0 ? a : between(a, b, enter), leave === 1 ? b : between(a, b, leave)];
+}
+
+function distorted(camera, x, y) {
+  if (!isBent(camera)) return [x, y];
+  const k = [...camera.distortion, ...Array(14).fill(0)].slice(0, 14);
+  const [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty] = k;
+  const q = x * x + y * y;
+  if (q > reach(camera)) return null;
+  const factor = radialFactor([k1, k2, k3], q) / radialFactor([k4, k5, k6], q);
+  const bent = [
+    x * factor + 2 * p1 * x * y + p2 * (q + 2 * x * x) + q * (s1 + q * s2),
+    y * factor + p1 * (q + 2 * y * y) + 2 * p2 * x * y + q * (s3 + q * s4),
+  ];
+  return tx || ty ? tilted(bent, tx, ty) : bent;
+}
+
+const radialFactor = ([a, b, c], q) => 1 + q * (a + q * (b + q * c));
+
+const reaches = new WeakMap();
+
+/** Up to which squared radius the radial model grows: beyond it, points far off the picture would land in it. */
+function reach(camera) {
+  if (!reaches.has(camera)) reaches.set(camera, findReach(camera));
+  return reaches.get(camera);
+}
+
+function findReach({ distortion }) {
+  const [k1, k2, , , k3 = 0, k4 = 0, k5 = 0, k6 = 0] = distortion;
+  // no picture reaches further than about 84 degrees off its axis
+  const [most, steps] = [10, 4000];
+  let before = 0;
+  for (let i = 1; i <= steps; i += 1) {
+    const r = (most * i) / steps;
+    const below = radialFactor([k4, k5, k6], r * r);
+    const now = (r * radialFactor([k1, k2, k3], r * r)) / below;
+    if (below <= 0 || now <= before) return ((most * (i - 1)) / steps) ** 2;
+    before = now;
+  }
+  return Infinity;
+}
+
+// The tilted sensor of OpenCV's model: turned about x by tx, then about y by ty, and seen from the lens again.
+function tilted([x, y], tx, ty) {
+  const [cx, sx, cy, sy] = [Math.cos(tx), Math.sin(tx), Math.cos(ty), Math.sin(ty)];
+  // rows of R = Ry(-ty)-like . Rx(-tx)-like, as the calibration module's text gives them
+  const r = [
+    [cy, sy * sx, -sy * cx],
+    [0, cx, sx],
+    [sy, -cy * sx, cy * cx],
+  ];
+  const [u, v, w] = r.map((row) => row[0] * x + row[1] * y + row[2]);
+  return [(r[2][2] * u - r[0][2] * w) / w, (r[2][2] * v - r[1][2] * w) / w];
+}
