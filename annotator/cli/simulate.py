@@ -5,8 +5,8 @@ from __future__ import annotations
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named
-from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind
+from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.simulate import simulate_recording
 
 
@@ -32,6 +32,6 @@ def run(
     """
     with open_named(project, root) as opened, counted("drawing") as progress:
         stored = opened.recordings.find(recording)
-        drawn = simulate_recording(opened, stored.id, operator, RcvConfig(), every, progress)
+        drawn = simulate_recording(opened, stored.id, operator, rcv_config(opened), every, progress)
     print_line(f"{drawn.frames} frames, {drawn.objects} objects, {drawn.boxes} 2D boxes drawn")
     print_line(f"next: annotator train {project}")

@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from annotator.project.files import write_atomic
 from annotator.types.errors import ConfigError, ProjectError
@@ -53,11 +53,18 @@ def _check_classes(classes: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class ProjectSettings(BaseModel):
-    """Defaults that the commands take where the command line says nothing."""
+    """Defaults that the commands take where the command line says nothing.
+
+    Attributes:
+        rotation: which rotations boxes may have.
+        rcv: settings of the recursion that differ from the defaults, groups as objects. The store only keeps them;
+            whoever runs the recursion checks them (`annotator.workflows.rcv_settings`).
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     rotation: BoxRotation = BoxRotation.AUTO
+    rcv: dict[str, JsonValue] = Field(default_factory=dict)
 
 
 class ProjectConfig(BaseModel):

@@ -35,7 +35,7 @@ class Orientation(StrEnum):
 class ViewConfig(BaseModel):
     """How pseudo-views are drawn."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     size_px: int = Field(224, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
@@ -46,7 +46,7 @@ class ViewConfig(BaseModel):
 class AxesConfig(BaseModel):
     """How axes are found in a cloud and its normals."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     min_flatness: float = Field(
         0.05, ge=0, lt=1, description="relative gap of neighbouring eigenvalues below which they fix no axes"
@@ -75,7 +75,7 @@ class AxesConfig(BaseModel):
 class FitConfig(BaseModel):
     """The robust fit of one box through measured intervals."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     edge_noise: float = Field(0.02, gt=0, description="expected error of a detected edge, share of the view's extent")
     cut_doubt: float = Field(
@@ -96,7 +96,7 @@ class FitConfig(BaseModel):
 class ConsensusConfig(BaseModel):
     """The axis hypotheses of a consensus step, and which of their boxes may win where silhouettes were taught."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     upright_hypotheses: int = Field(4, ge=2, le=16, description="yaws of a wide step, over a quarter turn")
     free_hypotheses: int = Field(12, ge=4, le=64, description="orientations of a wide step")
@@ -116,7 +116,7 @@ class ConsensusConfig(BaseModel):
 class RcvConfig(BaseModel):
     """Settings of the recursion. Defaults are the ones that measured best (docs/benchmarks.md)."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     strategy: Strategy = Strategy.CONSENSUS
     orientation: Orientation = Orientation.FREE

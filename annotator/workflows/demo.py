@@ -10,7 +10,6 @@ from pathlib import Path
 from annotator.detection.progress import TrainingProgress
 from annotator.formats.rcv.model import RcvManifest
 from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project
-from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.recordings.generated import write_generated
 from annotator.types import BoxKind
@@ -18,6 +17,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.annotate import AnnotateSummary, annotate
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.export import export_dataset
+from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.samples import SampleConfig
 from annotator.workflows.score import Scores, score_project
@@ -88,7 +88,7 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
     with create_project(root, PROJECT, (LABELS[plan.preset],), settings=settings) as project:
         stored = register_recording(project, open_recording(root / RECORDING))
         report = _counted(tell, "draw 2D boxes")
-        drawn = simulate_recording(project, stored.id, BoxKind.BOX, RcvConfig(), plan.every, report)
+        drawn = simulate_recording(project, stored.id, BoxKind.BOX, rcv_config(project), plan.every, report)
         stage("label")
         trained = train(project, _training(plan), progress=lambda role, step: tell(*_epochs(role, step)))
         stage("train")
@@ -111,7 +111,7 @@ def _training(plan: DemoPlan) -> TrainPlan:
 
 def _propose(project: Project, tell: Tell) -> AnnotateSummary:
     detectors = active_detectors(project)
-    config = RcvConfig(box_kind=detectors.box_kind)
+    config = rcv_config(project).model_copy(update={"box_kind": detectors.box_kind})
     return annotate(project, detectors, config, progress=_counted(tell, "propose 3D boxes"))
 
 

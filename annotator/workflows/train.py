@@ -21,6 +21,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind
 from annotator.types.errors import FrameError
 from annotator.workflows.detectors import load_detector
+from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.samples import Material, SampleConfig, gather, image_samples, view_samples
 
 DATASET = "dataset"
@@ -54,7 +55,7 @@ class TrainPlan:
     Attributes:
         image, view: settings of each detector.
         samples: how many pictures are made from 3D labels.
-        rcv: how pseudo-views are drawn.
+        rcv: how pseudo-views are drawn; None takes the project's settings.
         val_share: share of the frames that measure instead of teaching.
         seed: of the split.
     """
@@ -62,7 +63,7 @@ class TrainPlan:
     image: TrainingConfig = IMAGE_DEFAULTS
     view: TrainingConfig = VIEW_DEFAULTS
     samples: SampleConfig = field(default_factory=SampleConfig)
-    rcv: RcvConfig = field(default_factory=RcvConfig)
+    rcv: RcvConfig | None = None
     val_share: float = 0.15
     seed: int = 0
 
@@ -81,12 +82,14 @@ def train(
     training of the same labels goes on where it was. A labelled frame that cannot be read is left out, and told.
 
     Raises:
+        ConfigError: the project has settings that cannot be used.
         DetectionError: nothing to learn from, or the training failed.
     """
+    rcv = plan.rcv or rcv_config(project)
     material = gather(project, roles)
     for role in roles:  # a model that does not exist is told before the pictures are made, not after
         check_start(plan.image if role is Role.IMAGE else plan.view)
-    return [_train_one(project, material, role, plan, progress, stop) for role in roles]
+    return [_train_one(project, material, role, plan, rcv, progress, stop) for role in roles]
 
 
 def _train_one(
@@ -94,6 +97,7 @@ def _train_one(
     material: Material,
     role: Role,
     plan: TrainPlan,
+    rcv: RcvConfig,
     progress: ProgressCallback | None,
     stop: Callable[[], bool] | None,
 ) -> Trained:
@@ -110,7 +114,7 @@ def _train_one(
         if material.untold:
             left_out.append(f"{material.untold} camera images with proposals that nobody has reviewed")
     else:
-        samples, kind, config = view_samples(project, material, plan.rcv, plan.samples, skip), material.kind, plan.view
+        samples, kind, config = view_samples(project, material, rcv, plan.samples, skip), material.kind, plan.view
         if material.left_out:
             left_out.append(f"{material.left_out} pseudo-views whose boxes are not of the kind {kind}, as most are")
     manifest = write_dataset(folder / DATASET, samples, classes, plan.val_share, plan.seed, kind)

@@ -34,7 +34,7 @@ def test_a_project_has_its_files(tmp_path: Path) -> None:
         "format_version": 1,
         "created_ns": 123,
         "classes": ["hand"],
-        "settings": {"rotation": "upright"},
+        "settings": {"rotation": "upright", "rcv": {}},
     }
     with open_project(folder) as project:
         assert project.config.classes == ("hand",)
