@@ -27,6 +27,7 @@ COMMANDS: dict[str, Command] = {
     "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
     "export": Command("annotator.cli.export:run", "write a dataset"),
     "stats": Command("annotator.cli.stats:run", "say how far a project is"),
+    "serve": Command("annotator.cli.serve:run", "open the workbench in the browser"),
     "generate": Command("annotator.cli.generate:run", "make a recording of a generated room, with its truth"),
     "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),
 }

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, select
 from annotator.project.payloads import FrameFinalised, FrameReopened
 from annotator.project.schema import AnyRow, frames
 from annotator.project.writing import Change, Receipt, Writer
-from annotator.types.errors import ProjectError
+from annotator.types.errors import NotFoundError, ProjectError
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Frames:
         """One frame.
 
         Raises:
-            ProjectError: no such frame.
+            NotFoundError: no such frame.
         """
         with self.writer.store.read() as connection:
             return read_frame(connection, frame_id)
@@ -53,7 +53,7 @@ class Frames:
         """The frame of that key.
 
         Raises:
-            ProjectError: no such frame.
+            NotFoundError: no such frame.
         """
         chosen = (frames.c.recording_id == recording_id) & (frames.c.key == key)
         with self.writer.store.read() as connection:
@@ -94,11 +94,11 @@ def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
     """One frame, within the caller's transaction.
 
     Raises:
-        ProjectError: no such frame.
+        NotFoundError: no such frame.
     """
     row = connection.execute(select(frames).where(frames.c.id == frame_id)).first()
     if row is None:
-        raise ProjectError(f"the project has no frame with id {frame_id}")
+        raise NotFoundError(f"the project has no frame with id {frame_id}")
     return frame_of(row)
 
 

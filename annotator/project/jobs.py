@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Select, delete, func, insert, select, update
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.schema import AnyRow, frame_results, frames, runs
 from annotator.project.store import Store
-from annotator.types.errors import ConfigError, ProjectError
+from annotator.types.errors import ConfigError, NotFoundError
 
 
 class Status(StrEnum):
@@ -103,7 +103,7 @@ class Jobs:
         """Note the end of a run.
 
         Raises:
-            ProjectError: no such run.
+            NotFoundError: no such run.
         """
         with self.store.write() as connection:
             connection.execute(update(runs).where(runs.c.id == run_id).values(finished_ns=self.store.clock()))
@@ -118,7 +118,7 @@ class Jobs:
         """Note that a frame failed (a frame that is done is noted by `Proposals.replace`); the next run retries it.
 
         Raises:
-            ProjectError: no such run or frame.
+            NotFoundError: no such run or frame.
         """
         with self.store.write() as connection:
             record_result(connection, run_id, frame_id, seconds, reason=reason, time_ns=self.store.clock())
@@ -176,11 +176,11 @@ def record_result(
     """Note how a frame ended, in place of what was noted under the same key; a `reason` says that it failed.
 
     Raises:
-        ProjectError: no such run or frame.
+        NotFoundError: no such run or frame.
     """
     key = read_run(connection, run_id).key
     if connection.execute(select(frames.c.id).where(frames.c.id == frame_id)).first() is None:
-        raise ProjectError(f"the project has no frame with id {frame_id}")
+        raise NotFoundError(f"the project has no frame with id {frame_id}")
     same = (frame_results.c.frame_id == frame_id) & (frame_results.c.key == key)
     connection.execute(delete(frame_results).where(same))
     row = {
@@ -200,11 +200,11 @@ def read_run(connection: Connection, run_id: int) -> Run:
     """One run, within the caller's transaction.
 
     Raises:
-        ProjectError: no such run.
+        NotFoundError: no such run.
     """
     row = connection.execute(select(runs).where(runs.c.id == run_id)).first()
     if row is None:
-        raise ProjectError(f"the project has no run with id {run_id}")
+        raise NotFoundError(f"the project has no run with id {run_id}")
     return _run(row)
 
 

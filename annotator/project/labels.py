@@ -13,7 +13,7 @@ from annotator.project.records import BoxRecord, storable
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.writing import Change, Receipt, Writer
 from annotator.types import Label, OrientedBox, Quality, ReviewState, Source
-from annotator.types.errors import ProjectError
+from annotator.types.errors import NotFoundError
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 
@@ -82,13 +82,13 @@ class Labels:
         """One label.
 
         Raises:
-            ProjectError: no such label.
+            NotFoundError: no such label.
         """
         with self.writer.store.read() as connection:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
         if row is None:
-            raise ProjectError(f"the project has no label {uid} (any more)")
-        return _stored(row)
+            raise NotFoundError(f"the project has no label {uid} (any more)")
+        return stored_label(row)
 
     def select(
         self,
@@ -107,7 +107,7 @@ class Labels:
             query = query.where(labels.c.label.in_(classes))
         ordered = query.order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id, labels.c.id)
         with self.writer.store.read() as connection:
-            return tuple(map(_stored, connection.execute(ordered)))
+            return tuple(map(stored_label, connection.execute(ordered)))
 
     def create(self, frame_id: int, new: Sequence[NewLabel], change: Change) -> Created:
         """Add labels, all or none; `change.source` says whether a person drew them or a file brought them."""
@@ -168,7 +168,8 @@ def _label(row: AnyRow) -> Label:
     )
 
 
-def _stored(row: AnyRow) -> StoredLabel:
+def stored_label(row: AnyRow) -> StoredLabel:
+    """The label that a row of the table holds, with its place in the project."""
     # SQLite keeps NaN as NULL
     signals = [
         float("nan") if value is None else value for value in (row.view_disagreement, row.kept_share, row.last_change)

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, insert, select, update
 from annotator.project.schema import AnyRow, models
 from annotator.project.store import Store
 from annotator.types import BoxKind
-from annotator.types.errors import ProjectError
+from annotator.types.errors import NotFoundError, ProjectError
 
 _METRICS: TypeAdapter[dict[str, float]] = TypeAdapter(dict[str, float], config={"ser_json_inf_nan": "strings"})
 _LABELS: TypeAdapter[tuple[str, ...]] = TypeAdapter(tuple[str, ...])
@@ -109,7 +109,7 @@ class Models:
         """Let the model's role use it from now on.
 
         Raises:
-            ProjectError: no such model.
+            NotFoundError: no such model.
         """
         with self.store.write() as connection:
             _activate(connection, self._read(connection, model_id).role, model_id)
@@ -127,7 +127,7 @@ class Models:
         """One model.
 
         Raises:
-            ProjectError: no such model.
+            NotFoundError: no such model.
         """
         with self.store.read() as connection:
             return self._read(connection, model_id)
@@ -147,7 +147,7 @@ class Models:
     def _read(self, connection: Connection, model_id: int) -> StoredModel:
         row = connection.execute(select(models).where(models.c.id == model_id)).first()
         if row is None:
-            raise ProjectError(f"the project has no model with id {model_id}")
+            raise NotFoundError(f"the project has no model with id {model_id}")
         return self._stored(row)
 
     def _stored(self, row: AnyRow) -> StoredModel:

@@ -129,7 +129,7 @@ class Project:
         """Everything about one frame, as of one moment.
 
         Raises:
-            ProjectError: no such frame.
+            NotFoundError: no such frame.
         """
         with self.store.read() as connection:
             return FrameState(

@@ -18,7 +18,7 @@ from annotator.project.records import ProposalRecord, storable
 from annotator.project.schema import events, labels
 from annotator.project.writing import Change, Receipt, Writer, require_writable
 from annotator.types import Label, LostObject, Proposal, ReviewState
-from annotator.types.errors import ProjectError
+from annotator.types.errors import NotFoundError, ProjectError
 
 SAME_OBJECT_IOU = 0.5
 
@@ -131,7 +131,7 @@ class Proposals:
         """The proposal that a label came from, as it was before any edit; None for a label that was not proposed.
 
         Raises:
-            ProjectError: no such label.
+            NotFoundError: no such label.
         """
         query = (
             select(labels.c.proposal_event_id, events)
@@ -141,7 +141,7 @@ class Proposals:
         with self.writer.store.read() as connection:
             row = connection.execute(query).first()
         if row is None:
-            raise ProjectError(f"the project has no label {uid} (any more)")
+            raise NotFoundError(f"the project has no label {uid} (any more)")
         if row.proposal_event_id is None:
             return None
         return next(entry.proposal.proposal() for entry in _payload(event_of(row)).objects if entry.uid == uid)

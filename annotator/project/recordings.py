@@ -13,7 +13,7 @@ from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from annotator.project.schema import AnyRow, frames, recordings
 from annotator.project.store import Store
-from annotator.types.errors import ProjectError
+from annotator.types.errors import NotFoundError, ProjectError
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Recordings:
         """One recording.
 
         Raises:
-            ProjectError: no such recording.
+            NotFoundError: no such recording.
         """
         with self.store.read() as connection:
             return _recording(connection, recording_id)
@@ -127,14 +127,14 @@ class Recordings:
         """The recording of that name.
 
         Raises:
-            ProjectError: no such recording; the message lists those there are.
+            NotFoundError: no such recording; the message lists those there are.
         """
         known = self.all()
         for recording in known:
             if recording.name == name:
                 return recording
         names = ", ".join(recording.name for recording in known) or "none yet"
-        raise ProjectError(f"the project has no recording {name!r}; it has: {names}")
+        raise NotFoundError(f"the project has no recording {name!r}; it has: {names}")
 
 
 def _query() -> Any:
@@ -149,7 +149,7 @@ def _query() -> Any:
 def _recording(connection: Connection, recording_id: int) -> StoredRecording:
     row = connection.execute(_query().where(recordings.c.id == recording_id)).first()
     if row is None:
-        raise ProjectError(f"the project has no recording with id {recording_id}")
+        raise NotFoundError(f"the project has no recording with id {recording_id}")
     return _stored(row)
 
 

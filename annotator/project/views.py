@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.project.files import write_atomic
-from annotator.types.errors import ProjectError
+from annotator.types.errors import NotFoundError, ProjectError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _ID = re.compile(r"[0-9a-f]{64}")
@@ -52,13 +52,13 @@ class Views:
         """The file of a picture.
 
         Raises:
-            ProjectError: no such picture.
+            NotFoundError: no such picture.
         """
         if not _ID.fullmatch(view_id):
-            raise ProjectError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
+            raise NotFoundError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
         path = self._file(view_id)
         if not path.is_file():
-            raise ProjectError(f"{path}: the picture is missing; store it first, or restore it from a backup")
+            raise NotFoundError(f"{path}: the picture is missing; store it first, or restore it from a backup")
         return path
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:

@@ -16,7 +16,7 @@ from annotator.project.records import storable
 from annotator.project.schema import events, frames, recordings
 from annotator.project.store import Store
 from annotator.types import Source
-from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
+from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def require_writable(connection: Connection, frame_id: int, change: Change) -> s
     )
     row = connection.execute(query).first()
     if row is None:
-        raise ProjectError(f"the project has no frame with id {frame_id}")
+        raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
     if row.finalised and change.source is Source.AUTO:
         raise FinalisedFrameError(f"{where} is finalised; automatic passes leave it alone until it is reopened")

@@ -10,6 +10,7 @@
     ├── GeometryError         a computation that has no answer for this input
     ├── DetectionError        training or running a 2D detector
     ├── ProjectError          the project store
+    │   ├── NotFoundError         there is no such project, recording, frame, label, view, model or job
     │   ├── StaleRevisionError    somebody else changed the frame first
     │   └── FinalisedFrameError   an automatic pass wanted to change a finalised frame
     └── MissingExtraError     an optional package is not installed
@@ -80,6 +81,10 @@ class DetectionError(AnnotatorError):
 
 class ProjectError(AnnotatorError):
     """The project store refuses, or cannot be opened."""
+
+
+class NotFoundError(ProjectError):
+    """What a name, id or path stands for does not exist."""
 
 
 class StaleRevisionError(ProjectError):

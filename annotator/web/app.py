@@ -1,0 +1,67 @@
+"""The application: all routes, their errors, and the page's files."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib import import_module
+from importlib.util import find_spec
+
+from fastapi import FastAPI
+
+from annotator import __version__
+from annotator.web.context import Context
+from annotator.web.errors import add_error_handlers
+from annotator.web.settings import ServerSettings
+from annotator.web.static import add_static
+
+# Modules of `annotator.web.routes`; each has a `router`.
+ROUTES: tuple[str, ...] = (
+    "session",
+    "folders",
+    "projects",
+    "recordings",
+    "frames",
+    "label",
+    "review",
+    "history",
+    "queue",
+    "checks",
+    "statistics",
+    "pictures",
+    "jobs",
+    "models",
+    "exports",
+    "events",
+    "workbench",
+)
+
+
+def create_app(settings: ServerSettings) -> FastAPI:
+    """The application of one server; nothing is shared between two.
+
+    Raises:
+        ConfigError: the page's files are missing.
+    """
+    context = Context(settings)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        yield
+        context.close()
+
+    app = FastAPI(
+        title="annotator",
+        version=__version__,
+        openapi_url="/api/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    app.state.context = context
+    add_error_handlers(app)
+    for name in ROUTES:
+        if find_spec(f"annotator.web.routes.{name}") is not None:
+            app.include_router(import_module(f"annotator.web.routes.{name}").router)
+    add_static(app)
+    return app

@@ -1,0 +1,122 @@
+"""What all routes share: the settings, the open projects, the hub, the jobs; and who asks."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+from urllib.parse import unquote
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from annotator.project import Project, open_project
+from annotator.project.config import check_name
+from annotator.types import Frame
+from annotator.types.errors import ConfigError, NotFoundError
+from annotator.web.errors import NotSignedInError
+from annotator.web.hub import Hub
+from annotator.web.settings import ServerSettings
+
+if TYPE_CHECKING:
+    from annotator.web.frame_cache import FrameCache
+
+OPERATOR_COOKIE = "annotator_operator"
+
+
+class Context:
+    """One for each application, in `app.state.context`; threads share it.
+
+    Attributes:
+        settings: what the server was told.
+        hub: events to the open pages.
+    """
+
+    def __init__(self, settings: ServerSettings) -> None:
+        self.settings = settings
+        self.hub = Hub()
+        self._lock = threading.Lock()
+        self._projects: dict[str, Project] = {}
+        self._frames: FrameCache | None = None
+
+    def project(self, name: str) -> Project:
+        """The project of that name, opened once and kept open.
+
+        Raises:
+            NotFoundError: there is none.
+            ProjectError: it cannot be opened.
+        """
+        with self._lock:
+            known = self._projects.get(name)
+            if known is not None and known.path.is_dir():
+                return known
+            folder = self._folder(name)
+            if known is not None:
+                self._projects.pop(name).close()
+            if not folder.is_dir():
+                raise NotFoundError(f"there is no project {name!r}; the start page lists those there are")
+            self._projects[name] = open_project(folder)
+            return self._projects[name]
+
+    def frame(self, project: Project, frame_id: int) -> Frame:
+        """A frame with its image and cloud; the last few are kept.
+
+        Raises:
+            NotFoundError: no such frame.
+            FrameError: it cannot be read.
+        """
+        from annotator.web.frame_cache import FrameCache
+
+        with self._lock:
+            if self._frames is None:
+                self._frames = FrameCache()
+            frames = self._frames
+        return frames.read(project, frame_id)
+
+    def open_projects(self, names: Iterable[str]) -> list[tuple[str, Project]]:
+        """Those of these projects that are open already."""
+        with self._lock:
+            return [(name, self._projects[name]) for name in names if name in self._projects]
+
+    def close(self) -> None:
+        """Ends everything that runs on behalf of the application."""
+        self.hub.close()
+        with self._lock:
+            for project in self._projects.values():
+                project.close()
+            self._projects.clear()
+
+    def _folder(self, name: str) -> Path:
+        try:
+            check_name(name)
+        except ConfigError as error:
+            raise NotFoundError(f"there is no project {name!r}") from error
+        return self.settings.projects_root / name
+
+
+def context(connection: HTTPConnection) -> Context:
+    """The application's context, for `Depends`."""
+    found: Context = connection.app.state.context
+    return found
+
+
+def operator(connection: HTTPConnection) -> str:
+    """The signed-in operator's name, for `Depends`.
+
+    Raises:
+        NotSignedInError: nobody has signed in on this browser.
+    """
+    name = operator_or_none(connection)
+    if name is None:
+        raise NotSignedInError("nobody is signed in; say your name first")
+    return name
+
+
+def operator_or_none(connection: HTTPConnection) -> str | None:
+    """The signed-in operator's name, or None."""
+    return unquote(connection.cookies.get(OPERATOR_COOKIE, "")) or None
+
+
+Ctx = Annotated[Context, Depends(context)]
+Operator = Annotated[str, Depends(operator)]

@@ -1,0 +1,152 @@
+"""The frames that are looked at now, kept ready: image, cloud, and what is computed from them once."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cached_property
+
+import numpy as np
+
+from annotator.geometry.point_index import PointIndex
+from annotator.project import Project, StoredFrame
+from annotator.project.overview import neighbours
+from annotator.types import Frame, OrientedBox
+from annotator.types.errors import AnnotatorError, FrameError
+from annotator.workflows.frames import FrameSource
+
+# A few operators, each with the frame they look at, the one before and the next.
+FRAMES_KEPT = 8
+JPEG_QUALITY = 92
+
+
+class OpenFrame:
+    """A frame that is looked at.
+
+    Attributes:
+        frame: the frame.
+        lock: held while something about it is computed for the first time.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        self.lock = threading.Lock()
+        self._counts: dict[bytes, int] = {}
+
+    @cached_property
+    def jpeg(self) -> bytes:
+        """The image as a JPEG file."""
+        import cv2
+
+        bgr = np.ascontiguousarray(self.frame.rgb[..., ::-1])
+        written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if not written:
+            raise AnnotatorError(f"frame {self.frame.key}: the image cannot be written as JPEG")
+        return content.tobytes()
+
+    @cached_property
+    def index(self) -> PointIndex:
+        """The cloud, sorted for looks into single boxes."""
+        return PointIndex.of(self.frame.cloud.xyz_m)
+
+    def points_in(self, box: OrientedBox) -> int:
+        """How many points lie in a box; counted once for each box that a label has had."""
+        key = box.T_camera_box.as_matrix().tobytes() + box.size_m.tobytes()
+        found = self._counts.get(key)
+        if found is None:
+            found = self._counts[key] = self.index.count(box)
+        return found
+
+
+class FrameCache:
+    """Reads frames once and keeps the last few; the one after each is read ahead. Threads share it."""
+
+    def __init__(self, kept: int = FRAMES_KEPT) -> None:
+        self._kept = kept
+        self._lock = threading.Lock()
+        self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
+        self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
+        self._ahead = ThreadPoolExecutor(1, "read-ahead")
+
+    def read(self, project: Project, frame_id: int) -> Frame:
+        """A frame.
+
+        Raises:
+            NotFoundError: no such frame.
+            FrameError, RecordingError: it cannot be read.
+        """
+        return self.open(project, frame_id).frame
+
+    def open(self, project: Project, frame_id: int) -> OpenFrame:
+        """A frame with what is computed from it; as `read`."""
+        stored = project.frames.get(frame_id)
+        found = self._open(project, stored)
+        self._read_ahead(project, stored)
+        return found
+
+    def forget(self, project: Project) -> None:
+        """Lets go of all frames of a project, as after its recordings have changed."""
+        with self._lock:
+            self._sources.pop(project, None)
+            for key in [key for key in self._frames if key[0] is project]:
+                del self._frames[key]
+
+    def close(self) -> None:
+        """Ends the reading ahead."""
+        self._ahead.shutdown(wait=False, cancel_futures=True)
+
+    def _known(self, key: tuple[Project, int]) -> OpenFrame | None:
+        with self._lock:
+            if key in self._frames:
+                self._frames.move_to_end(key)
+            return self._frames.get(key)
+
+    def _open(self, project: Project, stored: StoredFrame) -> OpenFrame:
+        key = (project, stored.id)
+        found = self._known(key)
+        if found is not None:
+            return found
+        lock, source = self._source(project)
+        # one frame of a project at a time: who waits finds it read
+        with lock:
+            found = self._known(key)
+            if found is not None:
+                return found
+            found = OpenFrame(self._read(project, source, stored))
+        with self._lock:
+            self._frames[key] = found
+            while len(self._frames) > self._kept:
+                self._frames.popitem(last=False)
+        return found
+
+    def _read(self, project: Project, source: FrameSource, stored: StoredFrame) -> Frame:
+        try:
+            return source.read(stored)
+        except FrameError:
+            # the recording may have grown since it was opened; a frame that is broken fails again
+            with self._lock:
+                lock, _ = self._sources[project]
+                self._sources[project] = (lock, FrameSource(project))
+                source = self._sources[project][1]
+            return source.read(stored)
+
+    def _source(self, project: Project) -> tuple[threading.Lock, FrameSource]:
+        with self._lock:
+            if project not in self._sources:
+                self._sources[project] = (threading.Lock(), FrameSource(project))
+            return self._sources[project]
+
+    def _read_ahead(self, project: Project, stored: StoredFrame) -> None:
+        # after `close` nothing is read ahead any more
+        with suppress(RuntimeError):
+            self._ahead.submit(self._prepare_next, project, stored)
+
+    def _prepare_next(self, project: Project, stored: StoredFrame) -> None:
+        # whoever opens the frame is told what is wrong with it
+        with suppress(AnnotatorError):
+            _, following = neighbours(project, stored)
+            if following is not None and (project, following) not in self._frames:
+                ready = self._open(project, project.frames.get(following))
+                _ = ready.jpeg, ready.index

@@ -1,0 +1,1 @@
+"""The API: one module of routes a subject; `annotator.web.app.ROUTES` lists them."""

@@ -1,0 +1,63 @@
+"""Who sits at the browser."""
+
+from __future__ import annotations
+
+from typing import Annotated
+from urllib.parse import quote
+
+from fastapi import APIRouter, Request, Response
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from annotator import __version__
+from annotator.web.context import OPERATOR_COOKIE, Ctx, operator_or_none
+
+router = APIRouter(prefix="/api/session", tags=["session"])
+
+A_YEAR_S = 365 * 24 * 3600
+
+
+def _check_name(name: str) -> str:
+    name = name.strip()
+    if not name or not name.isprintable():
+        raise ValueError("a name has 1 to 64 printable characters")
+    return name
+
+
+class SignIn(BaseModel):
+    """Under which name changes are kept."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    operator: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_check_name)]
+
+
+class Session(BaseModel):
+    """Who is signed in, and where."""
+
+    operator: str | None
+    version: str
+    token_required: bool
+
+
+@router.get("")
+def session(request: Request, ctx: Ctx) -> Session:
+    """Who is signed in on this browser."""
+    return _session(ctx, operator_or_none(request))
+
+
+@router.post("")
+def sign_in(body: SignIn, response: Response, ctx: Ctx) -> Session:
+    """Sign in under a name; it stands beside every change."""
+    response.set_cookie(OPERATOR_COOKIE, quote(body.operator), max_age=A_YEAR_S, httponly=True, samesite="strict")
+    return _session(ctx, body.operator)
+
+
+@router.delete("")
+def sign_out(response: Response, ctx: Ctx) -> Session:
+    """Sign out."""
+    response.delete_cookie(OPERATOR_COOKIE, httponly=True, samesite="strict")
+    return _session(ctx, None)
+
+
+def _session(ctx: Ctx, name: str | None) -> Session:
+    return Session(operator=name, version=__version__, token_required=ctx.settings.token is not None)

@@ -1,0 +1,53 @@
+"""The page's own files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fastapi import APIRouter, FastAPI
+from fastapi.responses import FileResponse
+from starlette.staticfiles import StaticFiles
+
+from annotator.types.errors import ConfigError
+
+PLOTLY = "/assets/vendor/plotly.min.js"
+
+
+def web_assets() -> Path:
+    """The folder `web_assets`: in the installed package, or beside it in a clone.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "web_assets", package.parent / "web_assets"):
+        if folder.is_dir():
+            return folder
+    raise ConfigError(f"{package.parent / 'web_assets'}: the page's files are missing; install annotator again")
+
+
+def plotly_script() -> Path:
+    """The browser script that plotly's package brings."""
+    import importlib.util
+
+    found = importlib.util.find_spec("plotly")
+    if found is None or found.origin is None:
+        raise ConfigError("plotly is not installed; run `scripts/setup`")
+    return Path(found.origin).parent / "package_data" / "plotly.min.js"
+
+
+def add_static(app: FastAPI) -> None:
+    """GET / is the page, /assets/... its files."""
+    assets = web_assets()
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/")
+    def page() -> FileResponse:
+        return FileResponse(assets / "index.html", headers={"Cache-Control": "no-cache"})
+
+    @router.get(PLOTLY)
+    def plotly() -> FileResponse:
+        return FileResponse(plotly_script(), media_type="text/javascript", headers={"Cache-Control": "max-age=86400"})
+
+    app.include_router(router)
+    app.mount("/assets", StaticFiles(directory=assets), name="assets")

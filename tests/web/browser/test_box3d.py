@@ -1,0 +1,213 @@
+"""The page's own mathematics (js/box3d.js, js/rotation.js, js/camera.js) against the package's, in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import project
+from annotator.types import Camera, OrientedBox
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Route
+
+SCRIPTS = Path(__file__).resolve().parents[3] / "web_assets" / "js"
+ORIGIN = "http://page.test"
+PAGE = """<!doctype html><script type="module">
+import * as rotation from "/rotation.js";
+import * as box3d from "/box3d.js";
+import * as camera from "/camera.js";
+window.modules = { rotation, box3d, camera };
+</script>"""
+UP = [0.02, -0.96, -0.28]
+LENSES = [
+    (),
+    (0.1, -0.2, 0.001, 0.002, 0.05),
+    (0.1, -0.2, 0.001, 0.002, 0.05, 0.01, 0.02, 3e-3, 1e-3, 2e-3, 3e-3, 1e-3),
+]
+TILTED_LENS = (*LENSES[2], 0.02, -0.03)
+
+Call = Callable[..., object]
+
+
+@pytest.fixture(scope="module")
+def call(browser: Browser) -> Iterator[Call]:
+    """`call("box3d.turned", box, axis, angle)` runs a function of a module in the browser."""
+
+    def answer(route: Route) -> None:
+        name = route.request.url.removeprefix(ORIGIN + "/")
+        if name:
+            route.fulfill(body=(SCRIPTS / name).read_text(), content_type="text/javascript")
+        else:
+            route.fulfill(body=PAGE, content_type="text/html")
+
+    page = browser.new_page()
+    page.route(f"{ORIGIN}/**", answer)
+    page.goto(f"{ORIGIN}/")
+    page.wait_for_function("window.modules")
+
+    def run(name: str, *values: object) -> object:
+        return page.evaluate(
+            "([name, values]) => { const [m, f] = name.split('.'); return window.modules[m][f](...values); }",
+            [name, list(values)],
+        )
+
+    yield run
+    page.close()
+
+
+def random_boxes(count: int) -> list[OrientedBox]:
+    rng = np.random.default_rng(7)
+    turns = Rotation.random(count, random_state=7).as_matrix()
+    return [
+        OrientedBox.from_parts(rng.uniform([-1, -1, 3], [1, 1, 6]), turn, rng.uniform(0.3, 2.0, 3)) for turn in turns
+    ]
+
+
+def as_json(box: OrientedBox) -> dict[str, object]:
+    return {"center": box.center_m.tolist(), "size": box.size_m.tolist(), "rotation": box.rotation.tolist()}
+
+
+def from_json(box: dict) -> OrientedBox:
+    return OrientedBox.from_parts(*(np.array(box[name], np.float64) for name in ("center", "rotation", "size")))
+
+
+def own_view(box: OrientedBox) -> dict[str, object]:
+    """A view along the box's own axes: x to the right, z up, as the server would give it."""
+    x, y, z = box.rotation.T
+    return {
+        "axes": [x.tolist(), (-z).tolist(), y.tolist()],
+        "metres_per_px": 0.01,
+        "origin_m": [float(x @ box.center_m) - 1.6, float(-z @ box.center_m) - 1.6],
+        "width": 320,
+        "height": 320,
+    }
+
+
+def same_corners(a: OrientedBox, b: OrientedBox) -> bool:
+    """Whether two boxes are the same body, however their axes are called."""
+    distance = np.linalg.norm(box_corners(a)[:, None] - box_corners(b)[None], axis=2)
+    return bool((distance.min(axis=0) < 1e-9).all() and (distance.min(axis=1) < 1e-9).all())
+
+
+def test_corners_and_quaternions_are_the_packages(call: Call) -> None:
+    for box in random_boxes(5):
+        np.testing.assert_allclose(call("box3d.corners", as_json(box)), box_corners(box), atol=1e-12)
+        quaternion = call("rotation.toQuaternion", box.rotation.tolist())
+        theirs = Rotation.from_matrix(box.rotation).as_quat(canonical=True, scalar_first=True)
+        np.testing.assert_allclose(quaternion, theirs, atol=1e-12)
+        np.testing.assert_allclose(call("rotation.fromQuaternion", quaternion), box.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1]), np.eye(3)])
+def test_half_turns_have_a_quaternion(call: Call, turn: np.ndarray) -> None:
+    quaternion = call("rotation.toQuaternion", turn.tolist())
+    np.testing.assert_allclose(call("rotation.fromQuaternion", quaternion), turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("lens", [*LENSES, TILTED_LENS])
+def test_projection_is_the_packages(call: Call, lens: tuple[float, ...]) -> None:
+    camera = Camera(640, 480, 500.0, 510.0, 321.5, 240.5, lens)
+    data = {"fx": 500, "fy": 510, "cx": 321.5, "cy": 240.5, "distortion": lens, "width": 640, "height": 480}
+    points = np.array([[0.0, 0, 2], [0.7, -0.4, 2], [-0.9, 0.6, 3], [0.1, 0.1, -1]])
+    ours = [call("camera.project", data, point.tolist()) for point in points]
+    np.testing.assert_allclose(ours[:3], project(camera, points)[:3], atol=1e-9)
+    assert ours[3] is None
+    for box in random_boxes(3):
+        px = np.array([corner for line in call("camera.outline", data, as_json(box)) for corner in line])
+        seen = box_on_image(camera, box, "thing")
+        assert seen is not None
+        assert px.min(axis=0) == pytest.approx([seen.x_min, seen.y_min], abs=0.5)
+        assert px.max(axis=0) == pytest.approx([seen.x_max, seen.y_max], abs=0.5)
+
+
+def test_an_outline_ends_where_the_picture_and_the_near_plane_end(call: Call) -> None:
+    data = {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "distortion": [], "width": 640, "height": 480}
+    around = OrientedBox.from_parts(np.array([0.0, 0, 0.5]), np.eye(3), np.array([0.2, 0.2, 4.0]))
+    lines = call("camera.outline", data, as_json(around))
+    px = np.array([corner for line in lines for corner in line])
+    assert len(lines) > 0 and np.isfinite(px).all()
+    assert (px >= -0.5 - 1e-9).all() and (px <= np.array([639.5, 479.5]) + 1e-9).all()
+    behind = OrientedBox.from_parts(np.array([0.0, 0, -3]), np.eye(3), np.ones(3))
+    assert call("camera.outline", data, as_json(behind)) == []
+
+
+def test_one_edge_of_a_view_moves_one_face(call: Call) -> None:
+    for box in random_boxes(4):
+        view = own_view(box)
+        rect = call("box3d.viewRect", view, as_json(box))
+        rect["x_max"] += 12.5
+        grown = from_json(call("box3d.withViewRect", view, as_json(box), rect))
+        np.testing.assert_allclose(grown.size_m, box.size_m + [0.125, 0, 0], atol=1e-9)
+        np.testing.assert_allclose(grown.center_m, box.center_m + 0.0625 * box.rotation[:, 0], atol=1e-9)
+        rect["y_min"] -= 10
+        higher = from_json(call("box3d.withViewRect", view, as_json(box), rect))
+        np.testing.assert_allclose(higher.size_m, box.size_m + [0.125, 0, 0.1], atol=1e-9)
+
+
+def test_a_rectangle_that_moves_keeps_the_size(call: Call) -> None:
+    box = random_boxes(1)[0]
+    view = own_view(box)
+    rect = call("box3d.viewRect", view, as_json(box))
+    moved = {"x_min": rect["x_min"] + 7, "x_max": rect["x_max"] + 7, "y_min": rect["y_min"], "y_max": rect["y_max"]}
+    after = from_json(call("box3d.withViewRect", view, as_json(box), moved))
+    np.testing.assert_allclose(after.size_m, box.size_m, atol=1e-9)
+    np.testing.assert_allclose(after.center_m, box.center_m + 0.07 * box.rotation[:, 0], atol=1e-9)
+
+
+def test_no_edge_goes_through_its_opposite(call: Call) -> None:
+    box = random_boxes(1)[0]
+    view = own_view(box)
+    rect = call("box3d.viewRect", view, as_json(box))
+    rect["x_max"] = rect["x_min"] - 5
+    assert min(call("box3d.withViewRect", view, as_json(box), rect)["size"]) > 0
+
+
+def test_a_turn_in_a_view_is_clockwise_on_the_screen(call: Call) -> None:
+    box = random_boxes(1)[0]
+    view = own_view(box)
+    turned = from_json(call("box3d.turnedInView", view, as_json(box), np.pi / 6))
+    axes = np.array(view["axes"])
+    heading = axes @ turned.rotation[:, 0]  # in the view: x right, y down
+    np.testing.assert_allclose(heading, [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], atol=1e-9)
+    np.testing.assert_allclose(turned.center_m, box.center_m, atol=1e-12)
+
+
+def test_the_heading_turns_and_the_body_stays(call: Call) -> None:
+    for box in random_boxes(3):
+        turned = from_json(call("box3d.headingTurned", as_json(box)))
+        assert same_corners(box, turned)
+        np.testing.assert_allclose(turned.rotation[:, 0], box.rotation[:, 1], atol=1e-12)
+        four = as_json(box)
+        for _ in range(4):
+            four = call("box3d.headingTurned", four)
+        assert call("box3d.sameBox", four, as_json(box))
+
+
+@pytest.mark.parametrize("up", [None, UP, [0, 0, 1]])
+def test_angles_come_back(call: Call, up: list[float] | None) -> None:
+    for box in random_boxes(4):
+        angles = call("box3d.anglesDeg", as_json(box), up)
+        back = call("box3d.withAnglesDeg", as_json(box), up, angles)
+        np.testing.assert_allclose(back["rotation"], box.rotation, atol=1e-9)
+
+
+def test_yaw_turns_about_up_and_is_zero_away_from_the_camera(call: Call) -> None:
+    up = np.array(UP) / np.linalg.norm(UP)
+    start = {"center": [0, 0, 4], "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
+    flat = call("box3d.withAnglesDeg", start, UP, {"yaw": 0, "pitch": 0, "roll": 0})
+    rotation = np.array(flat["rotation"])
+    np.testing.assert_allclose(rotation[:, 2], up, atol=1e-9)
+    assert rotation[2, 0] > 0.9  # the length axis looks away from the camera
+    left = call("box3d.withAnglesDeg", start, UP, {"yaw": 90, "pitch": 0, "roll": 0})
+    np.testing.assert_allclose(np.array(left["rotation"])[:, 0], rotation[:, 1], atol=1e-9)
+    steep = call("box3d.withAnglesDeg", start, UP, {"yaw": 30, "pitch": 90, "roll": 0})
+    angles = call("box3d.anglesDeg", steep, UP)
+    assert (angles["yaw"], angles["pitch"], angles["roll"]) == pytest.approx((30, 90, 0), abs=1e-4)
