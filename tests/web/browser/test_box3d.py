@@ -145,11 +145,11 @@ def test_one_edge_of_a_view_moves_one_face(call: Call) -> None:
         rect = call("box3d.viewRect", view, as_json(box))
         rect["x_max"] += 12.5
         grown = from_json(call("box3d.withViewRect", view, as_json(box), rect))
-        np.testing.assert_allclose(grown.size_m, box.size_m + [0.125, 0, 0], atol=1e-9)
+        np.testing.assert_allclose(grown.size_m, box.size_m + np.array([0.125, 0, 0]), atol=1e-9)
         np.testing.assert_allclose(grown.center_m, box.center_m + 0.0625 * box.rotation[:, 0], atol=1e-9)
         rect["y_min"] -= 10
         higher = from_json(call("box3d.withViewRect", view, as_json(box), rect))
-        np.testing.assert_allclose(higher.size_m, box.size_m + [0.125, 0, 0.1], atol=1e-9)
+        np.testing.assert_allclose(higher.size_m, box.size_m + np.array([0.125, 0, 0.1]), atol=1e-9)
 
 
 def test_a_rectangle_that_moves_keeps_the_size(call: Call) -> None:
