@@ -1,0 +1,61 @@
+/** Small helpers that make elements. Nothing here ever parses HTML, so no text can become markup. */
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/**
+ * An element: h("button", {class: "primary", onclick: fn, disabled: true}, "Save").
+ * A function becomes a listener, true an empty attribute, null and false nothing; `value` and `checked` are set as properties.
+ */
+export function h(tag, attributes, ...children) {
+  return fill(document.createElement(tag), attributes, children);
+}
+
+/** The same in SVG. */
+export function s(tag, attributes, ...children) {
+  return fill(document.createElementNS(SVG, tag), attributes, children);
+}
+
+function fill(element, attributes, children) {
+  for (const [name, value] of Object.entries(attributes ?? {})) setAttribute(element, name, value);
+  element.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+function setAttribute(element, name, value) {
+  if (value === null || value === undefined || value === false) return;
+  if (typeof value === "function") element.addEventListener(name.replace(/^on/, ""), value);
+  else if (name === "value" || name === "checked") element[name] = value;
+  else element.setAttribute(name, value === true ? "" : value);
+}
+
+const GLYPHS = {
+  undo: "M6 4 3 7l3 3M3 7h6.5a3.5 3.5 0 0 1 0 7H7",
+  redo: "M10 4l3 3-3 3M13 7H6.5a3.5 3.5 0 0 0 0 7H9",
+  previous: "M10 3 5 8l5 5",
+  next: "M6 3l5 5-5 5",
+  up: "M3 10l5-5 5 5",
+  plus: "M8 3v10M3 8h10",
+  close: "M4 4l8 8M12 4l-8 8",
+  trash: "M3 4.5h10M6.5 4.5V3h3v1.5M4.5 4.5 5.2 13h5.6l.7-8.5",
+  fit: "M3 6V3h3M10 3h3v3M13 10v3h-3M6 13H3v-3",
+  folder: "M2 4.5h4l1.3 1.5H14v7H2Z",
+  theme: "M8 2.5a5.5 5.5 0 1 0 0 11ZM8 2.5a5.5 5.5 0 0 1 0 11",
+  help: "M6 6.2A2 2 0 1 1 8 8.3v1.2M8 12.2v.1M8 1.5a6.5 6.5 0 1 0 0 13 6.5 6.5 0 0 0 0-13Z",
+  check: "M3 8.5 6.5 12 13 4.5",
+  lock: "M4 7.5h8V14H4ZM5.5 7.5V5a2.5 2.5 0 0 1 5 0v2.5",
+};
+
+/** A line icon of 16 x 16; it is decoration, so the control around it needs its own label. */
+export function glyph(name) {
+  return s("svg", { class: "glyph", viewBox: "0 0 16 16", "aria-hidden": "true" }, s("path", { d: GLYPHS[name] }));
+}
+
+/** A button that shows only an icon; the label is its tooltip and its accessible name. */
+export function iconButton(icon, label, onclick, more = {}) {
+  return h("button", { type: "button", class: "icon quiet", title: label, "aria-label": label, onclick, ...more }, glyph(icon));
+}
+
+/** 1 -> "1 frame", 2 -> "2 frames". */
+export function count(number, word, plural = `${word}s`) {
+  return `${number.toLocaleString("en")} ${number === 1 ? word : plural}`;
+}

@@ -1,0 +1,182 @@
+/**
+ * The page: makes the `app` object that every mode gets, and mounts the mode that the address names.
+ *
+ * A mode is a module with `mount(root, app) -> {unmount(), route?(route), flush?()}`: `route` is called in place of a new
+ * mount where only the frame or the query of the address changed; `flush` ends what is being saved, before an undo.
+ *
+ * app = {
+ *   api, effort, events, keys, state, toast,
+ *   viewport,                    js/viewport.js; null where it could not be loaded
+ *   go(hash),                    follows an address (router.makeHash makes one)
+ *   path(...parts),              the open project's resource: app.path("frames", 3)
+ *   refreshProject(),            reads the project's summary again into state.project
+ *   loadFrame(id),               reads a frame into state.frame and tells the others that it is open here
+ *   undo(), redo(),
+ * }
+ * state: operator, version, route, project, frame (FrameState), presence ({frame id: names}), jobs, connected.
+ */
+
+import { createApi, projectPath } from "./api.js";
+import { keyTableDialog } from "./dialogs.js";
+import { h } from "./dom.js";
+import { createEffort } from "./effort.js";
+import { createEvents } from "./events.js";
+import { createKeys } from "./keys.js";
+import { makeHash, parseHash } from "./router.js";
+import { signIn } from "./session.js";
+import { createState } from "./state.js";
+import { applyTheme } from "./theme.js";
+import { toast } from "./toasts.js";
+import { mountTopbar } from "./topbar.js";
+
+const MODULES = {
+  start: "./start/start.js",
+  label: "./label/label.js",
+  review: "./review/review.js",
+  train: "./train/train.js",
+  export: "./export/export.js",
+  statistics: "./stats/stats.js",
+  checks: "./checks/checks.js",
+};
+
+const work = document.getElementById("work");
+const app = createApp();
+let mounted = null;
+let visit = 0;
+let frame_request = null;
+
+function createApp() {
+  const effort = createEffort();
+  const state = createState({ operator: null, version: "", route: parseHash(""), project: null, frame: null, presence: {}, jobs: [], connected: true });
+  const made = { effort, state, toast, events: createEvents(), keys: createKeys(), viewport: null };
+  made.api = createApi(effort, () => signIn(made));
+  return Object.assign(made, {
+    go: (hash) => (location.hash === hash ? follow() : void (location.hash = hash)),
+    path: (...parts) => projectPath(state.route.project, ...parts),
+    refreshProject,
+    loadFrame,
+    undo: () => travel("undo"),
+    redo: () => travel("redo"),
+  });
+}
+
+async function refreshProject() {
+  const name = app.state.route.project;
+  if (name === null) return;
+  const project = await app.api.get(projectPath(name));
+  if (app.state.route.project === name) app.state.set({ project });
+}
+
+/** The newest call wins: the answer to an older one is dropped. */
+async function loadFrame(id) {
+  frame_request?.abort();
+  frame_request = new AbortController();
+  const frame = await app.api.get(app.path("frames", id), { signal: frame_request.signal });
+  app.effort.reset();
+  app.events.openFrame(id);
+  app.state.set({ frame });
+  return frame;
+}
+
+async function travel(direction) {
+  if (app.state.route.project === null) return;
+  try {
+    await mounted?.flush?.();
+    const { frame, state, done } = await app.api.post(app.path(direction));
+    toast(`${direction === "undo" ? "Undone" : "Done again"}: ${done}`);
+    const { mode, project } = app.state.route;
+    if (app.state.frame?.frame.id === frame) app.state.set({ frame: state });
+    else if (mode === "label" || mode === "review") app.go(makeHash(project, mode, frame));
+  } catch (error) {
+    toast(error, error.status === 409 ? "warn" : "error");
+  }
+}
+
+/** Mounts what the address names. */
+async function follow() {
+  const route = parseHash(location.hash);
+  const before = app.state.route;
+  const own_visit = ++visit;
+  app.state.set({ route });
+  if (route.project !== before.project) {
+    app.state.set({ project: null, frame: null, presence: {} });
+    app.events.follow(route.project);
+  }
+  if (route.project === before.project && route.mode === before.mode && mounted?.route) {
+    mounted.route(route);
+    return;
+  }
+  await leave();
+  try {
+    if (route.project !== null && app.state.project === null) await refreshProject();
+    const module = await import(MODULES[route.mode]);
+    if (own_visit !== visit) return;
+    work.replaceChildren();
+    app.keys.setMode(route.mode);
+    document.title = route.project ? `${route.project} · ${route.mode} · annotator` : "annotator";
+    mounted = module.mount(work, app) ?? null;
+  } catch (error) {
+    if (own_visit === visit) showProblem(error, route);
+  }
+}
+
+async function leave() {
+  const old = mounted;
+  mounted = null;
+  app.keys.setMode(null);
+  await old?.flush?.();
+  old?.unmount();
+  app.viewport?.detach?.();
+  work.className = "work";
+  work.replaceChildren();
+}
+
+function showProblem(error, route) {
+  if (error.name !== "ApiError") console.error(error);
+  const retry = h("button", { type: "button", class: "primary", onclick: () => follow() }, "Try again");
+  const back = h("a", { class: "button", href: "#/" }, "All projects");
+  const title = error.status === 404 ? `There is no project '${route.project}'` : "This page could not be opened";
+  work.replaceChildren(h("div", { class: "page" }, h("h1", {}, title), h("p", { class: "error-box", role: "alert", "data-testid": "page-problem" }, error.message), h("div", { class: "row" }, retry, back)));
+}
+
+/** A button pressed with the mouse keeps no focus, so that Space, Tab and Enter go on being the mode's. */
+function releaseMouseFocus(event) {
+  if (event.detail > 0 && event.target.closest("button") && !event.target.closest("dialog")) event.target.closest("button").blur();
+}
+
+async function start() {
+  applyTheme();
+  app.effort.watch(window);
+  app.keys.listen(window);
+  app.keys.register({
+    undo: () => void app.undo(),
+    redo: () => void app.redo(),
+    help: () => void keyTableDialog(app.keys),
+    regions: () => {
+      const in_bar = document.activeElement?.closest("#topbar");
+      (in_bar ? work : document.querySelector("#topbar nav a, #topbar a"))?.focus();
+    },
+  });
+  document.addEventListener("click", releaseMouseFocus);
+  window.addEventListener("unhandledrejection", ({ reason }) => {
+    if (reason?.name !== "AbortError") toast(reason instanceof Error ? reason : new Error(String(reason)));
+  });
+  app.events.on("presence", ({ frames }) => app.state.set({ presence: frames }));
+  app.events.on("job", ({ job }) => app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }));
+  app.events.on("connection", (connected) => app.state.set({ connected }));
+  mountTopbar(document.getElementById("topbar"), app);
+  try {
+    const session = await app.api.get("/api/session");
+    app.state.set({ operator: session.operator, version: session.version });
+    if (!session.operator) await signIn(app);
+  } catch (error) {
+    showProblem(error, app.state.route);
+    return;
+  }
+  app.viewport = await import("./viewport.js").then((module) => module.createViewport(app), () => null);
+  app.api.get("/api/jobs").then(({ jobs }) => app.state.set({ jobs }), () => {});
+  window.addEventListener("hashchange", follow);
+  await follow();
+}
+
+await start();

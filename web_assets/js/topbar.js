@@ -1,0 +1,154 @@
+/** The bar at the top: where one is, the modes, undo and redo, who else is here, running work, theme, keys, operator. */
+
+import { confirm, keyTableDialog } from "./dialogs.js";
+import { glyph, h, iconButton } from "./dom.js";
+import { makeHash } from "./router.js";
+import { signOut } from "./session.js";
+import { currentTheme, switchTheme } from "./theme.js";
+
+const TABS = [
+  ["label", "Label"],
+  ["review", "Review"],
+  ["train", "Train"],
+  ["export", "Export"],
+  ["statistics", "Statistics"],
+  ["checks", "Checks"],
+];
+const WITH_FRAME = new Set(["label", "review"]);
+
+export function mountTopbar(root, app) {
+  const parts = [brand(), tabs(app), where(app), h("span", { class: "grow" }), connection(app), jobs(app), history(app), tools(app)];
+  root.replaceChildren(...parts);
+}
+
+function brand() {
+  return h("a", { class: "brand", href: "#/", title: "All projects", "data-testid": "home" }, h("img", { src: "/assets/icon.svg", alt: "" }), "annotator");
+}
+
+function tabs(app) {
+  const project = h("span", { class: "project ellipsis" });
+  const nav = h("nav", { "aria-label": "Modes" });
+  const box = h("div", { class: "row where" }, h("span", { class: "divider" }), project, nav);
+  const show = () => {
+    const { route } = app.state;
+    box.hidden = route.project === null;
+    if (route.project === null) return;
+    project.textContent = route.project;
+    project.title = route.project;
+    const frame = app.state.frame?.frame.id ?? null;
+    nav.replaceChildren(
+      ...TABS.map(([mode, label]) => {
+        const href = makeHash(route.project, mode, WITH_FRAME.has(mode) ? frame : null);
+        return h("a", { href, "aria-current": mode === route.mode ? "page" : null, "data-testid": `mode-${mode}` }, label);
+      }),
+    );
+  };
+  app.state.on("route", show);
+  app.state.on("frame", show);
+  show();
+  return box;
+}
+
+/** Recording, position and neighbours of the open frame, and who else has it open. */
+function where(app) {
+  const name = h("span", { class: "name ellipsis muted", "data-testid": "recording-name" });
+  const position = h("span", { class: "number", "data-testid": "frame-position" });
+  const others = h("span", { class: "presence ellipsis", "data-testid": "presence" });
+  const step = (which) => () => {
+    const { frame, route } = app.state;
+    if (frame?.frame[which] != null) app.go(makeHash(route.project, route.mode, frame.frame[which]));
+  };
+  const previous = iconButton("previous", "Previous frame in time", step("previous"));
+  const next = iconButton("next", "Next frame in time", step("next"));
+  const lock = h("span", { title: "Finalised: automatic passes leave this frame alone", class: "muted" }, glyph("lock"));
+  const box = h("div", { class: "where" }, h("span", { class: "divider" }), name, previous, position, next, lock, others);
+  const show = () => {
+    const { route, frame, project, presence, operator } = app.state;
+    box.hidden = frame === null || !WITH_FRAME.has(route.mode);
+    if (box.hidden) return;
+    const recording = project?.recordings.find(({ id }) => id === frame.frame.recording);
+    name.textContent = frame.frame.recording_name;
+    name.title = `${frame.frame.recording_name}, frame ${frame.frame.key}`;
+    position.textContent = `${frame.frame.index + 1}${recording ? ` / ${recording.frames}` : ""}`;
+    previous.disabled = frame.frame.previous === null;
+    next.disabled = frame.frame.next === null;
+    lock.hidden = !frame.frame.finalised;
+    const names = (presence[frame.frame.id] ?? frame.open_by ?? []).filter((other) => other !== operator);
+    others.textContent = names.length ? `also open: ${names.join(", ")}` : "";
+    others.title = others.textContent;
+  };
+  for (const key of ["route", "frame", "project", "presence"]) app.state.on(key, show);
+  show();
+  return box;
+}
+
+function history(app) {
+  const undo = iconButton("undo", "Undo (Ctrl+Z)", () => app.undo(), { "data-testid": "undo" });
+  const redo = iconButton("redo", "Redo (Ctrl+Shift+Z)", () => app.redo(), { "data-testid": "redo" });
+  const box = h("div", { class: "row", role: "group", "aria-label": "History" }, undo, redo);
+  const show = () => {
+    box.hidden = app.state.route.project === null;
+    const known = app.state.frame?.history;
+    describe(undo, "Undo", "Ctrl+Z", known?.undo);
+    describe(redo, "Redo", "Ctrl+Shift+Z", known?.redo);
+    redo.disabled = Boolean(known) && !known.redo;
+    undo.disabled = Boolean(known) && !known.undo;
+  };
+  app.state.on("route", show);
+  app.state.on("frame", show);
+  show();
+  return box;
+}
+
+function describe(button, verb, key, what) {
+  const text = what ? `${verb}: ${what} (${key})` : `${verb} (${key})`;
+  button.title = text;
+  button.setAttribute("aria-label", text);
+}
+
+function connection(app) {
+  const note = h("span", { class: "offline", role: "status" });
+  app.state.on("connected", (connected) => (note.textContent = connected ? "" : "no connection, trying again …"));
+  return note;
+}
+
+/** The running job, or the first one that waits. */
+function jobs(app) {
+  const bar = h("progress", { max: 1, "aria-label": "Progress" });
+  const text = h("span", {});
+  const link = h("a", { class: "jobs", "data-testid": "job-indicator" }, text, bar);
+  const show = () => {
+    const running = app.state.jobs.find(({ state }) => state === "running") ?? app.state.jobs.find(({ state }) => state === "queued");
+    link.hidden = !running;
+    if (!running) return;
+    link.href = makeHash(running.project, running.kind === "export" ? "export" : "train");
+    link.title = `${running.kind} in ${running.project}: ${running.stage}`;
+    text.textContent = running.state === "queued" ? `${running.kind} waits` : running.kind;
+    if (running.total > 0) bar.value = running.done / running.total;
+    else bar.removeAttribute("value");
+  };
+  app.state.on("jobs", show);
+  show();
+  return link;
+}
+
+function tools(app) {
+  const theme = iconButton("theme", "", () => showTheme(switchTheme()), { "data-testid": "theme" });
+  const showTheme = (name) => {
+    theme.title = `Theme: ${name}`;
+    theme.setAttribute("aria-label", theme.title);
+  };
+  showTheme(currentTheme());
+  const help = iconButton("help", "Keys (?)", () => keyTableDialog(app.keys), { "data-testid": "help" });
+  const operator = h("button", { type: "button", class: "quiet", title: "Sign out", "data-testid": "operator", onclick: () => leave(app) });
+  app.state.on("operator", (name) => {
+    operator.textContent = name ?? "";
+    operator.hidden = !name;
+  });
+  operator.hidden = true;
+  return h("div", { class: "row" }, theme, help, operator);
+}
+
+async function leave(app) {
+  if (await confirm("Sign out", `You work as ${app.state.operator}. Everything is saved.`, "Sign out")) await signOut(app);
+}
