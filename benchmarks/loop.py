@@ -65,7 +65,7 @@ class Arguments:
     """The class of the objects in a folder with masks but no boxes; None = "object"."""
     epochs: int | None = None
     """Of both trainings; None = as many as show the default number of pictures."""
-    views: int = SampleConfig.views
+    views: int = SampleConfig().views
     """About how many pseudo-views are made of what is known in 3D."""
     project: Path | None = None
     """Keep the project here, or use the detectors of one that is here: compares strategies on the same ones."""

@@ -10,6 +10,7 @@ from rich.progress import TaskID
 from annotator.cli.generate import Preset
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
+from annotator.types.errors import ConfigError
 from annotator.workflows.demo import DemoPlan, DemoResult, run_demo
 
 
@@ -33,6 +34,9 @@ def run(
         image_pictures: how many pictures the image detector is shown in training, repeats counted.
         view_pictures: the same of the pseudo-view detector.
     """
+    _require_counts(2, frames=frames)
+    _require_counts(1, image_pictures=image_pictures, view_pictures=view_pictures)
+    _require_counts(0, seed=seed)
     root = out if out is not None else _new_folder()
     plan = DemoPlan(
         preset=preset.value, frames=frames, seed=seed, image_pictures=image_pictures, view_pictures=view_pictures
@@ -48,6 +52,17 @@ def run(
         result = run_demo(root, plan, tell)
     for line in _told(root, result):
         print_line(line)
+
+
+def _require_counts(least: int, **given: int) -> None:
+    """Refuses a number that would end the demo after minutes.
+
+    Raises:
+        ConfigError: one is too small.
+    """
+    for name, number in given.items():
+        if number < least:
+            raise ConfigError(f"--{name.replace('_', '-')} must be {least} or more, not {number}")
 
 
 def _new_folder() -> Path:

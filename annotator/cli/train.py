@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -28,7 +30,7 @@ def run(
     image_size: int | None = None,
     model: str | None = None,
     weights: str = "auto",
-    views: int = SampleConfig.views,
+    views: int = SampleConfig().views,
     seed: int = 0,
     root: Root = None,
 ) -> None:
@@ -52,10 +54,12 @@ def run(
     """
     start = weights if weights in ("auto", "never") else Path(weights)
     shared = {"model": model, "pretrained": start, "seed": seed}
+    with _told_by_flag():
+        samples = SampleConfig(views=views, seed=seed)
     plan = TrainPlan(
         image=_with(IMAGE_DEFAULTS, epochs=image_epochs, image_size_px=image_size, **shared),
         view=_with(VIEW_DEFAULTS, epochs=epochs, image_size_px=size, **shared),
-        samples=SampleConfig(views=views, seed=seed),
+        samples=samples,
         seed=seed,
     )
     roles = (Role.IMAGE, Role.VIEW) if only is None else (only,)
@@ -78,12 +82,23 @@ def _with(config: TrainingConfig, **changes: object) -> TrainingConfig:
         ConfigError: one of them is out of its range.
     """
     given = {name: value for name, value in changes.items() if value is not None}
-    try:
+    with _told_by_flag(config is IMAGE_DEFAULTS):
         return TrainingConfig.model_validate({**config.model_dump(), **given})
+
+
+@contextmanager
+def _told_by_flag(of_image: bool = False) -> Iterator[None]:
+    """A setting that is out of its range, told as what the user wrote.
+
+    Raises:
+        ConfigError: there is one.
+    """
+    try:
+        yield
     except ValidationError as error:
         problem = error.errors()[0]
         allowed = problem["msg"].replace("Input should be", "must be")
-        flag = _flag(str(problem["loc"][0]), config is IMAGE_DEFAULTS)
+        flag = _flag(str(problem["loc"][0]), of_image)
         raise ConfigError(f"{flag} {allowed}, not {problem['input']}") from error
 
 

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
-from annotator.geometry.oriented_box import EDGES, box_corners, contains
-from annotator.geometry.outline import NEAR_M, box_on_image, points_on_image
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Truth
 from annotator.types.errors import DetectionError
 
-# Points along each edge of a box: the edges are straight on an ideal image and bent on a distorted one.
-SAMPLES_IDEAL, SAMPLES_DISTORTED = 2, 17
 # A detected box is never thinner than this, pixels.
 MIN_SIDE_PX = 1.0
 
@@ -199,25 +197,6 @@ class PerfectDetector:
         """Noise that depends on the seed, the picture and the object alone."""
         digest = hashlib.sha256(picture + f" {index} {self._seed}".encode()).digest()
         return np.random.default_rng(int.from_bytes(digest[:8], "little"))
-
-
-def box_outline(truth: Truth, camera: Camera) -> Float64[np.ndarray, "n 3"]:
-    """Points (camera frame, metres) on the edges of a 3D box, as far as they lie `NEAR_M` in front of the camera.
-
-    What they span on the image is what the box spans. An edge that runs behind the camera is cut off at `NEAR_M`;
-    on a distorted image edges are bent, so points along them are needed, not only their ends.
-    """
-    ends = box_corners(truth.box)[np.array(EDGES)]
-    depth = ends[..., 2]
-    ends = ends[(depth >= NEAR_M).any(axis=1)]
-    start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cut = (NEAR_M - start[:, 2]) / along[:, 2]
-    first = np.where(start[:, 2] < NEAR_M, cut, 0.0)
-    last = np.where(start[:, 2] + along[:, 2] < NEAR_M, cut, 1.0)
-    samples = SAMPLES_IDEAL if camera.is_ideal else SAMPLES_DISTORTED
-    share = first[:, None] + np.linspace(0.0, 1.0, samples) * (last - first)[:, None]
-    return (start[:, None] + share[..., None] * along[:, None]).reshape(-1, 3)
 
 
 def _answer(

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.geometry.projection import project
+from annotator.geometry.outline import box_on_image
 from annotator.rcv.axes import camera_frame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import span_box
@@ -150,6 +150,9 @@ def _draw(
             return []
         scene, xyz = whole, whole.frame.cloud.xyz_m
         keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_frame(up), None
+        own = whole.masks[list(whole.objects).index(target)]
+        if not _is_shown(int((own & keep).sum()), int(own.sum())):
+            return []  # most of it is behind the camera or out of the picture: its rest would be taught as background
     elif choice < FRUSTUM_SHARE + WIDE_SHARE:
         crop = _camera_crop(target.box, up, rng)
         keep, axes, show = contains(crop, xyz), look_from_camera(_random_turn(up, rng), up), box_corners(crop)
@@ -185,10 +188,10 @@ def _is_shown(points: int, total: int) -> bool:
 
 
 def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> Box2D | None:
-    px = project(frame.camera, box_corners(target.box))
-    if not np.isfinite(px).all():
+    seen = box_on_image(frame.camera, target.box, target.label)
+    if seen is None:
         return None
-    low, high = px.min(axis=0), px.max(axis=0)
+    low, high = np.array(seen.xyxy).reshape(2, 2)
     shift = rng.normal(0, IMAGE_JITTER, 4) * np.tile(high - low, 2)
     low, high = low + shift[:2], high + shift[2:]
     if (high - low < 2).any():

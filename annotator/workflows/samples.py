@@ -12,18 +12,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.detection.dataset import TrainingSample
-from annotator.detection.perfect import box_outline
 from annotator.geometry.fit import aligned_box
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.projection import project as project_points
+from annotator.geometry.outline import box_on_image
 from annotator.project import REVIEWED, ImageBoxes, Project, Role, StoredFrame, StoredLabel, ViewBoxes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
-from annotator.types import Box2D, BoxKind, Frame, Label, ReviewState, Truth
+from annotator.types import BoxKind, Frame, Label, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.view_pairs import front_and_side, views_by_object
@@ -35,19 +35,14 @@ Skip = Callable[[StoredFrame, FrameError], None]
 """Told of a labelled frame that cannot be read: it teaches nothing, the others do."""
 
 
-@dataclass(frozen=True)
-class SampleConfig:
-    """How many pictures are made from what is known.
+class SampleConfig(BaseModel):
+    """How many pictures are made from what is known."""
 
-    Attributes:
-        views: about how many taught pseudo-views in all, however few objects there are.
-        most_draws: pairs of views an object, at most.
-        seed: of the random axes and crops.
-    """
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    views: int = 480
-    most_draws: int = 20
-    seed: int = 0
+    views: int = Field(480, ge=1, description="taught pseudo-views in all, about; however few objects there are")
+    most_draws: int = Field(20, ge=1, description="pairs of views an object, at most")
+    seed: int = Field(0, ge=0, description="of the random axes and crops")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,22 +130,10 @@ def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[
         if drawn is not None:
             yield TrainingSample(frame.rgb, drawn.boxes, _group(stored), DRAWN, _drawn_uids(drawn))
         else:
-            pairs = [(label.uid, projected_box(frame, label)) for label in material.labels[stored.id]]
+            labels = material.labels[stored.id]
+            pairs = [(label.uid, box_on_image(frame.camera, label.box, label.label)) for label in labels]
             shown = {uid: box for uid, box in pairs if box is not None}
             yield TrainingSample(frame.rgb, tuple(shown.values()), _group(stored), PROJECTED, tuple(shown))
-
-
-def projected_box(frame: Frame, label: Label) -> Box2D | None:
-    """The 2D box of a 3D label on the camera image, clipped; None where it lies outside, or behind the camera."""
-    px = project_points(frame.camera, box_outline(Truth(label.label, label.box), frame.camera))
-    px = px[np.isfinite(px).all(axis=1)]
-    if len(px) == 0:
-        return None
-    low = np.maximum(px.min(axis=0), -0.5)
-    high = np.minimum(px.max(axis=0), [frame.camera.width_px - 0.5, frame.camera.height_px - 0.5])
-    if (high - low < 2).any():
-        return None
-    return Box2D(label.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
 def view_samples(

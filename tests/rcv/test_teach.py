@@ -176,7 +176,7 @@ def test_views_of_free_objects_come_from_everywhere() -> None:
 
 
 def test_an_object_partly_behind_the_camera_is_still_taught() -> None:
-    """Its box has no frustum on the image, but can be cropped."""
+    """Its frustum shows too little of it, but it can be cropped."""
     frame, _ = frame_with(BOXES[:1], up=UP)
     near = some_box([0, 0, 0.05], [0, 0, 0], [0.5, 0.5, 0.4])
     rng = np.random.default_rng(0)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from annotator.detection.dataset import TrainingSample
-from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.oriented_box import contains
+from annotator.geometry.outline import box_on_image
 from annotator.project import Change, NewLabel, Project, Role, StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Label, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Proposal, Quality, Source
 from annotator.types.errors import DetectionError, FrameError, RecordingError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.recordings import add_recordings
@@ -28,7 +29,6 @@ from annotator.workflows.samples import (
     drawn_objects,
     gather,
     image_samples,
-    projected_box,
     taught_by_drags,
     view_samples,
 )
@@ -148,16 +148,12 @@ def test_drawn_boxes_go_before_projected_ones(people: Project) -> None:
     np.testing.assert_array_equal(second.load(), frame.rgb)
 
 
-def test_projected_boxes_span_the_corners(people: Project) -> None:
+def test_projected_boxes_are_those_of_the_visible_part(people: Project) -> None:
     accept(people, 0)
     (sample,) = image_samples(people, gather(people), never)
-    frame = FrameSource(people).read(people.frames.of()[0])
-    for box, stored in zip(sample.boxes, people.labels.select(), strict=True):
-        corners = box_corners(stored.label.box)
-        u = frame.camera.fx * corners[:, 0] / corners[:, 2] + frame.camera.cx
-        v = frame.camera.fy * corners[:, 1] / corners[:, 2] + frame.camera.cy
-        expected = (max(u.min(), -0.5), max(v.min(), -0.5), min(u.max(), 319.5), min(v.max(), 239.5))
-        assert box.xyxy == pytest.approx(expected)
+    camera = FrameSource(people).read(people.frames.of()[0]).camera
+    labels = [stored.label for stored in people.labels.select()]
+    assert list(sample.boxes) == [box_on_image(camera, label.box, label.label) for label in labels]
 
 
 def propose_true(project: Project, index: int, place: int) -> str:
@@ -208,21 +204,6 @@ def test_no_taught_view_shows_an_object_that_nobody_has_reviewed(people: Project
     propose_true(people, 0, 2)  # a pass replaces the one before: only this one is open
     after = views(people, gather(people, [Role.VIEW]), 40)
     assert 0 < len(after) < len(before)
-
-
-def label_at(center: list[float], size: list[float]) -> Label:
-    box = OrientedBox.from_parts(np.array(center), np.eye(3), np.array(size))
-    return Label("u", "person", box, None, Source.MANUAL, ReviewState.ACCEPTED, "me", 0)
-
-
-def test_a_box_that_reaches_behind_the_camera_is_still_on_the_image(people: Project) -> None:
-    """It used to be dropped, which taught that the nearest objects are none."""
-    frame = FrameSource(people).read(people.frames.of()[0])
-    near = projected_box(frame, label_at([1.0, 0.0, 0.5], [0.5, 0.4, 2.0]))
-    assert near is not None
-    assert near.x_max == 319.5
-    assert projected_box(frame, label_at([0.0, 0.0, -3.0], [0.5, 0.5, 1.0])) is None
-    assert projected_box(frame, label_at([30.0, 0.0, 3.0], [0.5, 0.5, 1.0])) is None
 
 
 # --- pseudo-views ----------------------------------------------------------------------------------------------------
