@@ -79,7 +79,7 @@ def _around(px: Float64[np.ndarray, "n 2"], label: str, min_side_px: float) -> B
 
 def _on_image(camera: Camera, face: Float64[np.ndarray, "4 3"]) -> Float64[np.ndarray, "n 2"]:
     """The part of a face that is in the picture, as a polygon in pixels; empty where there is none."""
-    seen = cut_polygon(face, _field_of_view(camera_key(camera)))
+    seen = cut_polygon(face, field_of_view(camera_key(camera)))
     xy = seen[:, :2] / seen[:, 2:]
     if not camera.is_ideal:
         xy = _subdivided(xy)
@@ -122,7 +122,7 @@ def _last_px(camera: Camera) -> Float64[np.ndarray, "2"]:
 
 
 @lru_cache(maxsize=8)
-def _field_of_view(key: CameraKey) -> Float64[np.ndarray, "k 4"]:
+def field_of_view(key: CameraKey) -> Float64[np.ndarray, "k 4"]:
     """Half-spaces of the camera frame that hold all that can be in the picture."""
     camera = Camera(*key)
     planes = [[0.0, 0.0, 1.0, NEAR_M]]

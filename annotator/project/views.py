@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +37,7 @@ class Views:
         Raises:
             ProjectError: not a PNG, or it cannot be written.
         """
-        content = picture if isinstance(picture, bytes) else _encode(picture)
+        content = picture if isinstance(picture, bytes) else png(picture)
         if not content.startswith(_PNG):
             raise ProjectError(f"{self.folder}: only PNG pictures are kept here; convert the picture first")
         view_id = hashlib.sha256(content).hexdigest()
@@ -58,7 +59,7 @@ class Views:
             raise NotFoundError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
         path = self._file(view_id)
         if not path.is_file():
-            raise NotFoundError(f"{path}: the picture is missing; store it first, or restore it from a backup")
+            raise NotFoundError(f"view {view_id[:12]}: the picture is missing from the project; store it first, or restore it from a backup")
         return path
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
@@ -76,11 +77,31 @@ class Views:
             raise ProjectError(f"{path}: is damaged (its content does not fit its name); restore it from a backup")
         return _decode(path, content)
 
+    def size(self, view_id: str) -> tuple[int, int]:
+        """Width and height of a picture, pixels, from the head of its file.
+
+        Raises:
+            NotFoundError: no such picture.
+            ProjectError: it cannot be read.
+        """
+        path = self.path(view_id)
+        try:
+            with path.open("rb") as file:
+                head = file.read(24)
+        except OSError as error:
+            raise ProjectError(f"{path}: cannot be read: {error}") from error
+        # the header chunk comes first: its length and name, then width and height as big-endian words
+        if not head.startswith(_PNG) or len(head) < 24:
+            raise ProjectError(f"{path}: is damaged; restore it from a backup")
+        width, height = struct.unpack(">II", head[16:24])
+        return width, height
+
     def _file(self, view_id: str) -> Path:
         return self.folder / f"{view_id}.png"
 
 
-def _encode(rgb: np.ndarray) -> bytes:
+def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """A picture, (H, W, 3) uint8, RGB order, as the bytes of a PNG file: always the same for the same picture."""
     import cv2
 
     written, content = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))

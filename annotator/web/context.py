@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from urllib.parse import unquote
 
 from fastapi import Depends
@@ -15,12 +15,11 @@ from annotator.project import Project, open_project
 from annotator.project.config import check_name
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, NotFoundError
+from annotator.web.annotation import Annotation
 from annotator.web.errors import NotSignedInError
+from annotator.web.folders import Folders
 from annotator.web.hub import Hub
 from annotator.web.settings import ServerSettings
-
-if TYPE_CHECKING:
-    from annotator.web.frame_cache import FrameCache
 
 OPERATOR_COOKIE = "annotator_operator"
 
@@ -30,15 +29,18 @@ class Context:
 
     Attributes:
         settings: what the server was told.
+        folders: where recordings may be added from.
         hub: events to the open pages.
+        annotation: open frames and pictures.
     """
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings = settings
+        self.folders = Folders(settings.folders)
         self.hub = Hub()
+        self.annotation = Annotation()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
-        self._frames: FrameCache | None = None
 
     def project(self, name: str) -> Project:
         """The project of that name, opened once and kept open.
@@ -66,13 +68,7 @@ class Context:
             NotFoundError: no such frame.
             FrameError: it cannot be read.
         """
-        from annotator.web.frame_cache import FrameCache
-
-        with self._lock:
-            if self._frames is None:
-                self._frames = FrameCache()
-            frames = self._frames
-        return frames.read(project, frame_id)
+        return self.annotation.frames.read(project, frame_id)
 
     def open_projects(self, names: Iterable[str]) -> list[tuple[str, Project]]:
         """Those of these projects that are open already."""
@@ -82,6 +78,7 @@ class Context:
     def close(self) -> None:
         """Ends everything that runs on behalf of the application."""
         self.hub.close()
+        self.annotation.close()
         with self._lock:
             for project in self._projects.values():
                 project.close()

@@ -6,58 +6,16 @@ import threading
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cached_property
 
-import numpy as np
-
-from annotator.geometry.point_index import PointIndex
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
-from annotator.types import Frame, OrientedBox
+from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frames import FrameSource
+from annotator.workflows.open_frame import OpenFrame
 
 # A few operators, each with the frame they look at, the one before and the next.
 FRAMES_KEPT = 8
-JPEG_QUALITY = 92
-
-
-class OpenFrame:
-    """A frame that is looked at.
-
-    Attributes:
-        frame: the frame.
-        lock: held while something about it is computed for the first time.
-    """
-
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-        self.lock = threading.Lock()
-        self._counts: dict[bytes, int] = {}
-
-    @cached_property
-    def jpeg(self) -> bytes:
-        """The image as a JPEG file."""
-        import cv2
-
-        bgr = np.ascontiguousarray(self.frame.rgb[..., ::-1])
-        written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        if not written:
-            raise AnnotatorError(f"frame {self.frame.key}: the image cannot be written as JPEG")
-        return content.tobytes()
-
-    @cached_property
-    def index(self) -> PointIndex:
-        """The cloud, sorted for looks into single boxes."""
-        return PointIndex.of(self.frame.cloud.xyz_m)
-
-    def points_in(self, box: OrientedBox) -> int:
-        """How many points lie in a box; counted once for each box that a label has had."""
-        key = box.T_camera_box.as_matrix().tobytes() + box.size_m.tobytes()
-        found = self._counts.get(key)
-        if found is None:
-            found = self._counts[key] = self.index.count(box)
-        return found
 
 
 class FrameCache:

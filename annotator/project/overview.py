@@ -1,0 +1,115 @@
+"""What a page shows of one frame, and of many: read in one transaction each."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import func, select
+
+from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
+from annotator.project.frames import StoredFrame, frame_of, read_frame
+from annotator.project.labels import StoredLabel, stored_label
+from annotator.project.project import Project
+from annotator.project.schema import frames, image_labels, labels
+from annotator.types import ReviewState
+
+
+@dataclass(frozen=True, eq=False)
+class FramePage:
+    """All that is known of a frame at one moment.
+
+    Attributes:
+        frame: a change based on this names its revision.
+        previous, next: ids of the neighbours in the recording, where there are any.
+        recording_name: of its recording.
+        labels: in the order they were made, rejected ones included.
+        image_boxes: on the camera image, or None where nobody has looked for any.
+        view_boxes: on its pseudo-views.
+    """
+
+    frame: StoredFrame
+    previous: int | None
+    next: int | None
+    recording_name: str
+    labels: tuple[StoredLabel, ...]
+    image_boxes: ImageBoxes | None
+    view_boxes: tuple[ViewBoxes, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRow:
+    """One line of a list of frames.
+
+    Attributes:
+        frame: the frame.
+        counts: labels by state.
+        image_boxes: how many boxes are on its image; None where nobody has looked for any.
+        proposed: its open proposals.
+    """
+
+    frame: StoredFrame
+    counts: Mapping[ReviewState, int]
+    image_boxes: int | None
+    proposed: tuple[StoredLabel, ...]
+
+
+def read_page(project: Project, frame_id: int) -> FramePage:
+    """Everything about one frame.
+
+    Raises:
+        NotFoundError: no such frame.
+    """
+    name = project.recordings.get(project.frames.get(frame_id).recording_id).name
+    with project.store.read() as connection:
+        frame = read_frame(connection, frame_id)
+        query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
+        found = tuple(map(stored_label, connection.execute(query)))
+        boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
+    previous, following = neighbours(project, frame)
+    return FramePage(frame, previous, following, name, found, boxes, views)
+
+
+def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
+    """Ids of the frames before and after one in its recording; both None for one that is no longer there."""
+    if frame.index is None:
+        return None, None
+    here = select(frames.c.id).where(frames.c.recording_id == frame.recording_id, frames.c.position.is_not(None))
+    before = here.where(frames.c.position < frame.index).order_by(frames.c.position.desc()).limit(1)
+    after = here.where(frames.c.position > frame.index).order_by(frames.c.position).limit(1)
+    with project.store.read() as connection:
+        return connection.execute(before).scalar(), connection.execute(after).scalar()
+
+
+def list_frames(
+    project: Project, recording_id: int | None = None, offset: int = 0, limit: int | None = None
+) -> tuple[tuple[FrameRow, ...], int]:
+    """Some frames of a recording (None: of all) in order, and how many there are in all.
+
+    Frames that the latest scan no longer found are left out.
+    """
+    query = select(frames).where(frames.c.position.is_not(None))
+    if recording_id is not None:
+        query = query.where(frames.c.recording_id == recording_id)
+    page = query.order_by(frames.c.recording_id, frames.c.position).offset(offset).limit(limit)
+    with project.store.read() as connection:
+        total = int(connection.execute(select(func.count()).select_from(query.subquery())).scalar_one())
+        chosen = [frame_of(row) for row in connection.execute(page)]
+        ids = [frame.id for frame in chosen]
+        on_image = select(image_labels.c.frame_id, image_labels.c["count"]).where(image_labels.c.frame_id.in_(ids))
+        boxes: dict[int, int] = {row[0]: row[1] for row in connection.execute(on_image)}
+        rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id)).all()
+    return tuple(_frame_rows(chosen, boxes, [stored_label(row) for row in rows])), total
+
+
+def _frame_rows(
+    chosen: Sequence[StoredFrame], boxes: Mapping[int, int], found: Sequence[StoredLabel]
+) -> list[FrameRow]:
+    counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
+    proposed: dict[int, list[StoredLabel]] = defaultdict(list)
+    for entry in found:
+        counts[entry.frame_id][entry.label.state] += 1
+        if entry.label.state is ReviewState.PROPOSED:
+            proposed[entry.frame_id].append(entry)
+    return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in chosen]

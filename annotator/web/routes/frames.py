@@ -1,0 +1,59 @@
+"""Frames: the list, one frame's state, and changes to it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from fastapi.responses import JSONResponse
+
+from annotator.project.overview import list_frames
+from annotator.types.errors import StaleRevisionError
+from annotator.web.context import Context, Ctx, Operator
+from annotator.web.errors import error_response
+from annotator.web.frame_changes import ChangesIn
+from annotator.web.shown import frame_row, frame_state
+from annotator.web.wire import FrameListJson, FrameStateJson, RowId
+from annotator.workflows.changes import apply_changes
+
+router = APIRouter(tags=["frames"])
+
+STALE: dict[int | str, dict[str, Any]] = {409: {"description": "somebody changed the frame first: both versions"}}
+
+
+@router.get("/api/projects/{name}/frames")
+def frames(
+    ctx: Ctx,
+    name: str,
+    recording: RowId | None = None,
+    offset: RowId = 0,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 200,
+) -> FrameListJson:
+    """A part of the list of frames, in order."""
+    rows, total = list_frames(ctx.project(name), recording, offset, limit)
+    return FrameListJson(frames=[frame_row(row) for row in rows], total=total)
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}")
+def frame(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> FrameStateJson:
+    """All that a page shows of a frame."""
+    return frame_state(ctx, name, frame_id, who)
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
+def changes(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: ChangesIn) -> FrameStateJson | JSONResponse:
+    """Changes to one frame: all of them, or none; one step for undo."""
+    try:
+        receipt = apply_changes(ctx.project(name), frame_id, body.payloads(), body.change(who))
+    except StaleRevisionError as error:
+        return stale_answer(ctx, name, frame_id, who, error, body.model_dump(mode="json")["changes"])
+    ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
+    return frame_state(ctx, name, frame_id, who)
+
+
+def stale_answer(
+    ctx: Context, name: str, frame_id: int, who: str, error: StaleRevisionError, sent: Any
+) -> JSONResponse:
+    """Both versions: what is there now, and what was sent."""
+    state = frame_state(ctx, name, frame_id, who).model_dump(mode="json")
+    return error_response(type(error).__name__, str(error), 409, state=state, changes=sent)

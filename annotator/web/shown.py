@@ -1,0 +1,153 @@
+"""From what the workflows show to its JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+from annotator.project import Project, ViewBoxes
+from annotator.project.overview import FrameRow
+from annotator.types import Quality
+from annotator.web.context import Context
+from annotator.web.wire import (
+    Box2DOut,
+    Box3DOut,
+    FrameJson,
+    FrameRowJson,
+    FrameStateJson,
+    HistoryJson,
+    ImageBoxesJson,
+    ImageJson,
+    LabelJson,
+    ObjectJson,
+    QualityJson,
+    ViewJson,
+)
+from annotator.workflows.doubt import doubt
+from annotator.workflows.frame_view import ShownFrame, ShownLabel, ShownObject, show_frame
+
+
+def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameStateJson:
+    """The present state of a frame as its page shows it to one operator.
+
+    Raises:
+        NotFoundError: no such project or frame.
+        FrameError, RecordingError: the frame cannot be read.
+    """
+    project = ctx.project(name)
+    opened = ctx.annotation.frames.open(project, frame_id)
+    shown = show_frame(project, frame_id, opened)
+    frame, page = opened.frame, shown.page
+    boxes = page.image_boxes
+    return FrameStateJson.model_construct(
+        frame=_frame(shown),
+        image=ImageJson(
+            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}",
+            width=frame.camera.width_px,
+            height=frame.camera.height_px,
+        ),
+        up=None if frame.up is None else frame.up.tolist(),
+        points=len(frame.cloud),
+        image_boxes=None
+        if boxes is None
+        else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
+        objects=[_object(name, project, drawn) for drawn in shown.objects],
+        labels=[_label(label) for label in shown.labels],
+        open_by=ctx.hub.open_by(name, frame_id, operator),
+        history=HistoryJson(undo=None, redo=None),
+    )
+
+
+def image_version(project: Project, shown: ShownFrame) -> str:
+    """Changes where the same address would show another image: another project, or recording, under the old names."""
+    frame = shown.page.frame
+    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
+    return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+
+def frame_row(row: FrameRow) -> FrameRowJson:
+    """One line of the list of frames; its doubt is that of its most doubtful proposal."""
+    doubts = [doubt(stored.quality, stored.label.score) for stored in row.proposed]
+    frame = row.frame
+    return FrameRowJson(
+        id=frame.id,
+        recording=frame.recording_id,
+        key=frame.key,
+        index=frame.index,
+        revision=frame.revision,
+        finalised=frame.finalised,
+        counts={state.value: number for state, number in row.counts.items()},
+        image_boxes=row.image_boxes,
+        doubt=max((value for value in doubts if value is not None), default=None),
+    )
+
+
+def view_url(name: str, view_id: str) -> str:
+    """Where the picture of a pseudo-view is."""
+    return f"/api/projects/{name}/views/{view_id}.png"
+
+
+def _frame(shown: ShownFrame) -> FrameJson:
+    frame = shown.page.frame
+    return FrameJson(
+        id=frame.id,
+        recording=frame.recording_id,
+        recording_name=shown.page.recording_name,
+        key=frame.key,
+        index=frame.index,
+        revision=frame.revision,
+        finalised=frame.finalised,
+        previous=shown.page.previous,
+        next=shown.page.next,
+    )
+
+
+def _label(shown: ShownLabel) -> LabelJson:
+    label = shown.stored.label
+    return LabelJson.model_construct(
+        uid=label.uid,
+        label=label.label,
+        box=Box3DOut.of(label.box),
+        score=label.score,
+        source=label.source,
+        state=label.state,
+        author=label.author,
+        time_ns=label.time_ns,
+        track_id=label.track_id,
+        quality=quality_json(shown.stored.quality),
+        doubt=shown.doubt,
+        outline=shown.outline.round(2).tolist(),
+        points=shown.points,
+    )
+
+
+def quality_json(quality: Quality | None) -> QualityJson | None:
+    """JSON has no word for NaN: a signal without a value is null."""
+    if quality is None:
+        return None
+    values = (quality.view_disagreement, quality.kept_share, quality.last_change)
+    disagreement, kept, change = (value if math.isfinite(value) else None for value in values)
+    return QualityJson(view_disagreement=disagreement, kept_share=kept, last_change=change)
+
+
+def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
+    return ObjectJson(
+        image_box=Box2DOut.of(drawn.image_box),
+        views=[(_stored_view(name, project, view), Box2DOut.of(view.boxes[0])) for view in drawn.views],
+        uid=drawn.uid,
+    )
+
+
+def _stored_view(name: str, project: Project, view: ViewBoxes) -> ViewJson:
+    place = view.geometry
+    assert place is not None  # views_by_object takes no others
+    width, height = project.views.size(view.view_id)
+    return ViewJson(
+        id=view.view_id,
+        url=view_url(name, view.view_id),
+        width=width,
+        height=height,
+        axes=[list(row) for row in place.axes],
+        metres_per_px=place.metres_per_px,
+        origin_m=list(place.origin_m),
+    )
