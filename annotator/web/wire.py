@@ -5,13 +5,13 @@ Pixels are continuous and the centre of the first is (0, 0); metres are in the c
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
-from annotator.types import Box2D, BoxKind, OrientedBox, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source
 
 # What a page may send: wide enough for any picture and any recording, and finite.
 Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
@@ -47,7 +47,7 @@ class Box2DJson(Wire):
     score: Share = 1.0
 
     @model_validator(mode="after")
-    def _has_sides(self) -> Self:
+    def _has_sides(self) -> Box2DJson:
         if self.x_max <= self.x_min or self.y_max <= self.y_min:
             raise ValueError("x_max and y_max must be greater than x_min and y_min")
         return self
@@ -65,7 +65,7 @@ class Box3DJson(Wire):
     quaternion: tuple[Unit, Unit, Unit, Unit] | None = None
 
     @model_validator(mode="after")
-    def _has_one_rotation(self) -> Self:
+    def _has_one_rotation(self) -> Box3DJson:
         if (self.rotation is None) == (self.quaternion is None):
             raise ValueError("give either rotation or quaternion")
         if self.quaternion is not None and not 0.5 <= float(np.linalg.norm(self.quaternion)) <= 2:
@@ -174,12 +174,27 @@ class FrameJson(Wire):
     next: int | None
 
 
+class CameraJson(Wire):
+    """How the camera sees, so that a page projects a box while it is dragged; distortion as `cv2.projectPoints` has it."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+
+    @classmethod
+    def of(cls, camera: Camera) -> Self:
+        return cls(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, distortion=camera.distortion)
+
+
 class ImageJson(Wire):
     """The camera image."""
 
     url: str
     width: int
     height: int
+    camera: CameraJson
 
 
 class ImageBoxesJson(Wire):
