@@ -72,7 +72,6 @@ async function loadFrame(id) {
   frame_request?.abort();
   frame_request = new AbortController();
   const frame = await app.api.get(app.path("frames", id), { signal: frame_request.signal });
-  app.effort.reset();
   app.events.openFrame(id);
   app.state.set({ frame });
   return frame;
@@ -113,6 +112,8 @@ async function follow() {
     if (own_visit !== visit) return;
     work.replaceChildren();
     app.keys.setMode(route.mode);
+    // What was done on other pages is not the cost of the next box.
+    app.effort.reset();
     document.title = route.project ? `${route.project} · ${route.mode} · annotator` : "annotator";
     mounted = module.mount(work, app) ?? null;
   } catch (error) {
