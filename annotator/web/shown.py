@@ -45,6 +45,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
             url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}",
             width=frame.camera.width_px,
             height=frame.camera.height_px,
+            camera=CameraJson.of(frame.camera),
         ),
         up=None if frame.up is None else frame.up.tolist(),
         points=len(frame.cloud),

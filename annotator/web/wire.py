@@ -175,7 +175,7 @@ class FrameJson(Wire):
 
 
 class CameraJson(Wire):
-    """How the camera sees, so that a page projects a box while it is dragged; distortion as `cv2.projectPoints` has it."""
+    """How the camera sees: a page projects a box while it is dragged; distortion as in `cv2.projectPoints`."""
 
     fx: float
     fy: float
@@ -184,7 +184,7 @@ class CameraJson(Wire):
     distortion: tuple[float, ...]
 
     @classmethod
-    def of(cls, camera: Camera) -> Self:
+    def of(cls, camera: Camera) -> CameraJson:
         return cls(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, distortion=camera.distortion)
 
 
