@@ -14,12 +14,12 @@ from annotator.detection.dataset import write_dataset
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
 from annotator.detection.pretrained import check_start
 from annotator.detection.progress import TrainingProgress
-from annotator.detection.trained import TrainedModel
+from annotator.detection.trained import MODEL_NAME, TrainedModel
 from annotator.detection.training import train_detector
 from annotator.project import Project, Role, StoredFrame, StoredModel
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind
-from annotator.types.errors import FrameError
+from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.samples import Material, SampleConfig, gather, image_samples, view_samples
@@ -88,8 +88,23 @@ def train(
     rcv = plan.rcv or rcv_config(project)
     material = gather(project, roles)
     for role in roles:  # a model that does not exist is told before the pictures are made, not after
-        check_start(plan.image if role is Role.IMAGE else plan.view)
+        _check_start(project, role, plan.image if role is Role.IMAGE else plan.view)
     return [_train_one(project, material, role, plan, rcv, progress, stop) for role in roles]
+
+
+def _check_start(project: Project, role: Role, config: TrainingConfig) -> None:
+    """Refuses what a training could not begin with, unless one with these settings is done: that needs no beginning.
+
+    (Whether it has learnt from the present labels shows only with the pictures; if not, the training refuses.)
+
+    Raises:
+        ConfigError, DetectionError: as `check_start`.
+    """
+    try:
+        check_start(config)
+    except ConfigError:
+        if not any((project.models_folder / role.value).glob(f"*-{_settings_hash(config)}/{MODEL_NAME}")):
+            raise
 
 
 def _train_one(
@@ -147,5 +162,8 @@ def _registered(project: Project, role: Role, result: TrainedModel, kind: BoxKin
 
 def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
     """The folder of a training: the same labels and settings give the same one, so that it is found again."""
-    settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
-    return f"{manifest.sha256[:12]}-{settings[:8]}"
+    return f"{manifest.sha256[:12]}-{_settings_hash(config)}"
+
+
+def _settings_hash(config: TrainingConfig) -> str:
+    return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:8]

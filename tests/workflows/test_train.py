@@ -15,7 +15,7 @@ from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Change, Project, Role
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind
-from annotator.types.errors import DetectionError
+from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows import train as workflow
 from annotator.workflows.samples import SampleConfig
 from annotator.workflows.simulate import simulate_recording
@@ -101,6 +101,23 @@ def test_the_same_labels_and_settings_find_their_run_again(
     assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
     assert [result.model.id for result in first] == [result.model.id for result in second]
     assert len(people.models.all()) == 2, "trained again it is the same model, not a second one"
+
+
+def test_a_finished_training_needs_its_starting_weights_no_more(
+    people: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulate(people)
+    plan = TrainPlan(
+        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=PLAN.samples
+    )
+    with pytest.raises(ConfigError, match=r"gone\.pt: no such weights file"):
+        train(people, plan, roles=(Role.IMAGE,))
+    with monkeypatch.context() as there:
+        there.setattr(workflow, "check_start", lambda config: None)
+        (first,) = train(people, plan, roles=(Role.IMAGE,))
+    first.result.write(first.model.path.parent)
+    (again,) = train(people, plan, roles=(Role.IMAGE,))
+    assert again.model.id == first.model.id
 
 
 def test_other_labels_or_settings_are_another_run(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
