@@ -12,6 +12,7 @@ from annotator.web.context import Context
 from annotator.web.wire import (
     Box2DOut,
     Box3DOut,
+    CameraJson,
     FrameJson,
     FrameRowJson,
     FrameStateJson,
