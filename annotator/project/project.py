@@ -37,8 +37,8 @@ from annotator.project.writing import Writer
 from annotator.types import Label
 from annotator.types.errors import ProjectError
 
-MODELS_FOLDER, VIEWS_FOLDER, CACHE_FOLDER = "models", "views", "cache"
-_FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER, CACHE_FOLDER)
+MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
+_FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +97,6 @@ class Project:
     def models_folder(self) -> Path:
         """Where trained models and their data sets live."""
         return self.path / MODELS_FOLDER
-
-    @property
-    def cache_folder(self) -> Path:
-        """For anything that can be made again."""
-        return self.path / CACHE_FOLDER
 
     def configure(
         self, *, classes: Sequence[str] | None = None, settings: ProjectSettings | None = None

@@ -28,7 +28,7 @@ def test_a_project_has_its_files(tmp_path: Path) -> None:
     settings = ProjectSettings(rotation=BoxRotation.UPRIGHT)
     create_project(tmp_path / "projects", "hands", ["hand"], settings=settings, clock=lambda: 123).close()
     folder = tmp_path / "projects" / "hands"
-    assert {path.name for path in folder.iterdir()} == {"project.json", "project.db", "models", "views", "cache"}
+    assert {path.name for path in folder.iterdir()} == {"project.json", "project.db", "models", "views"}
     assert json.loads((folder / "project.json").read_text()) == {
         "name": "hands",
         "format_version": 1,
@@ -195,9 +195,9 @@ def test_a_moved_project_opens(project: Project, tmp_path: Path) -> None:
 
 
 def test_a_missing_sub_folder_is_made_again(project: Project) -> None:
-    (project.path / "cache").rmdir()
+    (project.path / "views").rmdir()
     with open_project(project.path) as found:
-        assert found.cache_folder.is_dir()
+        assert found.views.folder.is_dir()
 
 
 def test_projects_are_listed_with_their_problems(tmp_path: Path) -> None:

@@ -17,8 +17,6 @@ from annotator.recordings.generated.mesh import turn_x, turn_y, turn_z
 
 STEP_S = 1 / 60
 DELAY_S = 0.17
-# wrist x, y, z; swivel; roll, flexion, sideways bend of the wrist; the fingers
-MOTION = 7 + JOINTS
 LEAST_GAP_M = 0.16
 
 
