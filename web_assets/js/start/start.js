@@ -1,0 +1,97 @@
+/** The first page: the projects with what is in them, a new one, and recordings for it. */
+
+import { count, glyph, h } from "../dom.js";
+import { makeHash } from "../router.js";
+import { addRecordings } from "./recordings.js";
+import { createProject } from "./new_project.js";
+
+const STATES = ["proposed", "accepted", "edited", "rejected"];
+
+export function mount(root, app) {
+  const list = h("div", { class: "projects", "aria-live": "polite" });
+  const page = h(
+    "div",
+    { class: "page start" },
+    h("div", { class: "row" }, h("h1", { class: "grow" }, "Projects"), newButton()),
+    list,
+    h("p", { class: "help" }, app.state.version ? `annotator ${app.state.version}` : ""),
+  );
+
+  function newButton() {
+    return h("button", { type: "button", class: "primary", "data-testid": "new-project", onclick: make }, glyph("plus"), "New project");
+  }
+
+  async function make() {
+    const project = await createProject(app);
+    if (!project) return;
+    await refresh();
+    await add(project.name);
+  }
+
+  async function add(name) {
+    await addRecordings(app, name);
+    await refresh();
+  }
+
+  async function refresh() {
+    try {
+      const { projects } = await app.api.get("/api/projects");
+      list.replaceChildren(...(projects.length ? projects.map((project) => card(project, add)) : [nothing()]));
+    } catch (error) {
+      const retry = h("button", { type: "button", onclick: refresh }, "Try again");
+      list.replaceChildren(h("p", { class: "error-box", role: "alert" }, error.message), h("div", {}, retry));
+    }
+  }
+
+  function nothing() {
+    return h(
+      "div",
+      { class: "panel empty", "data-testid": "no-projects" },
+      h("h2", {}, "No project yet"),
+      h("p", {}, "A project holds the recordings that are labelled together, their labels, and the detectors that learn from them."),
+      newButton(),
+    );
+  }
+
+  root.append(page);
+  refresh();
+  return { unmount: () => {} };
+}
+
+function card(project, add) {
+  const { name, problem } = project;
+  const labels = project.labels_by_state;
+  const proposed = labels.proposed ?? 0;
+  const title = problem
+    ? h("h2", { class: "ellipsis" }, name)
+    : h("h2", { class: "ellipsis" }, h("a", { href: makeHash(name, "label"), "data-testid": `open-${name}` }, name));
+  const box = h("section", { class: "panel project", "data-testid": `project-${name}`, "aria-label": name }, title);
+  if (problem) {
+    box.append(h("p", { class: "error-box" }, problem));
+    return box;
+  }
+  const addButton = h("button", { type: "button", class: project.recordings ? "" : "primary", onclick: () => add(name), "data-testid": `add-recording-${name}` }, glyph("plus"), "Recording");
+  const links = project.recordings
+    ? [
+        link(name, "label", "Label"),
+        link(name, "review", proposed ? `Review ${proposed.toLocaleString("en")}` : "Review", proposed > 0),
+      ]
+    : [];
+  box.append(
+    h("p", { class: "classes" }, project.classes.map((label) => h("span", { class: "chip" }, label))),
+    h("p", { class: "number muted" }, project.recordings ? `${count(project.recordings, "recording")}, ${count(project.frames, "frame")}` : "No recording yet: add one to begin."),
+    h("p", { class: "number states" }, stateCounts(labels)),
+    h("div", { class: "row" }, links, addButton),
+  );
+  return box;
+}
+
+function link(name, mode, text, is_primary = false) {
+  return h("a", { class: `button${is_primary ? " strong" : ""}`, href: makeHash(name, mode) }, text);
+}
+
+function stateCounts(labels) {
+  const known = STATES.filter((state) => labels[state] > 0);
+  if (!known.length) return [h("span", { class: "muted" }, "no labels")];
+  return known.map((state) => h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`));
+}
