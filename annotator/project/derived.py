@@ -8,19 +8,27 @@ from annotator.project.events import Event, read_events
 from annotator.project.payloads import (
     FrameFinalised,
     FrameReopened,
+    ImageBoxesRemoved,
+    ImageBoxesRestored,
     ImageBoxesSet,
+    ImageBoxesState,
     LabelAccepted,
     LabelChange,
     LabelCreated,
     LabelDeleted,
     LabelEdited,
     LabelRejected,
+    LabelRestored,
     ProposalsReplaced,
     ProposedObject,
+    ViewBoxesRemoved,
+    ViewBoxesRestored,
     ViewBoxesSet,
+    ViewBoxesState,
 )
-from annotator.project.records import BOXES_2D
-from annotator.project.schema import DERIVED, frames, image_labels, labels, view_labels
+from annotator.project.records import BOXES_2D, box_2d_json
+from annotator.project.schema import DERIVED, frames, image_labels, labels, revertible, view_labels
+from annotator.project.subjects import read_subject, subject_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
 
@@ -33,6 +41,21 @@ def apply_event(connection: Connection, event: Event) -> None:
     Raises:
         ProjectError: the event does not fit the state, such as a change of a label that is not there.
     """
+    if event.action is None:
+        _apply(connection, event)
+    else:
+        # what undo will want to know
+        subject = subject_of(event.payload)
+        before = read_subject(connection, event.frame_id, subject)
+        _apply(connection, event)
+        after = read_subject(connection, event.frame_id, subject)
+        row = {"event_id": event.id, "subject": subject, "before": before, "after": after}
+        connection.execute(insert(revertible), row)
+    if event.frame_id is not None:
+        connection.execute(update(frames).where(frames.c.id == event.frame_id).values(revision=event.revision))
+
+
+def _apply(connection: Connection, event: Event) -> None:
     payload = event.payload
     match payload:
         case ImageBoxesSet():
@@ -47,8 +70,12 @@ def apply_event(connection: Connection, event: Event) -> None:
             _set_finalised(connection, event, isinstance(payload, FrameFinalised))
         case LabelAccepted() | LabelEdited() | LabelRejected() | LabelDeleted():
             _change_label(connection, event, payload)
-    if event.frame_id is not None:
-        connection.execute(update(frames).where(frames.c.id == event.frame_id).values(revision=event.revision))
+        case LabelRestored():
+            _restore_label(connection, event, payload)
+        case ImageBoxesRestored() | ImageBoxesRemoved():
+            _restore_image_boxes(connection, event, payload)
+        case ViewBoxesRestored() | ViewBoxesRemoved():
+            _restore_view_boxes(connection, event, payload)
 
 
 def rebuild(connection: Connection) -> int:
@@ -138,6 +165,8 @@ def _create_label(connection: Connection, event: Event, payload: LabelCreated) -
         "score": payload.score,
         "state": payload.state.value,
         "track_id": payload.track_id,
+        "origin": payload.origin,
+        "image_box": box_2d_json(payload.image_box),
     }
     connection.execute(insert(labels), row | _stamp(event))
 
@@ -160,12 +189,68 @@ def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[st
         case LabelRejected():
             return {"state": ReviewState.REJECTED.value}
         case LabelEdited():
-            return {
+            moved: dict[str, Value] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
+            return moved | {
                 "state": ReviewState.EDITED.value,
                 "label": payload.label,
                 "box": payload.box.model_dump_json(),
                 "track_id": payload.track_id,
             }
+
+
+def _restore_label(connection: Connection, event: Event, payload: LabelRestored) -> None:
+    former = payload.former
+    chosen = labels.c.uid == payload.uid
+    if connection.execute(select(labels.c.id).where(chosen, labels.c.frame_id != event.frame_id)).first():
+        raise ProjectError(f"label {payload.uid} is in another frame")
+    connection.execute(delete(labels).where(chosen))
+    row: dict[str, Value] = former.model_dump(exclude={"box", "image_box", "place"}, mode="json")
+    row |= {
+        "uid": payload.uid,
+        "frame_id": event.frame_id,
+        "box": former.box.model_dump_json(),
+        "image_box": box_2d_json(former.image_box),
+        "event_id": event.id,
+    }
+    # back in its place among the frame's labels, unless another label has taken the row
+    if not connection.execute(select(labels.c.id).where(labels.c.id == former.place)).first():
+        row["id"] = former.place
+    connection.execute(insert(labels), row)
+
+
+def _restore_image_boxes(connection: Connection, event: Event, payload: ImageBoxesRestored | ImageBoxesRemoved) -> None:
+    connection.execute(delete(image_labels).where(image_labels.c.frame_id == event.frame_id))
+    if isinstance(payload, ImageBoxesRestored):
+        former = payload.former
+        row: dict[str, Value] = {"frame_id": event.frame_id, "event_id": event.id}
+        connection.execute(insert(image_labels), row | _boxes_row(former))
+
+
+def _restore_view_boxes(connection: Connection, event: Event, payload: ViewBoxesRestored | ViewBoxesRemoved) -> None:
+    same = (view_labels.c.view_id == payload.view) & (view_labels.c.frame_id == event.frame_id)
+    connection.execute(delete(view_labels).where(same))
+    if isinstance(payload, ViewBoxesRestored):
+        former = payload.former
+        row: dict[str, Value] = {
+            "view_id": payload.view,
+            "frame_id": event.frame_id,
+            "revision": event.revision,
+            "step": former.step,
+            "geometry": former.geometry.model_dump_json() if former.geometry else None,
+            "event_id": event.id,
+        }
+        connection.execute(insert(view_labels), row | _boxes_row(former))
+
+
+def _boxes_row(former: ImageBoxesState | ViewBoxesState) -> dict[str, Value]:
+    return {
+        "box_kind": former.box_kind.value,
+        "boxes": BOXES_2D.dump_json(former.boxes).decode(),
+        "count": len(former.boxes),
+        "author": former.author,
+        "time_ns": former.time_ns,
+        "source": former.source.value,
+    }
 
 
 def _set_finalised(connection: Connection, event: Event, finalised: bool) -> None:

@@ -8,11 +8,19 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select
 
-from annotator.project.payloads import PAYLOAD, Payload, ViewBoxesSet
+from annotator.project.payloads import PAYLOAD, Payload, ViewBoxesRemoved, ViewBoxesRestored, ViewBoxesSet
 from annotator.project.schema import AnyRow, events
 from annotator.types import Source
 
 _BATCH = 50
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What something cost an operator, as the page counts it: drags, clicks and keys; and the time they took."""
+
+    actions: int
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,10 @@ class Event:
         time_ns: UTC nanoseconds since the epoch.
         source: how it came about.
         payload: what was said.
+        action: what an operator did at once has one id; None for automatic passes and imports.
+        undoes: the action that this one takes back, or None.
+        subject: uid of the label, or id of the begun object, that the effort went into, where it was told.
+        effort: what the action cost, on its first event, where it was counted.
     """
 
     id: int
@@ -38,6 +50,10 @@ class Event:
     time_ns: int
     source: Source
     payload: Payload
+    action: str | None = None
+    undoes: str | None = None
+    subject: str | None = None
+    effort: Effort | None = None
 
 
 def insert_event(
@@ -50,9 +66,13 @@ def insert_event(
     author: str,
     time_ns: int,
     source: Source,
+    action: str | None = None,
+    undoes: str | None = None,
+    subject: str | None = None,
+    effort: Effort | None = None,
 ) -> Event:
     """Append one row; `content` is the JSON of `payload`."""
-    view_id = payload.view if isinstance(payload, ViewBoxesSet) else None
+    view_id = payload.view if isinstance(payload, ViewBoxesSet | ViewBoxesRestored | ViewBoxesRemoved) else None
     row = {
         "frame_id": frame_id,
         "view_id": view_id,
@@ -62,10 +82,18 @@ def insert_event(
         "author": author,
         "time_ns": time_ns,
         "source": source.value,
+        "action": action,
+        "undoes": undoes,
+        "subject": subject,
+        "actions": effort.actions if effort else None,
+        "seconds": effort.seconds if effort else None,
     }
     key = connection.execute(insert(events), row).inserted_primary_key
     assert key is not None  # one row was inserted
-    return Event(int(key[0]), frame_id, view_id, revision, author, time_ns, source, payload)
+    event_id = int(key[0])
+    return Event(
+        event_id, frame_id, view_id, revision, author, time_ns, source, payload, action, undoes, subject, effort
+    )
 
 
 def read_events(connection: Connection, query: Select[Any] | None = None, after: int = 0) -> Iterator[Event]:
@@ -96,4 +124,8 @@ def event_of(row: AnyRow) -> Event:
         row.time_ns,
         Source(row.source),
         PAYLOAD.validate_json(row.payload),
+        row.action,
+        row.undoes,
+        row.subject,
+        None if row.actions is None else Effort(row.actions, row.seconds),
     )

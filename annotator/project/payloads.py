@@ -6,16 +6,81 @@ default; a change of meaning is a new kind.
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
 from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
-from annotator.types import Box2D, BoxKind, LostObject, ReviewState
+from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Source
 
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
 ClassName = Annotated[str, Field(min_length=1)]
+
+
+class Origin(StrEnum):
+    """How an operator made a label that nobody proposed.
+
+    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another frame.
+    """
+
+    DRAWN = "drawn"
+    PLACED = "placed"
+    COPIED = "copied"
+
+
+class LabelState(BaseModel):
+    """All that is kept of a label but its uid and frame, as `Label` and `StoredLabel` have it.
+
+    Attributes:
+        place: number of its row, which orders the labels of a frame.
+    """
+
+    model_config = EXACT
+
+    label: ClassName
+    box: BoxRecord
+    score: float | None
+    source: Source
+    state: ReviewState
+    author: str
+    time_ns: int
+    track_id: int | None
+    view_disagreement: float | None
+    kept_share: float | None
+    last_change: float | None
+    proposal_event_id: int | None
+    run_id: int | None
+    origin: Origin | None
+    image_box: Box2D | None
+    place: int
+
+
+class ImageBoxesState(BaseModel):
+    """All that is kept of the boxes on a camera image, as in `ImageBoxes`."""
+
+    model_config = EXACT
+
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    author: str
+    time_ns: int
+    source: Source
+
+
+class ViewBoxesState(BaseModel):
+    """All that is kept of the boxes on a pseudo-view, as in `ViewBoxes`."""
+
+    model_config = EXACT
+
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    step: int | None
+    geometry: ViewGeometry | None
+    author: str
+    time_ns: int
+    source: Source
 
 
 class _Payload(BaseModel):
@@ -91,7 +156,12 @@ class ProposalsReplaced(_Payload):
 
 
 class LabelCreated(_Payload):
-    """A 3D box that no automatic pass proposed: drawn by an operator, or imported."""
+    """A 3D box that no automatic pass proposed: made by an operator, or imported.
+
+    Attributes:
+        origin: how, where an operator made it.
+        image_box: on the camera image, where the label was made from it.
+    """
 
     kind: Literal["label_created"] = "label_created"
     uid: Uid
@@ -100,6 +170,8 @@ class LabelCreated(_Payload):
     score: Finite | None = None
     track_id: int | None = None
     state: ReviewState = ReviewState.ACCEPTED
+    origin: Origin | None = None
+    image_box: Box2D | None = None
 
     @model_validator(mode="after")
     def _reviewed(self) -> LabelCreated:
@@ -120,13 +192,18 @@ class LabelAccepted(_Payload):
 
 
 class LabelEdited(_Payload):
-    """The label's class, box and track from now on."""
+    """The label's class, box and track from now on.
+
+    Attributes:
+        image_box: on the camera image, where the label is made from another one now.
+    """
 
     kind: Literal["label_edited"] = "label_edited"
     uid: Uid
     label: ClassName
     box: BoxRecord
     track_id: int | None = None
+    image_box: Box2D | None = None
 
     def classes(self) -> set[str]:
         return {self.label}
@@ -144,6 +221,51 @@ class LabelDeleted(_Payload):
 
     kind: Literal["label_deleted"] = "label_deleted"
     uid: Uid
+
+
+class LabelRestored(_Payload):
+    """The label is again what it was: an edit, a review or a deletion is taken back."""
+
+    kind: Literal["label_restored"] = "label_restored"
+    uid: Uid
+    former: LabelState
+
+    def classes(self) -> set[str]:
+        return {self.former.label}
+
+
+class ImageBoxesRestored(_Payload):
+    """The boxes on the camera image are again what they were."""
+
+    kind: Literal["image_boxes_restored"] = "image_boxes_restored"
+    former: ImageBoxesState
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.former.boxes}
+
+
+class ImageBoxesRemoved(_Payload):
+    """Nobody has looked for boxes on the camera image."""
+
+    kind: Literal["image_boxes_removed"] = "image_boxes_removed"
+
+
+class ViewBoxesRestored(_Payload):
+    """The boxes on one pseudo-view are again what they were."""
+
+    kind: Literal["view_boxes_restored"] = "view_boxes_restored"
+    view: ViewId
+    former: ViewBoxesState
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.former.boxes}
+
+
+class ViewBoxesRemoved(_Payload):
+    """Nobody has looked for boxes on the pseudo-view: its object is drawn anew, or was none."""
+
+    kind: Literal["view_boxes_removed"] = "view_boxes_removed"
+    view: ViewId
 
 
 class FrameFinalised(_Payload):
@@ -169,6 +291,11 @@ Payload = (
     | LabelEdited
     | LabelRejected
     | LabelDeleted
+    | LabelRestored
+    | ImageBoxesRestored
+    | ImageBoxesRemoved
+    | ViewBoxesRestored
+    | ViewBoxesRemoved
     | FrameFinalised
     | FrameReopened
 )

@@ -121,7 +121,18 @@ class ViewGeometry(BaseModel):
         return cls.model_validate(values)
 
 
+_BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
 BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config=ConfigDict(extra="forbid"))
+
+
+def box_2d_json(box: Box2D | None) -> str | None:
+    """A 2D box as it lies in a column, or None."""
+    return None if box is None else _BOX_2D.dump_json(box).decode()
+
+
+def box_2d_of(content: str | None) -> Box2D | None:
+    """The 2D box that a column holds, or None."""
+    return None if content is None else _BOX_2D.validate_json(content)
 
 
 @contextmanager

@@ -78,6 +78,11 @@ events = Table(
     Column("author", Text, nullable=False),
     Column("time_ns", Integer, nullable=False),
     Column("source", Text, nullable=False),
+    Column("action", Text),
+    Column("undoes", Text),
+    Column("subject", Text),
+    Column("actions", Integer),
+    Column("seconds", Float),
 )
 
 labels = Table(
@@ -100,6 +105,8 @@ labels = Table(
     Column("proposal_event_id", Integer, ForeignKey("events.id")),
     Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
     Column("run_id", Integer, ForeignKey("runs.id")),
+    Column("origin", Text),
+    Column("image_box", Text),
 )
 
 image_labels = Table(
@@ -131,6 +138,15 @@ view_labels = Table(
     Column("time_ns", Integer, nullable=False),
     Column("source", Text, nullable=False),
     Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
+)
+
+revertible = Table(
+    "revertible",
+    METADATA,
+    Column("event_id", Integer, ForeignKey("events.id"), primary_key=True),
+    Column("subject", Text, nullable=False),
+    Column("before", Text),
+    Column("after", Text),
 )
 
 runs = Table(
@@ -174,4 +190,4 @@ models = Table(
     Column("active", Boolean, nullable=False),
 )
 
-DERIVED = (labels, image_labels, view_labels)
+DERIVED = (labels, image_labels, view_labels, revertible)

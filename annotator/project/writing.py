@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,8 @@ from sqlalchemy import Connection, func, select
 
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
-from annotator.project.events import Event, insert_event
-from annotator.project.payloads import PAYLOAD, Payload, ViewBoxesSet
+from annotator.project.events import Effort, Event, insert_event
+from annotator.project.payloads import PAYLOAD, Payload, ProposalsReplaced, ViewBoxesSet
 from annotator.project.records import storable
 from annotator.project.schema import events, frames, recordings
 from annotator.project.store import Store
@@ -40,11 +41,17 @@ class Change:
         revision: of the frame (or view) that the change is based on.
         author: a person's name, or a program's; not empty.
         source: how the change came about.
+        effort: what it cost the operator, where that was counted.
+        subject: uid of the label, or id of the begun object, that the effort went into; by default the labels changed.
+        undoes: the action that this change takes back.
     """
 
     revision: int
     author: str
     source: Source = Source.MANUAL
+    effort: Effort | None = None
+    subject: str | None = None
+    undoes: str | None = None
 
     def __post_init__(self) -> None:
         if not self.author.strip():
@@ -101,6 +108,7 @@ class Writer:
     ) -> Receipt:
         self._require_classes(where, payloads)
         time_ns = self.store.clock()
+        action = uuid.uuid4().hex if _is_action(frame_id, payloads, change) else None
         done: list[Event] = []
         for revision, payload in enumerate(payloads, change.revision + 1):
             content, stored = _encoded(where, payload)
@@ -113,6 +121,10 @@ class Writer:
                 author=change.author,
                 time_ns=time_ns,
                 source=change.source,
+                action=action,
+                undoes=change.undoes,
+                subject=change.subject,
+                effort=None if done else change.effort,
             )
             _apply(connection, event, where)
             done.append(event)
@@ -151,6 +163,12 @@ def require_writable(connection: Connection, frame_id: int, change: Change) -> s
     if row.revision != change.revision:
         raise StaleRevisionError(where, change.revision, row.revision)
     return where
+
+
+def _is_action(frame_id: int | None, payloads: Sequence[Payload], change: Change) -> bool:
+    """True for what an operator may take back: neither automatic passes nor imports."""
+    by_hand = frame_id is not None and change.source is Source.MANUAL
+    return by_hand and not any(isinstance(payload, ProposalsReplaced) for payload in payloads)
 
 
 def _encoded(where: str, payload: Payload) -> tuple[str, Payload]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from annotator.project.migrations import m0001_events, m0002_batch, m0003_label_runs, m0004_packed
+from annotator.project.migrations import m0001_events, m0002_batch, m0003_label_runs, m0004_packed, m0005_actions
 from annotator.types.errors import ProjectError
 
 APPLICATION_ID = 0x416E6E6F  # "Anno": tells our databases from other SQLite files
@@ -36,6 +36,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(2, m0002_batch.STATEMENTS),
     Migration(3, m0003_label_runs.STATEMENTS),
     Migration(4, m0004_packed.STATEMENTS),
+    Migration(5, m0005_actions.STATEMENTS),
 )
 
 

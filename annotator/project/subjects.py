@@ -1,0 +1,129 @@
+"""What an operator's event is about, and the whole present state of that, as text to compare and to restore.
+
+A subject is `label:UID`, `image` (the boxes on the camera image), `view:ID` (those on a pseudo-view) or `frame`
+(finalised or open), each within its frame.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection, select
+
+from annotator.project.payloads import (
+    FrameFinalised,
+    FrameReopened,
+    ImageBoxesRemoved,
+    ImageBoxesRestored,
+    ImageBoxesSet,
+    ImageBoxesState,
+    LabelDeleted,
+    LabelRestored,
+    LabelState,
+    Payload,
+    ProposalsReplaced,
+    ViewBoxesRemoved,
+    ViewBoxesRestored,
+    ViewBoxesSet,
+    ViewBoxesState,
+)
+from annotator.project.records import BOXES_2D, BoxRecord, ViewGeometry, box_2d_of
+from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
+from annotator.types.errors import ProjectError
+
+LABEL, IMAGE, VIEW, FRAME = "label", "image", "view", "frame"
+FINALISED = "finalised"
+
+
+def subject_of(payload: Payload) -> str:
+    """The subject of an event.
+
+    Raises:
+        ProjectError: an automatic pass, which is about many.
+    """
+    match payload:
+        case ProposalsReplaced():
+            raise ProjectError("an automatic pass cannot be taken back")
+        case ImageBoxesSet() | ImageBoxesRestored() | ImageBoxesRemoved():
+            return IMAGE
+        case ViewBoxesSet() | ViewBoxesRestored() | ViewBoxesRemoved():
+            return f"{VIEW}:{payload.view}"
+        case FrameFinalised() | FrameReopened():
+            return FRAME
+        case _:
+            return f"{LABEL}:{payload.uid}"
+
+
+def read_subject(connection: Connection, frame_id: int | None, subject: str) -> str | None:
+    """The state of a subject as JSON; equal texts are equal states. None where it is not there, or a frame is open."""
+    kind, _, key = subject.partition(":")
+    if kind == LABEL:
+        row = connection.execute(select(labels).where(labels.c.uid == key)).first()
+        return None if row is None else _label_state(row).model_dump_json()
+    if kind == IMAGE:
+        row = connection.execute(select(image_labels).where(image_labels.c.frame_id == frame_id)).first()
+        return None if row is None else ImageBoxesState.model_validate(_boxes(row)).model_dump_json()
+    if kind == VIEW:
+        same = (view_labels.c.view_id == key) & view_labels.c.frame_id.is_not_distinct_from(frame_id)
+        row = connection.execute(select(view_labels).where(same)).first()
+        if row is None:
+            return None
+        geometry = None if row.geometry is None else ViewGeometry.model_validate_json(row.geometry)
+        return ViewBoxesState.model_validate(_boxes(row) | {"step": row.step, "geometry": geometry}).model_dump_json()
+    finalised = connection.execute(select(frames.c.finalised).where(frames.c.id == frame_id)).scalar_one()
+    return FINALISED if finalised else None
+
+
+def restoring(subject: str, state: str | None) -> Payload:
+    """The event that gives a subject a former state, as `read_subject` told it."""
+    kind, _, key = subject.partition(":")
+    if kind == LABEL:
+        if state is None:
+            return LabelDeleted(uid=key)
+        return LabelRestored(uid=key, former=LabelState.model_validate_json(state))
+    if kind == IMAGE:
+        if state is None:
+            return ImageBoxesRemoved()
+        return ImageBoxesRestored(former=ImageBoxesState.model_validate_json(state))
+    if kind == VIEW:
+        if state is None:
+            return ViewBoxesRemoved(view=key)
+        return ViewBoxesRestored(view=key, former=ViewBoxesState.model_validate_json(state))
+    return FrameReopened() if state is None else FrameFinalised()
+
+
+def same_state(subject: str, a: str | None, b: str | None) -> bool:
+    """True where two states are the same but for the label's place in the list."""
+    if a is None or b is None or not subject.startswith(LABEL):
+        return a == b
+    first, second = LabelState.model_validate_json(a), LabelState.model_validate_json(b)
+    return first.model_copy(update={"place": second.place}) == second
+
+
+def _label_state(row: AnyRow) -> LabelState:
+    return LabelState(
+        label=row.label,
+        box=BoxRecord.model_validate_json(row.box),
+        score=row.score,
+        source=row.source,
+        state=row.state,
+        author=row.author,
+        time_ns=row.time_ns,
+        track_id=row.track_id,
+        view_disagreement=row.view_disagreement,
+        kept_share=row.kept_share,
+        last_change=row.last_change,
+        proposal_event_id=row.proposal_event_id,
+        run_id=row.run_id,
+        origin=row.origin,
+        image_box=box_2d_of(row.image_box),
+        place=row.id,
+    )
+
+
+def _boxes(row: AnyRow) -> dict[str, object]:
+    return {
+        "boxes": BOXES_2D.validate_json(row.boxes),
+        "box_kind": row.box_kind,
+        "author": row.author,
+        "time_ns": row.time_ns,
+        "source": row.source,
+    }
