@@ -69,7 +69,7 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def open_page(browser: Browser, live_server, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
+def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
     """`open_page()` -> a new page in a context of its own; `page.goto("/")` is the live server's start page.
 
     Keyword arguments go to `Browser.new_context` (`color_scheme="dark"`, another `viewport` ...). Errors that a page
@@ -78,7 +78,7 @@ def open_page(browser: Browser, live_server, request: pytest.FixtureRequest) -> 
     pages: list[Page] = []
 
     def open_one(**options: object) -> Page:
-        settings: dict = {"base_url": live_server.url, "viewport": VIEWPORT, "accept_downloads": True, **options}
+        settings: dict = {"base_url": live.url, "viewport": VIEWPORT, "accept_downloads": True, **options}
         page = browser.new_context(**settings).new_page()
         page.set_default_timeout(TIMEOUT_MS)
         page.errors, page.said = [], []

@@ -1,0 +1,106 @@
+"""Which points of a cloud are shown, how large and in which colours, and from where one looks at them first."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
+
+from annotator.types import Frame, PointCloud
+from annotator.web.viewport.content import FirstView, PointColor
+
+# Shown at most; the full cloud stays on the server. Software WebGL still turns as many without a pause.
+MAX_SHOWN = 150_000
+# Which point of a run is shown; any number does, always the same one keeps a frame looking the same.
+SEED = 20231
+# Depth and height colours run over what lies between these percentiles, so that a far outlier does not flatten them.
+LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
+# A point's size as a share of the cloud's median distance: about the spacing of an RGB-D camera's points, thinned.
+POINT_SHARE = 0.0035
+# Enough points to know how far away a scene is.
+SAMPLE = 5_000
+# The first view stands behind the camera and above it, as shares of the scene's distance.
+BEHIND, ABOVE = 0.2, 0.2
+# Where there is nothing to look at, metres.
+EMPTY_DISTANCE_M = 3.0
+
+CAMERA_UP = np.array([0.0, -1.0, 0.0])
+
+
+def thin(n_points: int, most: int = MAX_SHOWN) -> Int64[np.ndarray, "m"] | None:
+    """Numbers of the points that are shown, ascending; None = all of them.
+
+    One point at random of each of `most` equal runs. Points that follow each other in a scan or an image lie next to
+    each other, so the picture thins out evenly; and it costs nothing for any size of cloud.
+    """
+    if n_points <= most:
+        return None
+    edges = np.linspace(0, n_points, most + 1)
+    inside = np.random.default_rng(SEED).random(most)
+    return (edges[:-1] + inside * np.diff(edges)).astype(np.int64)
+
+
+def shown_points(frame: Frame, most: int = MAX_SHOWN) -> PointCloud:
+    """The part of a frame's cloud that is shown."""
+    keep = thin(len(frame.cloud), most)
+    return frame.cloud if keep is None else frame.cloud.select(keep)
+
+
+def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:
+    """A colour for each point; a cloud that lacks what the colours stand for is coloured by depth.
+
+    Args:
+        up: unit vector, camera frame.
+    """
+    if color is PointColor.RGB and cloud.rgb is not None:
+        return cloud.rgb
+    if color is PointColor.HEIGHT:
+        return _mapped(cloud.xyz_m @ up.astype(np.float32))
+    if color is not PointColor.DEPTH and cloud.reflectance is not None:
+        # The square root lifts the dark end, where most LiDAR returns lie.
+        return _gray(np.sqrt(np.clip(cloud.reflectance, 0, 1)))
+    if color is PointColor.INTENSITY and cloud.rgb is not None:
+        return _gray(cloud.rgb @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255))
+    return _mapped(-np.log(np.maximum(cloud.xyz_m[:, 2], np.float32(0.05))))
+
+
+def typical_distance_m(cloud: PointCloud) -> float:
+    """Median distance of the points from the camera, metres."""
+    if len(cloud) == 0:
+        return EMPTY_DISTANCE_M
+    some = cloud.xyz_m[:: max(1, len(cloud) // SAMPLE)]
+    return max(float(np.median(np.linalg.norm(some, axis=1))), 0.05)
+
+
+def point_size_m(cloud: PointCloud) -> float:
+    """How large a point is drawn that nobody has changed the size of, metres."""
+    return POINT_SHARE * typical_distance_m(cloud)
+
+
+def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:
+    """Up in the camera frame: against gravity where it is known, else up in the image."""
+    return CAMERA_UP if frame.up is None else frame.up
+
+
+def first_view(frame: Frame) -> FirstView:
+    """From behind the camera and a little above it, along the optical axis."""
+    ahead_m = EMPTY_DISTANCE_M
+    if len(frame.cloud):
+        ahead_m = max(float(np.median(frame.cloud.xyz_m[:: max(1, len(frame.cloud) // SAMPLE), 2])), 0.2)
+    up = scene_up(frame)
+    axis = np.array([0.0, 0.0, 1.0])
+    return FirstView(ahead_m * (ABOVE * up - BEHIND * axis), ahead_m * axis, up)
+
+
+def _gray(share: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    level = (share * 215 + 40).astype(np.uint8)
+    return np.repeat(level[:, None], 3, axis=1)
+
+
+def _mapped(values: Float32[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Blue for low values to red for high ones."""
+    if len(values) == 0:
+        return np.zeros((0, 3), np.uint8)
+    low, high = np.percentile(values[:: max(1, len(values) // SAMPLE)], [LOW_PERCENT, HIGH_PERCENT])
+    level = np.clip((values - np.float32(low)) * np.float32(255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(level[None], cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)[0]

@@ -1,0 +1,112 @@
+"""The way from a browser to a workbench's viser server, through the application's own port."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import httpx
+from fastapi import WebSocket
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.typing import Subprotocol
+
+from annotator.web.viewport.workbench import HOST, Workbench
+
+LOG = logging.getLogger("annotator.web")
+
+FORWARDED_REQUEST = ("accept", "accept-encoding", "if-none-match")
+FORWARDED_ANSWER = ("content-type", "content-encoding", "etag")
+# viser's page unpacks itself with inline scripts, WebAssembly and a worker; all of it comes from its own file.
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
+    "connect-src 'self' blob: data:; worker-src 'self' blob: data:; frame-ancestors 'self'; base-uri 'none'; "
+    "form-action 'none'; object-src 'none'"
+)
+TIMEOUT_S = 10.0
+# 1006 and its like are what one side sees, not what the other may be sent.
+UNSENDABLE = (1005, 1006, 1015)
+GONE, TRY_AGAIN = 1001, 1013
+
+
+async def forward_http(request: Request, bench: Workbench, path: str) -> Response:
+    """One of viser's files."""
+    headers = {name: request.headers[name] for name in FORWARDED_REQUEST if name in request.headers}
+    async with (
+        httpx.AsyncClient(timeout=TIMEOUT_S) as client,
+        client.stream(
+            "GET", httpx.URL(scheme="http", host=HOST, port=bench.port, path=f"/{path}"), headers=headers
+        ) as answer,
+    ):
+        # raw: what is packed stays packed
+        body = b"".join([part async for part in answer.aiter_raw()])
+    kept = {name: answer.headers[name] for name in FORWARDED_ANSWER if name in answer.headers}
+    return Response(body, answer.status_code, {**kept, "Content-Security-Policy": POLICY})
+
+
+async def forward_socket(browser: WebSocket, bench: Workbench) -> None:
+    """A browser's WebSocket, until either side closes it.
+
+    Each direction waits for the other side to take what it was sent, so a slow browser slows viser down (which then
+    leaves out what a newer message has replaced) and fills no memory here.
+    """
+    offered = [Subprotocol(name) for name in browser.scope["subprotocols"]]
+    try:
+        viser = await connect(
+            f"ws://{HOST}:{bench.port}",
+            subprotocols=offered or None,
+            compression=None,
+            max_size=None,
+            open_timeout=TIMEOUT_S,
+            ping_interval=None,
+            proxy=None,
+        )
+    except (OSError, TimeoutError, WebSocketException) as error:
+        LOG.warning("workbench %s: its viewport does not answer: %s", bench.id, error)
+        await browser.close(TRY_AGAIN, "the viewport does not answer")
+        return
+    async with viser:
+        await browser.accept(viser.subprotocol)
+        ways = [asyncio.create_task(_to_browser(viser, browser)), asyncio.create_task(_to_viser(browser, viser))]
+        _, waiting = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        for way in waiting:
+            way.cancel()
+        results = await asyncio.gather(*ways, return_exceptions=True)
+    for result in results:
+        if isinstance(result, Exception):
+            LOG.error("workbench %s: connection failed", bench.id, exc_info=result)
+
+
+async def _to_browser(viser: ClientConnection, browser: WebSocket) -> None:
+    try:
+        async for message in viser:
+            if isinstance(message, bytes):
+                await browser.send_bytes(message)
+            else:
+                await browser.send_text(message)
+    except ConnectionClosed:
+        pass
+    except (WebSocketDisconnect, RuntimeError):
+        # the browser went away while it was being sent something
+        return
+    if browser.application_state is WebSocketState.CONNECTED and browser.client_state is WebSocketState.CONNECTED:
+        code = viser.close_code or GONE
+        await browser.close(GONE if code in UNSENDABLE else code, viser.close_reason or "")
+
+
+async def _to_viser(browser: WebSocket, viser: ClientConnection) -> None:
+    while True:
+        message = await browser.receive()
+        if message["type"] == "websocket.disconnect":
+            code = message.get("code") or GONE
+            await viser.close(GONE if code in UNSENDABLE else code)
+            return
+        data = message.get("bytes")
+        try:
+            await viser.send(message["text"] if data is None else data)
+        except ConnectionClosed:
+            return

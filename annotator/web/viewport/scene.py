@@ -1,0 +1,274 @@
+"""A scene in viser: brought from what it shows to what it shall show by sending only what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
+from annotator.web.viewport.content import Draft, FirstView, Gizmo, SceneContent, ShownBox
+from annotator.web.viewport.display import first_view, point_colors, point_size_m, scene_up, shown_points
+from annotator.web.viewport.lines import box_lines, frustum_lines, placed_box_lines, standing
+
+if TYPE_CHECKING:
+    import viser
+
+    OnGizmo = Callable[[viser.TransformControlsEvent], Coroutine[None, None, None]]
+
+# The same colours as in the page (web_assets/js/review/drawing.js).
+STATE_COLORS: dict[ReviewState, tuple[int, int, int]] = {
+    ReviewState.PROPOSED: (240, 173, 78),
+    ReviewState.ACCEPTED: (95, 202, 133),
+    ReviewState.EDITED: (106, 174, 245),
+    ReviewState.REJECTED: (154, 161, 173),
+}
+# How far the selected box's colour goes towards white.
+BRIGHTER = 0.45
+DRAFT_COLOR = (255, 214, 10)
+FRUSTUM_COLOR = (200, 204, 212)
+AXIS_COLOR = (255, 59, 48)
+THIN_PX, THICK_PX = 1.6, 4.0
+# The gizmo reaches out of the selected box, by a share of its longest side and at least so far, metres.
+GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
+
+CLOUD, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/boxes", "/selected", "/selected/lines"
+FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How many points are on the screen, and how many there are."""
+
+    shown_points: int
+    points: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Cloud:
+    """The points of one frame as shown."""
+
+    frame: Frame
+    points: PointCloud
+
+
+class Scene:
+    """What one viser server shows. Not for two threads at once.
+
+    Attributes:
+        content: what is shown.
+    """
+
+    def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
+        """
+        Args:
+            on_gizmo: called on the server's loop while somebody drags the gizmo.
+        """
+        self._server = server
+        self._api = server.scene
+        self._on_gizmo = on_gizmo
+        self._cloud: _Cloud | None = None
+        self.content = SceneContent(None, None)
+        self._api.configure_default_lights(False)
+        self._api.configure_environment_map(None)
+        self._api.world_axes.visible = False
+        self._gizmo: viser.TransformControlsHandle | None = None
+
+    @property
+    def gizmo(self) -> viser.TransformControlsHandle:
+        """The gizmo, made when it is first needed; the selected box hangs on it, so that it moves without delay."""
+        if self._gizmo is None:
+            self._gizmo = self._api.add_transform_controls(
+                SELECTED, line_width=3.0, depth_test=False, opacity=0.9, visible=False
+            )
+            self._gizmo.on_update(self._on_gizmo)
+        return self._gizmo
+
+    @property
+    def selected(self) -> ShownBox | None:
+        """The box on the gizmo."""
+        return next((b for b in self.content.boxes if b.uid is not None and b.uid == self.content.selected), None)
+
+    def show(self, content: SceneContent, hold_gizmo: bool = False) -> Shown:
+        """Changes the scene; all of it reaches the browser at once.
+
+        Args:
+            hold_gizmo: somebody drags it: the selected box stays where the hand is.
+        """
+        before, self.content = self.content, content
+        with self._server.atomic():
+            if content.frame is not None and (content.place != before.place or content.reset_view):
+                self._look_from(first_view(content.frame), scene_up(content.frame))
+            shown = self._show_cloud(before)
+            self._show_boxes()
+            self._show_selected(hold_gizmo)
+            if content.draft is not before.draft or content.frame is not before.frame:
+                self._show_draft(content.draft, content.frame)
+        self._server.flush()
+        return shown
+
+    # --- the cloud -------------------------------------------------------------------------------------------------
+
+    def _show_cloud(self, before: SceneContent) -> Shown:
+        frame = self.content.frame
+        if frame is None:
+            self._cloud = None
+            self._remove(CLOUD)
+            return Shown(0, 0)
+        known = self._cloud
+        if known is None or known.frame is not frame:
+            known = self._cloud = _Cloud(frame, shown_points(frame))
+            self._send_cloud(known)
+        elif self.content.color is not before.color:
+            self._api_cloud().colors = self._colors(known)
+        self._api_cloud().point_size = point_size_m(known.points) * self.content.point_size
+        return Shown(len(known.points), len(frame.cloud))
+
+    def _send_cloud(self, cloud: _Cloud) -> None:
+        # a cloud of another size is one message; the browser would make new buffers for it anyway
+        self._api.add_point_cloud(
+            CLOUD,
+            cloud.points.xyz_m,
+            self._colors(cloud),
+            point_size=point_size_m(cloud.points) * self.content.point_size,
+            point_shape="square",
+            point_shading="flat",
+            precision="float32",
+        )
+
+    def _api_cloud(self) -> viser.PointCloudHandle:
+        import viser
+
+        handle = self._api.get_handle_by_name(CLOUD)
+        assert isinstance(handle, viser.PointCloudHandle)
+        return handle
+
+    def _colors(self, cloud: _Cloud) -> UInt8[np.ndarray, "n 3"]:
+        return point_colors(cloud.points, self.content.color, scene_up(cloud.frame))
+
+    # --- boxes -----------------------------------------------------------------------------------------------------
+
+    def _show_boxes(self) -> None:
+        """All boxes but the selected one, as one set of lines."""
+        selected = self.selected
+        rest = [shown for shown in self.content.boxes if shown is not selected]
+        if not rest:
+            self._remove(BOXES)
+            return
+        lines = [placed_box_lines(shown.box) for shown in rest]
+        colors = [
+            np.broadcast_to(np.array(STATE_COLORS[shown.state], np.uint8), part.shape)
+            for shown, part in zip(rest, lines, strict=True)
+        ]
+        self._lines(BOXES, np.concatenate(lines), np.concatenate(colors), THIN_PX)
+
+    def _show_selected(self, hold_gizmo: bool) -> None:
+        selected, mode = self.selected, self.content.gizmo
+        if selected is None:
+            if self._gizmo is not None:
+                self.gizmo.visible = False
+            return
+        gizmo = self.gizmo
+        self._lines(SELECTED_LINES, box_lines(selected.box.size_m), _brighter(STATE_COLORS[selected.state]), THICK_PX)
+        gizmo.scale = max(GIZMO_SHARE * float(selected.box.size_m.max()), GIZMO_LEAST_M)
+        gizmo.disable_axes = gizmo.disable_sliders = mode is not Gizmo.TRANSLATE
+        gizmo.disable_rotations = mode is not Gizmo.ROTATE
+        if not hold_gizmo:
+            gizmo.position = selected.box.center_m
+            gizmo.wxyz = selected.box.T_camera_box.rotation.as_quat(scalar_first=True)
+        gizmo.visible = True
+
+    def gizmo_box(self) -> OrientedBox | None:
+        """The selected box where the gizmo is now; None where nothing is selected."""
+        selected = self.selected
+        if selected is None or self._gizmo is None:
+            return None
+        turned = Rotation.from_quat(np.asarray(self._gizmo.wxyz, np.float64), scalar_first=True)
+        place = RigidTransform.from_components(np.asarray(self._gizmo.position, np.float64), turned)
+        return OrientedBox(place, selected.box.size_m)
+
+    # --- an object that is being labelled --------------------------------------------------------------------------
+
+    def _show_draft(self, draft: Draft | None, frame: Frame | None) -> None:
+        if draft is None or frame is None:
+            self._remove("/draft")
+            return
+        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), FRUSTUM_COLOR, THIN_PX)
+        if draft.box is None:
+            self._remove(DRAFT_BOX)
+        else:
+            self._lines(DRAFT_BOX, placed_box_lines(draft.box), DRAFT_COLOR, THICK_PX)
+        self._show_pictures(draft)
+
+    def _show_pictures(self, draft: Draft) -> None:
+        places = [standing(view) for view in draft.views]
+        for number in range(len(places), 2):
+            self._remove(f"/draft/view{number}")
+        for number, (view, place) in enumerate(zip(draft.views, places, strict=True)):
+            self._api.add_image(
+                f"/draft/view{number}",
+                view.rgb,
+                float(place.size_m[0]),
+                float(place.size_m[1]),
+                format="jpeg",
+                jpeg_quality=85,
+                wxyz=_wxyz(place.R_camera_view),
+                position=place.center_m,
+            )
+        if not places:
+            self._remove(AXES)
+            return
+        arrows = np.array([[place.center_m, place.looks_at_m] for place in places], np.float32)
+        length = float(np.linalg.norm(arrows[:, 1] - arrows[:, 0], axis=1).max())
+        self._api.add_arrows(
+            AXES,
+            arrows,
+            AXIS_COLOR,
+            shaft_radius=0.012 * length,
+            head_radius=0.035 * length,
+            head_length=0.1 * length,
+        )
+
+    # --- small things ----------------------------------------------------------------------------------------------
+
+    def _lines(
+        self, name: str, points: np.ndarray, colors: UInt8[np.ndarray, "k 2 3"] | tuple[int, int, int], thickness: float
+    ) -> None:
+        """Lines under a name; the same lines as before send nothing."""
+        import viser
+
+        handle = self._api.get_handle_by_name(name)
+        if isinstance(handle, viser.LineSegmentsHandle) and handle.points.shape == points.shape:
+            handle.points = points
+            handle.colors = np.asarray(colors, np.uint8)
+            return
+        self._api.add_line_segments(name, points, colors, thickness=thickness, thickness_units="screen")
+
+    def _remove(self, name: str) -> None:
+        handle = self._api.get_handle_by_name(name)
+        if handle is not None:
+            handle.remove()
+
+    def _look_from(self, view: FirstView, up: Sequence[float] | np.ndarray) -> None:
+        self._api.set_up_direction(np.asarray(up, np.float64))
+        first = self._server.initial_camera
+        first.fov = np.deg2rad(60.0)
+        first.up, first.position, first.look_at = view.up, view.position, view.look_at
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.up_direction = view.up
+                client.camera.position = view.position
+                client.camera.look_at = view.look_at
+
+
+def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
+    red, green, blue = (round(level + BRIGHTER * (255 - level)) for level in color)
+    return red, green, blue
+
+
+def _wxyz(rotation: np.ndarray) -> np.ndarray:
+    return Rotation.from_matrix(rotation).as_quat(scalar_first=True)
