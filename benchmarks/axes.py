@@ -18,6 +18,7 @@ import tyro
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.evaluation.oriented import FrameResult, matched_ious
+from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.oriented_box import contains
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
@@ -26,6 +27,9 @@ from annotator.types import BoxKind, Frame, Proposal, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.truth import load_truth
 from benchmarks.report import Table, finish, guarded
+
+# A proposal that overlaps no true box by this IoU is of nothing.
+FALSE_IOU = 0.1
 
 
 @dataclass
@@ -57,6 +61,8 @@ class Tally:
     ious: list[float] = field(default_factory=list)
     steps: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
+    best_ious: list[float] = field(default_factory=list)
+    """Of each proposal, with the true box that it overlaps most."""
 
 
 def true_objects(recording: Recording, index: int, frame: Frame, min_points: int) -> list[Truth]:
@@ -78,6 +84,19 @@ def measure(
         tallies[label].ious.extend(ious)
         tallies[label].steps.extend(len(p.trace) for p in of_label)
         tallies[label].seconds.extend([each] * len(ious))
+        tallies[label].best_ious.extend(best_ious(of_label, [t for t in truths if t.label == label]))
+
+
+def best_ious(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> list[float]:
+    """For each proposal the IoU with the true box of its class that it overlaps most."""
+    if not proposals or not truths:
+        return [0.0] * len(proposals)
+    return iou_3d_matrix([p.box for p in proposals], [t.box for t in truths]).max(axis=1).tolist()
+
+
+def false_share(best: Sequence[float]) -> float:
+    """Share of the proposals that overlap no true box; 0 where there is no proposal."""
+    return float(np.mean(np.array(best) < FALSE_IOU)) if best else 0.0
 
 
 def _result(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> FrameResult:
@@ -128,6 +147,7 @@ def run(args: Arguments) -> dict[str, object]:
                 "mean_iou": float(np.mean(tally.ious)),
                 "share_50": float(np.mean(np.array(tally.ious) >= 0.5)),
                 "share_70": float(np.mean(np.array(tally.ious) >= 0.7)),
+                "false_positives": false_share(tally.best_ious),
                 "steps": float(np.mean(tally.steps)) if tally.steps else 0.0,
                 "ms_per_object": float(np.median(tally.seconds) * 1e3),
             }
@@ -141,7 +161,7 @@ def run(args: Arguments) -> dict[str, object]:
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
     result = run(args)
-    table = Table("class", "axes", "objects", "mean IoU", ">= 0.5", ">= 0.7", "steps", "ms/object")
+    table = Table("class", "axes", "objects", "mean IoU", ">= 0.5", ">= 0.7", "false", "steps", "ms/object")
     for row in result["results"]:  # type: ignore[attr-defined]
         table.add(*row.values())
     finish(result, args.json, table)

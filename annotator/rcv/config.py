@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.types import BoxKind
 
 # Part of what decides whether a frame has been done: raise it when the same settings would give other boxes.
-REVISION = 1
+REVISION = 2
 
 
 class Strategy(StrEnum):
@@ -147,6 +147,12 @@ class RcvConfig(BaseModel):
     keep_margin: float = Field(0.03, ge=0, le=1, description="points this share of the box's size outside are kept")
     keep_margin_view: float = Field(
         0.04, ge=0, le=1, description="points this share of the view's extent outside are kept (the detector's blur)"
+    )
+    min_image_agreement: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="IoU on the image with the image box, below which a further object of a frustum is dropped",
     )
     coarse_box: bool = Field(
         False,

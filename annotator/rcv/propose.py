@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.geometry.fit import aligned_box
 from annotator.geometry.frustum import in_frustum
-from annotator.geometry.nms import nms_3d
-from annotator.rcv.axes import camera_frame
-from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
 from annotator.rcv.recursion import ObjectState, absorb_step, plan_step, start
-from annotator.types import Box2D, Detector, Frame, LostObject, OrientedBox, Proposal, StopReason
-
-
-@dataclass(frozen=True, eq=False)
-class FrameProposals:
-    """What one frame gave: boxes, best first, and the frustums that led to none."""
-
-    key: str
-    proposals: tuple[Proposal, ...]
-    lost: tuple[LostObject, ...]
+from annotator.types import Box2D, Detector, Frame, StopReason
 
 
 def propose(
@@ -62,7 +49,7 @@ def propose_from_boxes(
             advanced.extend(absorb_step(state, plan, [next(found) for _ in plan.views], config))
         done.extend(state for state in advanced if state.stop is not StopReason.CONTINUES)
         active = [state for state in advanced if state.stop is StopReason.CONTINUES]
-    return [_finish(i, frame, [s for s in done if s.frame_index == i], config) for i, frame in enumerate(frames)]
+    return [finish(frame, [s for s in done if s.frame_index == i], config) for i, frame in enumerate(frames)]
 
 
 def _frustums(index: int, frame: Frame, boxes: Sequence[Box2D], config: RcvConfig) -> list[ObjectState]:
@@ -72,31 +59,3 @@ def _frustums(index: int, frame: Frame, boxes: Sequence[Box2D], config: RcvConfi
     if boxes and needs_normals(config):
         cloud = with_normals(frame, np.logical_or.reduce(masks), config)
     return [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
-
-
-def _coarse_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
-    """The last box of an object that got lost, or the one around its frustum's points (RCV paper, section II.B)."""
-    if state.box is not None:
-        return state.box
-    if len(state.cloud) < config.min_points:
-        return None
-    return canonical_box(aligned_box(state.cloud.xyz_m, camera_frame(state.up).T), state.up)
-
-
-def _finish(index: int, frame: Frame, states: list[ObjectState], config: RcvConfig) -> FrameProposals:
-    proposals: list[Proposal] = []
-    lost: list[LostObject] = []
-    for state in states:
-        box = state.box if state.stop not in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else None
-        if box is None and config.coarse_box:
-            box = _coarse_box(state, config)
-        if box is not None:
-            # No view has confirmed the box around a frustum: it ranks below all that one has.
-            score = float(np.sqrt(state.image_box.score * (state.view_score or config.min_view_score)))
-            proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, state.quality))
-        else:
-            lost.append(LostObject(state.image_box.label, state.image_box, state.steps))
-    keep = nms_3d(
-        [p.box for p in proposals], np.array([p.score for p in proposals]), [p.label for p in proposals], config.nms_iou
-    )
-    return FrameProposals(frame.key, tuple(proposals[int(i)] for i in keep), tuple(lost))

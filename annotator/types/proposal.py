@@ -81,11 +81,15 @@ class Quality:
             side for the paper's strategies, residual of the fit for consensus), as a share of the box's size.
         kept_share: share of the points of the last step's view that its box kept.
         last_change: 1 - IoU of the last two steps' boxes.
+        image_agreement: IoU of what the result spans on the camera image (the box's outline, or for silhouettes the
+            kept points) with the image box it came from; low where an object is hidden in part, or is a neighbour of
+            the one that was meant. None where it was not measured, as before there was this signal.
     """
 
     view_disagreement: float
     kept_share: float
     last_change: float
+    image_agreement: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 
 import numpy as np
@@ -55,6 +56,15 @@ def test_a_signal_without_a_value_survives() -> None:
     quality = ProposalRecord.model_validate_json(ProposalRecord.of(odd).model_dump_json()).quality
     assert math.isnan(quality.view_disagreement)
     assert quality.last_change == math.inf
+
+
+def test_a_proposal_from_before_it_was_compared_with_the_image_is_read() -> None:
+    old = json.loads(ProposalRecord.of(proposal_at()).model_dump_json())
+    del old["quality"]["image_agreement"]
+    assert ProposalRecord.model_validate(old).quality.image_agreement is None
+    measured = dataclasses.replace(proposal_at().quality, image_agreement=0.25)
+    record = ProposalRecord.of(dataclasses.replace(proposal_at(), quality=measured))
+    assert ProposalRecord.model_validate_json(record.model_dump_json()).quality == measured
 
 
 def test_the_geometry_of_a_view_is_kept() -> None:
