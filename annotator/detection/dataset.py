@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,6 +19,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
+from annotator.files import new_folder
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError
 
@@ -107,9 +105,10 @@ def write_dataset(
     Raises:
         ConfigError: an unusable class list or share, or a box of an unknown class.
         DetectionError: no box at all, an unreadable picture, or a `folder` that is something else than a training set.
+        FormatError: the folder cannot be made.
     """
     _check(folder, classes, val_share)
-    with _replaced(folder) as temporary:
+    with new_folder(folder, lambda _: True) as temporary:  # `_check` has looked at what is there
         written = [
             _write_sample(temporary, f"{index:06d}", sample, classes, image_format)
             for index, sample in enumerate(samples)
@@ -144,22 +143,6 @@ def _check(folder: Path, classes: Sequence[str], val_share: float) -> None:
         raise ConfigError(f"the share of groups that is held back must be 0 to 0.9, not {val_share}")
     if folder.exists() and not (folder / MANIFEST_NAME).is_file() and (folder.is_file() or any(folder.iterdir())):
         raise DetectionError(f"{folder}: exists and is not a training set; choose another folder or remove it")
-
-
-@contextmanager
-def _replaced(folder: Path) -> Iterator[Path]:
-    """A temporary folder that takes the place of `folder` once the block has ended well."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    workspace = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        fresh = workspace / "new"
-        fresh.mkdir()
-        yield fresh
-        if folder.exists():
-            folder.rename(workspace / "old")
-        fresh.rename(folder)
-    finally:
-        shutil.rmtree(workspace, ignore_errors=True)
 
 
 def _write_sample(

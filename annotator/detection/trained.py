@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.config import Role, TrainingConfig
 from annotator.detection.manifest import Split
+from annotator.files import write_atomic
 from annotator.types import BoxKind
 from annotator.types.errors import FormatError
 
@@ -68,7 +69,7 @@ class TrainedModel(BaseModel):
     def write(self, folder: Path) -> None:
         """Writes `model.json`; the weights are named relative to it, so that the folder can be moved."""
         relative = self.model_copy(update={"weights": Path(self.weights.name)})
-        _write(folder / MODEL_NAME, relative.model_dump_json(indent=1))
+        write_atomic(folder / MODEL_NAME, relative.model_dump_json(indent=1).encode())
 
 
 class RunRecord(BaseModel):
@@ -89,7 +90,7 @@ class RunRecord(BaseModel):
 
     def write(self, folder: Path) -> None:
         """Writes `run.json`."""
-        _write(folder / RUN_NAME, self.model_dump_json(indent=1))
+        write_atomic(folder / RUN_NAME, self.model_dump_json(indent=1).encode())
 
 
 def read_trained(folder: Path) -> TrainedModel:
@@ -121,9 +122,3 @@ def read_run(folder: Path) -> RunRecord | None:
         return RunRecord.model_validate_json(path.read_bytes())
     except (OSError, ValidationError) as error:
         raise FormatError(path, f"not a training run ({error}); remove the folder and train again") from error
-
-
-def _write(path: Path, text: str) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from annotator.files import write_atomic
 from annotator.types.errors import FormatError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -54,25 +53,6 @@ def write_text(path: Path, text: str) -> None:
         FormatError: the file cannot be written.
     """
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        write_atomic(path, text.encode())
     except OSError as error:
         raise FormatError(path, f"cannot be written ({error.strerror})") from error
-    part = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        # mkstemp makes the file private; give it what a plain open() would have
-        part.chmod(0o666 & ~_umask())
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise FormatError(path, f"cannot be written ({error.strerror})") from error
-
-
-def _umask() -> int:
-    """The process's file mode mask; asking for it means setting it."""
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from annotator.project.files import write_atomic
+from annotator.files import write_atomic
 from annotator.types.errors import ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"

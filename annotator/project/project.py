@@ -12,6 +12,7 @@ from types import TracebackType
 
 from sqlalchemy import Connection, select
 
+from annotator.files import sync_folder
 from annotator.project.boxes import Boxes, ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
 from annotator.project.config import (
     CONFIG_FILE,
@@ -21,8 +22,8 @@ from annotator.project.config import (
     read_config,
     write_config,
 )
-from annotator.project.files import sync_folder
 from annotator.project.frames import Frames, StoredFrame, read_frame
+from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels, read_labels
 from annotator.project.log import Log
@@ -68,6 +69,7 @@ class Project:
     Attributes:
         path: the project's folder.
         recordings, frames, labels, proposals, boxes, views, jobs, models, log: what is stored, each with its methods.
+        history: undo and redo.
     """
 
     def __init__(self, path: Path, store: Store) -> None:
@@ -83,6 +85,7 @@ class Project:
         self.jobs = Jobs(store)
         self.models = Models(store, path)
         self.log = Log(writer)
+        self.history = History(writer)
 
     @property
     def config(self) -> ProjectConfig:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.project.files import write_atomic
+from annotator.files import write_atomic
 from annotator.types.errors import NotFoundError, ProjectError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -59,7 +59,9 @@ class Views:
             raise NotFoundError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
         path = self._file(view_id)
         if not path.is_file():
-            raise NotFoundError(f"view {view_id[:12]}: the picture is missing from the project; store it first, or restore it from a backup")
+            raise NotFoundError(
+                f"view {view_id[:12]}: the picture is missing; store it first, or restore it from a backup"
+            )
         return path
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:

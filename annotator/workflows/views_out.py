@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from annotator.files import new_folder
 from annotator.formats.coco import CocoImage, write_coco
 from annotator.formats.json_file import write_text
-from annotator.formats.rcv.folder import new_folder
 from annotator.project import Project, StoredFrame, ViewBoxes, ViewGeometry
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.normals import frame_with_normals

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.formats.coco import CocoImage, read_coco, write_coco
@@ -141,6 +141,7 @@ def coco_images(draw: st.DrawFn) -> list[CocoImage]:
     return images
 
 
+@settings(deadline=None)
 @given(coco_images())
 def test_what_is_written_reads_back(images: list[CocoImage]) -> None:
     with tempfile.TemporaryDirectory() as folder:

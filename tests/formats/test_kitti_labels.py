@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
@@ -73,6 +73,7 @@ def test_the_projected_corners_are_the_goldens(shared: Path):
         np.testing.assert_allclose(as_point_set(uv), as_point_set(np.array(golden["expected"]["corner_uv"])), atol=1e-4)
 
 
+@settings(deadline=None)
 @given(st.floats(-np.pi, np.pi))
 def test_headings_turn_about_the_vertical(rotation_y: float):
     R = heading_rotation(rotation_y)

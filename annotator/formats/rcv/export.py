@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.files import new_folder
 from annotator.formats.rcv.convert import camera_record, labels_record
-from annotator.formats.rcv.folder import new_folder
 from annotator.formats.rcv.model import (
     FORMAT_NAME,
     FORMAT_VERSION,
