@@ -2,11 +2,13 @@
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
-from annotator.project.events import Event
+from annotator.project.events import Effort, Event
 from annotator.project.frames import StoredFrame
+from annotator.project.history import Done, History
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
 from annotator.project.models import Role, StoredModel
+from annotator.project.payloads import Origin
 from annotator.project.project import (
     FrameState,
     ListedProject,
@@ -25,12 +27,16 @@ __all__ = [
     "REVIEWED",
     "BoxRotation",
     "Change",
+    "Done",
+    "Effort",
     "Event",
     "FrameResult",
     "FrameState",
+    "History",
     "ImageBoxes",
     "ListedProject",
     "NewLabel",
+    "Origin",
     "Pass",
     "PassObject",
     "Project",

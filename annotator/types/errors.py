@@ -12,6 +12,7 @@
     ├── ProjectError          the project store
     │   ├── NotFoundError         there is no such project, recording, frame, label, view, model or job
     │   ├── StaleRevisionError    somebody else changed the frame first
+    │   ├── HistoryError          there is nothing to undo or redo, or somebody else has changed it since
     │   └── FinalisedFrameError   an automatic pass wanted to change a finalised frame
     └── MissingExtraError     an optional package is not installed
 
@@ -102,6 +103,18 @@ class StaleRevisionError(ProjectError):
             f"{where} is at revision {actual}, the change was made on revision {expected}; "
             "reload the frame and apply the change again"
         )
+
+
+class HistoryError(ProjectError):
+    """There is nothing to undo or redo, or somebody else has changed it since.
+
+    Attributes:
+        frame_id: of the frame whose state is in the way, if that is why.
+    """
+
+    def __init__(self, message: str, frame_id: int | None = None) -> None:
+        self.frame_id = frame_id
+        super().__init__(message)
 
 
 class FinalisedFrameError(ProjectError):

@@ -9,7 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from annotator.types.errors import AnnotatorError, FinalisedFrameError, NotFoundError, StaleRevisionError
+from annotator.types.errors import AnnotatorError, FinalisedFrameError, HistoryError, NotFoundError, StaleRevisionError
 
 LOG = logging.getLogger("annotator.web")
 
@@ -32,6 +32,7 @@ class TooLargeError(AnnotatorError):
 STATUS: list[tuple[type[AnnotatorError], int]] = [
     (NotFoundError, 404),
     (StaleRevisionError, 409),
+    (HistoryError, 409),
     (FinalisedFrameError, 409),
     (NotSignedInError, 401),
     (ForbiddenError, 403),

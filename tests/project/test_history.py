@@ -1,0 +1,238 @@
+"""Undo and redo: per operator, over all frames, from the log; nothing that somebody else did is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
+
+from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
+from annotator.project.payloads import FrameFinalised, LabelAccepted, LabelCreated, LabelDeleted, Payload
+from annotator.project.records import BoxRecord
+from annotator.types import Box2D, BoxKind, ReviewState
+from annotator.types.errors import HistoryError, ProjectError
+
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(
+            ["propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk", "undo", "redo"]
+        ),
+        st.integers(0, 1),
+        st.integers(0, 3),
+        st.integers(0, 3),
+    ),
+    min_size=1,
+    max_size=14,
+)
+
+
+def content(project: Project) -> list[object]:
+    """What is there, as an operator sees it: everything but which event said so last."""
+    found: list[object] = []
+    for frame in project.frames.of():
+        state = project.frame_state(frame.id)
+        found.append(state.frame.finalised)
+        found.append([repr_of(label) for label in state.labels])
+        boxes = state.image_boxes
+        found.append(None if boxes is None else (boxes.boxes, boxes.box_kind, boxes.author, boxes.time_ns))
+        found.append(sorted((v.view_id, v.boxes, v.box_kind, v.author, v.time_ns) for v in state.view_boxes))
+    return found
+
+
+def repr_of(label: object) -> str:
+    return repr({**vars(label), "box": BoxRecord.of(vars(label)["box"])})
+
+
+def _boxes(count: int) -> list[Box2D]:
+    return [Box2D("hand", float(n), 0.0, n + 1.5, 2.0) for n in range(count)]
+
+
+def _take(project: Project, view: str, step: tuple[str, int, int, int]) -> None:
+    """One action of ann's; what the present state does not allow is refused."""
+    what, place, a, b = step
+    frame = project.frames.of()[place]
+    labels = project.labels.of_frame(frame.id)
+    change = by_hand(frame.revision)
+    uid = labels[a % len(labels)].uid if labels else "nobody"
+    actions: dict[str, Callable[[], object]] = {
+        "propose": lambda: project.proposals.replace(
+            frame.id, [proposal_at(2.0 * n + 0.1 * b) for n in range(a)], by_machine(frame.revision)
+        ),
+        "create": lambda: project.labels.create(
+            frame.id, [NewLabel("hand", box_at(2.0 * n)) for n in range(a)], change
+        ),
+        "accept": lambda: project.labels.accept(frame.id, uid, change),
+        "edit": lambda: project.labels.edit(frame.id, uid, change, label="person", box=box_at(b), track_id=b or None),
+        "reject": lambda: project.labels.reject(frame.id, uid, change),
+        "delete": lambda: project.labels.delete(frame.id, uid, change),
+        "image": lambda: project.boxes.set_on_image(frame.id, _boxes(a), list(BoxKind)[b % 2], change),
+        "view": lambda: project.boxes.set_on_view(view, _boxes(a), BoxKind.BOX, change, frame_id=frame.id),
+        "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
+        "bulk": lambda: project.log.append(
+            frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
+        ),
+        "undo": lambda: project.history.undo("ann"),
+        "redo": lambda: project.history.redo("ann"),
+    }
+    with contextlib.suppress(ProjectError):
+        actions[what]()
+
+
+def _all(step: Callable[[], object]) -> int:
+    count = 0
+    while True:
+        try:
+            step()
+        except HistoryError as error:
+            assert "has nothing to" in str(error)
+            return count
+        count += 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(STEPS, st.booleans())
+def test_undo_all_is_the_state_before_and_redo_all_the_state_after(
+    steps: list[tuple[str, int, int, int]], restart: bool
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        project = create_project(Path(folder), "p", ("hand", "person"))
+        project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
+        view = project.views.store(np.full((2, 2, 3), 7, np.uint8))
+        for frame in project.frames.of():
+            project.proposals.replace(frame.id, [proposal_at(0.0), proposal_at(5.0)], by_machine())
+        before = content(project)
+        for step in steps:
+            if step[0] != "propose":
+                _take(project, view, step)
+        _all(lambda: project.history.redo("ann"))
+        after = content(project)
+        events = [event.payload.model_dump_json() for event in project.log.since()]
+        if restart:
+            project.close()
+            project = open_project(project.path)
+        with project:
+            undone = _all(lambda: project.history.undo("ann"))
+            assert content(project) == before
+            assert _all(lambda: project.history.redo("ann")) == undone
+            assert content(project) == after
+            now = [event.payload.model_dump_json() for event in project.log.since()]
+            assert now[: len(events)] == events, "the log only grows"
+            kept = state_of(project)
+            project.log.rebuild()
+            assert state_of(project) == kept
+            # the undo states follow from the events, too
+            assert _all(lambda: project.history.undo("ann")) == undone
+            assert content(project) == before
+
+
+@settings(max_examples=25, deadline=None)
+@given(STEPS)
+def test_rebuilt_and_maintained_state_agree_with_passes_and_undo_in_between(
+    steps: list[tuple[str, int, int, int]],
+) -> None:
+    with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
+        project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
+        view = project.views.store(np.full((2, 2, 3), 7, np.uint8))
+        for step in steps:
+            _take(project, view, step)
+        before, order = state_of(project), content(project)
+        undo = project.history.next("ann")
+        project.log.rebuild()
+        assert state_of(project) == before
+        assert content(project) == order
+        with open_project(project.path) as again:
+            assert again.history.next("ann") == undo
+
+
+def test_words_say_what_comes_next(project: Project, frame: int) -> None:
+    assert project.history.next("ann") == (None, None)
+    uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
+    assert project.history.next("ann") == (None, None), "an automatic pass is nobody's to undo"
+    project.labels.accept(frame, uids[0], by_hand(1))
+    assert project.history.next("ann") == ("accept hand (frame 2)", None)
+    project.log.append(frame, [LabelDeleted(uid=uid) for uid in uids], by_hand(2))
+    assert project.history.next("ann") == ("delete 2 labels (frame 2)", None)
+    done = project.history.undo("ann")
+    assert (done.words, done.frame_id, done.receipt.revision) == ("delete 2 labels (frame 2)", frame, 6)
+    assert project.history.next("ann") == ("accept hand (frame 2)", "delete 2 labels (frame 2)")
+    project.frames.finalise(frame, by_hand(6))
+    assert project.history.next("ann") == ("finalise frame 2", None), "a new action empties the redo stack"
+
+
+def test_each_operator_undoes_only_their_own(project: Project, recording: StoredRecording) -> None:
+    one, two = (frame.id for frame in project.frames.of()[:2])
+    project.boxes.set_on_image(one, _boxes(1), BoxKind.BOX, by_hand(0, "ann"))
+    project.boxes.set_on_image(two, _boxes(2), BoxKind.BOX, by_hand(0, "bob"))
+    project.history.undo("ann")
+    assert project.boxes.on_image(one) is None
+    assert project.boxes.on_image(two) is not None
+    with pytest.raises(HistoryError, match="ann has nothing to undo"):
+        project.history.undo("ann")
+
+
+def test_what_somebody_else_has_changed_since_is_refused_and_can_be_passed_over(project: Project, frame: int) -> None:
+    uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
+    project.labels.accept(frame, uids[1], by_hand(1, "ann"))
+    project.labels.accept(frame, uids[0], by_hand(2, "ann"))
+    project.labels.edit(frame, uids[0], by_hand(3, "bob"), label="person", box=box_at(1.0))
+    before = content(project)
+    with pytest.raises(HistoryError, match=r"the hand label was changed by bob since .*nothing was changed") as caught:
+        project.history.undo("ann")
+    assert caught.value.frame_id == frame
+    assert content(project) == before
+    done = project.history.undo("ann", skip=True)
+    assert done.words == "accept hand (frame 2)"
+    states = {label.uid: label.state for label in project.labels.of_frame(frame)}
+    assert states == {uids[0]: ReviewState.EDITED, uids[1]: ReviewState.PROPOSED}
+    # once bob has taken his change back, nothing is in the way of his other steps
+    project.history.undo("bob")
+    assert project.labels.get(uids[0]).label.state is ReviewState.ACCEPTED
+    project.history.redo("ann")
+    assert project.labels.get(uids[1]).label.state is ReviewState.ACCEPTED
+
+
+def test_a_pass_that_took_the_proposal_away_is_told(project: Project, frame: int) -> None:
+    uid = project.proposals.replace(frame, [proposal_at(0.0)], by_machine()).uids[0]
+    project.labels.accept(frame, uid, by_hand(1))
+    project.history.undo("ann")
+    project.proposals.replace(frame, [proposal_at(9.0)], by_machine(3))
+    with pytest.raises(HistoryError, match="cannot be redone, the hand label was changed by rcv since"):
+        project.history.redo("ann")
+
+
+def test_a_restored_label_is_whole_and_in_its_place(project: Project, frame: int) -> None:
+    uids = project.proposals.replace(frame, [proposal_at(3.0 * n) for n in range(3)], by_machine()).uids
+    before = project.labels.select()
+    project.labels.delete(frame, uids[1], by_hand(1))
+    project.history.undo("ann")
+    after = project.labels.select()
+    assert [repr_of(a.label) for a in after] == [repr_of(b.label) for b in before]
+    assert [(a.quality, a.run_id) for a in after] == [(b.quality, b.run_id) for b in before]
+    assert project.proposals.of_label(uids[1]) is not None
+
+
+def test_an_action_that_took_itself_back_is_passed_over(project: Project, frame: int) -> None:
+    project.boxes.set_on_image(frame, _boxes(1), BoxKind.BOX, by_hand(0))
+    new = LabelCreated(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    both: list[Payload] = [new, LabelDeleted(uid="u")]
+    project.log.append(frame, both, by_hand(1))
+    project.history.undo("ann")
+    assert project.boxes.on_image(frame) is None
+
+
+def test_a_class_that_has_gone_is_said(project: Project, frame: int) -> None:
+    project.labels.create(frame, [NewLabel("person", box_at())], by_hand(0))
+    uid = project.labels.of_frame(frame)[0].uid
+    project.labels.delete(frame, uid, by_hand(1))
+    project.configure(classes=["hand"])
+    with pytest.raises(ProjectError, match="'person' is no class of the project"):
+        project.history.undo("ann")
+    project.log.append(frame, [FrameFinalised()], by_hand(2))
+    project.history.undo("ann")
