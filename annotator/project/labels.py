@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, select
 
-from annotator.project.payloads import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected
-from annotator.project.records import BoxRecord, storable
+from annotator.project.payloads import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected, Origin
+from annotator.project.records import BoxRecord, box_2d_of, storable
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.writing import Change, Receipt, Writer
-from annotator.types import Label, OrientedBox, Quality, ReviewState, Source
+from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source
 from annotator.types.errors import NotFoundError
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
@@ -46,12 +46,16 @@ class StoredLabel:
         label: the label itself.
         quality: the recursion's signals for the review, where it was proposed; a signal that had no value is NaN.
         run_id: of the batch run that proposed it, where one did.
+        origin: how an operator made it, where one did.
+        image_box: on the camera image, where it was drawn from one.
     """
 
     frame_id: int
     label: Label
     quality: Quality | None
     run_id: int | None
+    origin: Origin | None = None
+    image_box: Box2D | None = None
 
 
 @dataclass(frozen=True)
@@ -175,4 +179,5 @@ def stored_label(row: AnyRow) -> StoredLabel:
         float("nan") if value is None else value for value in (row.view_disagreement, row.kept_share, row.last_change)
     ]
     quality = None if row.proposal_event_id is None else Quality(*signals)
-    return StoredLabel(row.frame_id, _label(row), quality, row.run_id)
+    origin = None if row.origin is None else Origin(row.origin)
+    return StoredLabel(row.frame_id, _label(row), quality, row.run_id, origin, box_2d_of(row.image_box))

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from annotator.project import Change
+from annotator.project import Change, Origin
 from annotator.project.payloads import (
     FrameFinalised,
     FrameReopened,
@@ -79,7 +79,11 @@ class Create(Wire):
 
     def payload(self) -> Payload:
         return LabelCreated(
-            uid=uuid.uuid4().hex, label=self.label, box=BoxRecord.of(self.box.box()), track_id=self.track_id
+            uid=uuid.uuid4().hex,
+            label=self.label,
+            box=BoxRecord.of(self.box.box()),
+            track_id=self.track_id,
+            origin=Origin.PLACED,
         )
 
 
@@ -129,4 +133,5 @@ class ChangesIn(Wire):
         return [entry.payload() for entry in self.changes]
 
     def change(self, author: str) -> Change:
-        return Change(self.revision, author)
+        effort = None if self.effort is None else self.effort.stored()
+        return Change(self.revision, author, effort=effort, subject=self.subject)

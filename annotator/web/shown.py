@@ -40,6 +40,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
     shown = show_frame(project, frame_id, opened)
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes
+    undo, redo = project.history.next(operator)
     return FrameStateJson.model_construct(
         frame=_frame(shown),
         image=ImageJson(
@@ -56,7 +57,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
         objects=[_object(name, project, drawn) for drawn in shown.objects],
         labels=[_label(label) for label in shown.labels],
         open_by=ctx.hub.open_by(name, frame_id, operator),
-        history=HistoryJson(undo=None, redo=None),
+        history=HistoryJson(undo=undo, redo=redo),
     )
 
 

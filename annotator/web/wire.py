@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
+from annotator.project import Effort as StoredEffort
 from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source
 
 # What a page may send: wide enough for any picture and any recording, and finite.
@@ -120,6 +121,9 @@ class Effort(Wire):
 
     actions: Annotated[int, Field(ge=0, le=10_000)]
     seconds: Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
+
+    def stored(self) -> StoredEffort:
+        return StoredEffort(self.actions, self.seconds)
 
 
 class ViewJson(Wire):

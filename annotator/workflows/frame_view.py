@@ -77,7 +77,7 @@ def _objects(page: FramePage) -> Sequence[ShownObject]:
     if page.image_boxes is None:
         return []
     views = views_by_object(page.view_boxes)
-    uids: dict[Box2D, str] = {}
+    uids = {stored.image_box: stored.label.uid for stored in page.labels if stored.image_box is not None}
     return [
         ShownObject(box, _views_of(page.frame.id, box, views), uids.get(box))
         for box in dict.fromkeys(page.image_boxes.boxes)
