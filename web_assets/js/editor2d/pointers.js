@@ -8,6 +8,7 @@ export function listenToPointers(editor) {
   let gesture = null;
   let owner = null;
   let is_space_down = false;
+  let last_point = [0, 0];
 
   /** Where an event is, in CSS pixels of the editor's own box, also where an ancestor is scaled. */
   function windowPoint(event) {
@@ -76,6 +77,7 @@ export function listenToPointers(editor) {
 
   function onMove(event) {
     const point = windowPoint(event);
+    last_point = point;
     if (touches.has(event.pointerId)) touches.set(event.pointerId, point);
     if (gesture && (owner === event.pointerId || (owner === "pinch" && touches.has(event.pointerId)))) gesture.move(view.toPicture(point), point);
     else if (!gesture && event.pointerType !== "touch") hover(event, point);
@@ -118,7 +120,10 @@ export function listenToPointers(editor) {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 33 : event.deltaMode === 2 ? 300 : 1;
     const factor = Math.exp(-event.deltaY * lines * (event.ctrlKey ? 0.01 : 0.0017));
-    view.zoomAbout(windowPoint(event), factor, editor.picture, editor.size);
+    // A wheel event comes in whole pixels; the pointer's own place is finer.
+    const rough = windowPoint(event);
+    const is_there = Math.hypot(rough[0] - last_point[0], rough[1] - last_point[1]) < 2;
+    view.zoomAbout(is_there ? last_point : rough, factor, editor.picture, editor.size);
     editor.redraw();
   }
 

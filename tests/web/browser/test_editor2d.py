@@ -1,0 +1,350 @@
+"""The 2D editor under a real mouse: what is dragged is what is stored."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from PIL import Image
+
+ASSETS = Path(__file__).resolve().parents[3] / "web_assets"
+WIDTH_PX, HEIGHT_PX = 320, 240
+
+BENCH = """<!doctype html><html><head>
+<link rel="stylesheet" href="/assets/css/base.css"><link rel="stylesheet" href="/assets/css/editor2d.css">
+<style>body {display: block} #host {position: absolute; left: 37.25px; top: 21.5px; width: 700px; height: 500px}</style>
+</head><body><div id="host"></div><script type="module">
+import { createEditor } from "/assets/js/editor2d/editor.js";
+const log = [];
+const editor = createEditor(document.getElementById("host"), {
+  classes: ["person", "chair"],
+  onChange: (boxes, why, index, actions) => log.push({ why, index, actions, boxes }),
+  onRotate: (angle, final) => final && log.push({ why: "rotate", angle }),
+  onOverlay: (id) => log.push({ why: "overlay", id }),
+  ...OPTIONS,
+});
+await editor.setPicture("PICTURE", WIDTH, HEIGHT);
+window.bench = { editor, log };
+</script></body></html>"""
+
+
+def _picture() -> str:
+    picture = io.BytesIO()
+    Image.linear_gradient("L").resize((WIDTH_PX, HEIGHT_PX)).save(picture, "PNG")
+    return "data:image/png;base64," + base64.b64encode(picture.getvalue()).decode()
+
+
+@dataclass(eq=False)
+class Bench:
+    """A page with nothing but an editor of 700 x 500 CSS pixels on it."""
+
+    page: Any
+
+    def js(self, code: str, value: Any = None) -> Any:
+        """Evaluates code in which `editor` and `log` are the bench's and `value` is an argument."""
+        return self.page.evaluate(f"(value) => {{ const {{ editor, log }} = window.bench; return {code}; }}", value)
+
+    @property
+    def log(self) -> list[dict]:
+        return self.js("log")
+
+    @property
+    def boxes(self) -> list[dict]:
+        return self.js("editor.boxes")
+
+    def edges(self, index: int = 0) -> list[float]:
+        box = self.boxes[index]
+        return [box[name] for name in ("x_min", "y_min", "x_max", "y_max")]
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """The place of a picture's pixel in the page, computed from what the screen shows: the <img> itself."""
+        rect = self.page.evaluate("() => document.querySelector('img.picture').getBoundingClientRect().toJSON()")
+        return (
+            rect["left"] + (x + 0.5) / WIDTH_PX * rect["width"],
+            rect["top"] + (y + 0.5) / HEIGHT_PX * rect["height"],
+        )
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], button: str = "left") -> None:
+        """A real mouse from one pixel of the picture to another."""
+        begin, stop = self.at(*start), self.at(*end)
+        mouse = self.page.mouse
+        mouse.move(*begin)
+        mouse.down(button=button)
+        mouse.move((begin[0] + stop[0]) / 2, (begin[1] + stop[1]) / 2 + 3)
+        mouse.move(*stop)
+        mouse.up(button=button)
+
+    def click(self, x: float, y: float) -> None:
+        self.page.mouse.click(*self.at(x, y))
+
+
+@pytest.fixture
+def live() -> SimpleNamespace:
+    """No server: the browser gets the page's files from the test itself."""
+    return SimpleNamespace(url="http://page.test")
+
+
+def _serve_asset(route: Any) -> None:
+    file = ASSETS / route.request.url.partition("/assets/")[2]
+    kind = "text/css" if file.suffix == ".css" else "text/javascript"
+    route.fulfill(body=file.read_text(), content_type=kind)
+
+
+@pytest.fixture
+def bench(open_page: Callable[..., Any]) -> Callable[..., Bench]:
+    """`bench(options="{…}", **browser context)`: a page of one editor."""
+
+    def make(options: str = "{}", **context: Any) -> Bench:
+        page = open_page(**context)
+        html = BENCH.replace("OPTIONS", options).replace("PICTURE", _picture())
+        html = html.replace("WIDTH", str(WIDTH_PX)).replace("HEIGHT", str(HEIGHT_PX))
+        page.route("**/assets/**", _serve_asset)
+        page.route("**/bench", lambda route: route.fulfill(body=html, content_type="text/html"))
+        page.goto("/bench")
+        page.wait_for_function("() => window.bench")
+        _settle(page)
+        return Bench(page)
+
+    return make
+
+
+def _settle(page: Any) -> None:
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def _box(x_min: float, y_min: float, x_max: float, y_max: float, **more: Any) -> dict:
+    return {"label": "person", "x_min": x_min, "y_min": y_min, "x_max": x_max, "y_max": y_max, **more}
+
+
+@pytest.mark.parametrize("device_pixel_ratio", [1, 2])
+def test_a_drag_stores_where_it_began_and_ended_at_every_zoom(bench, device_pixel_ratio) -> None:
+    it = bench("{single: true}", device_scale_factor=device_pixel_ratio)
+    scales = []
+    for turns in (-6, 6, 3, 6, 8):
+        it.js("editor.setBoxes([])")
+        it.page.mouse.move(*it.at(150, 110))
+        for _ in range(abs(turns)):
+            it.page.mouse.wheel(0, -120 if turns > 0 else 120)
+        _settle(it.page)
+        scales.append(it.js("editor.transform.scale"))
+        reach = min(60.0, 150.0 / scales[-1])
+        start, end = (150 - reach, 110 - 0.7 * reach), (150 + 0.8 * reach + 0.3, 110 + reach)
+        it.drag(start, end)
+        assert it.edges() == pytest.approx([*start, *end], abs=0.5)
+    assert min(scales) < 1 < 20 < max(scales)
+    assert {entry["why"] for entry in it.log} == {"draw"}
+
+
+def test_zooming_changed_the_scale_and_kept_the_pixel_under_the_pointer(bench) -> None:
+    it = bench()
+    before, scale = it.at(70.0, 60.0), it.js("editor.transform.scale")
+    it.page.mouse.move(*before)
+    for _ in range(5):
+        it.page.mouse.wheel(0, -120)
+    _settle(it.page)
+    assert it.js("editor.transform.scale") > 2 * scale
+    assert it.at(70.0, 60.0) == pytest.approx(before, abs=0.01)
+    assert it.js("getComputedStyle(editor.root.querySelector('img')).imageRendering") == "pixelated"
+
+
+@pytest.mark.parametrize("page_zoom", [0.8, 1.25, 1.5])
+def test_a_zoomed_page_changes_nothing(bench, page_zoom) -> None:
+    it = bench()
+    it.page.evaluate("(zoom) => { document.body.style.zoom = zoom; }", page_zoom)
+    _settle(it.page)
+    it.drag((30.0, 40.0), (200.0, 150.0))
+    assert it.edges() == pytest.approx([30, 40, 200, 150], abs=0.5)
+
+
+def test_a_box_is_drawn_where_it_is_stored(bench) -> None:
+    it = bench()
+    it.js("editor.setBoxes([value])", _box(-0.5, -0.5, 9.5, HEIGHT_PX - 0.5))
+    _settle(it.page)
+    line = it.page.evaluate("() => document.querySelector('.box .line').getBoundingClientRect().toJSON()")
+    picture = it.page.evaluate("() => document.querySelector('img.picture').getBoundingClientRect().toJSON()")
+    assert line["left"] == pytest.approx(picture["left"], abs=1)
+    assert line["bottom"] == pytest.approx(picture["bottom"], abs=1)
+    assert line["width"] == pytest.approx(picture["width"] * 10 / WIDTH_PX, abs=2)
+
+
+def test_a_drag_out_of_the_picture_ends_at_its_border(bench) -> None:
+    it = bench()
+    it.drag((250.0, 180.0), (400.0, 238.0))
+    assert it.edges() == pytest.approx([250, 180, WIDTH_PX - 0.5, 238], abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("grab", "drop", "edges"),
+    [
+        ((50, 90), (42, 97), [42, 60, 150, 120]),
+        ((150, 90), (171, 90), [50, 60, 171, 120]),
+        ((100, 60), (100, 44), [50, 44, 150, 120]),
+        ((100, 120), (90, 139), [50, 60, 150, 139]),
+        ((50, 60), (61, 72), [61, 72, 150, 120]),
+        ((150, 120), (163, 101), [50, 60, 163, 101]),
+        ((150, 60), (160, 50), [50, 50, 160, 120]),
+        ((150, 90), (20, 90), [20, 60, 50, 120]),
+    ],
+    ids=["left", "right", "top", "bottom", "top left", "bottom right", "top right", "right over left"],
+)
+def test_edges_and_corners_resize(bench, grab, drop, edges) -> None:
+    it = bench()
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120))
+    it.drag(grab, drop)
+    assert it.edges() == pytest.approx(edges, abs=0.5)
+    assert [entry["why"] for entry in it.log] == ["resize"]
+
+
+def test_the_inside_moves_and_the_border_stops_it(bench) -> None:
+    it = bench()
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120))
+    it.drag((100, 90), (112, 75))
+    assert it.edges() == pytest.approx([62, 45, 162, 105], abs=0.5)
+    it.drag((100, 90), (-200, 90))
+    assert it.edges() == pytest.approx([-0.5, 45, 99.5, 105], abs=0.5)
+    assert [entry["why"] for entry in it.log] == ["move", "move"]
+
+
+def test_several_boxes_a_click_selects_and_del_deletes(bench) -> None:
+    it = bench()
+    it.drag((20, 20), (80, 90))
+    it.drag((120, 30), (200, 160))
+    assert len(it.boxes) == 2
+    it.click(50, 60)
+    assert it.js("editor.selected") == 0
+    it.page.keyboard.press("Delete")
+    assert it.edges() == pytest.approx([120, 30, 200, 160], abs=0.5)
+    assert [entry["why"] for entry in it.log] == ["draw", "draw", "delete"]
+
+
+def test_shift_draws_over_a_selected_box(bench) -> None:
+    it = bench()
+    it.js("editor.setBoxes([value], 0)", _box(20, 20, 300, 220))
+    it.page.keyboard.down("Shift")
+    it.drag((100, 90), (150, 130))
+    it.page.keyboard.up("Shift")
+    assert it.edges(1) == pytest.approx([100, 90, 150, 130], abs=0.5)
+    assert it.edges(0) == [20, 20, 300, 220]
+
+
+def test_arrows_nudge_by_whole_pixels_and_are_one_change(bench) -> None:
+    it = bench()
+    it.js("editor.setBoxes([value], 0)", _box(50.25, 60.5, 150.25, 120.5))
+    it.js("editor.focus()")
+    for key in ("ArrowRight", "ArrowDown", "Shift+ArrowLeft", "Alt+ArrowRight", "Alt+Shift+ArrowDown"):
+        it.page.keyboard.press(key)
+    it.page.wait_for_function("() => window.bench.log.length > 0")
+    assert it.edges() == [41.25, 61.5, 142.25, 131.5]
+    assert [(entry["why"], entry["actions"]) for entry in it.log] == [("nudge", 5)]
+
+
+def test_escape_gives_a_drag_up(bench) -> None:
+    it = bench()
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120))
+    it.page.mouse.move(*it.at(100, 90))
+    it.page.mouse.down()
+    it.page.mouse.move(*it.at(140, 130))
+    assert it.edges() == pytest.approx([90, 100, 190, 160], abs=0.5)
+    it.page.keyboard.press("Escape")
+    it.page.mouse.move(*it.at(10, 10))
+    it.page.mouse.up()
+    assert it.edges() == [50, 60, 150, 120]
+    assert it.log == []
+
+
+def test_a_suggestion_is_accepted_by_a_click_or_enter_and_corrected_by_a_drag(bench) -> None:
+    it = bench("{single: true}")
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120, suggested=True))
+    it.click(100, 90)
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120, suggested=True))
+    it.page.keyboard.press("Enter")
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120, suggested=True))
+    it.drag((150, 90), (160, 90))
+    assert [entry["why"] for entry in it.log] == ["accept", "accept", "resize"]
+    assert all(entry["boxes"][0]["suggested"] is False for entry in it.log)
+    assert it.log[1]["boxes"][0]["x_max"] == 150
+    assert it.edges() == pytest.approx([50, 60, 160, 120], abs=0.5)
+
+
+def test_one_box_only_is_replaced_by_drawing(bench) -> None:
+    it = bench("{single: true}")
+    it.js("editor.setBoxes([value], 0)", _box(50, 60, 90, 120))
+    it.drag((150, 100), (200, 180))
+    assert len(it.boxes) == 1
+    assert it.edges() == pytest.approx([150, 100, 200, 180], abs=0.5)
+
+
+@pytest.mark.parametrize("how", ["middle button", "space"])
+def test_panning_moves_the_picture_and_no_box(bench, how) -> None:
+    it = bench()
+    before = it.at(100, 100)
+    if how == "space":
+        it.page.mouse.move(*before)
+        it.page.keyboard.down(" ")
+        it.drag((100, 100), (130, 120))
+        it.page.keyboard.up(" ")
+    else:
+        it.drag((100, 100), (130, 120), button="middle")
+    _settle(it.page)
+    assert it.at(70, 80) == pytest.approx(before, abs=0.5)
+    assert it.boxes == []
+    it.drag((20, 30), (60, 80))
+    assert it.edges() == pytest.approx([20, 30, 60, 80], abs=0.5)
+
+
+def test_the_rotation_handle_tells_a_clockwise_turn_as_positive(bench) -> None:
+    it = bench("{single: true, canDraw: false, clip: false}")
+    it.js("editor.setHandles({rotate: true}) ?? editor.setBoxes([value], 0)", _box(110, 100, 210, 160))
+    _settle(it.page)
+    handle = it.page.get_by_test_id("rotate-handle").bounding_box()
+    x, y = handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2
+    center_x, center_y = it.at(160, 130)
+    it.page.mouse.move(x, y)
+    it.page.mouse.down()
+    it.page.mouse.move(center_x + 60, center_y - 90)
+    it.page.mouse.move(center_x + 80, center_y)
+    it.page.mouse.up()
+    assert it.log[-1]["why"] == "rotate"
+    assert it.log[-1]["angle"] == pytest.approx(1.5708, abs=0.01)
+
+
+def test_a_click_in_an_overlay_tells_its_id(bench) -> None:
+    it = bench()
+    outline = [[[40, 40], [120, 40]], [[120, 40], [120, 100]], [[120, 100], [40, 100]], [[40, 100], [40, 40]]]
+    it.js("editor.setOverlays([{segments: value, color: 'lime', id: 'abc'}])", outline)
+    it.click(80, 70)
+    it.click(200, 200)
+    assert it.log == [{"why": "overlay", "id": "abc"}]
+
+
+def _touch(session: Any, kind: str, *points: tuple[float, float]) -> None:
+    touches = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+    session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+
+def test_a_finger_draws_and_two_fingers_zoom(bench) -> None:
+    it = bench(has_touch=True)
+    session = it.page.context.new_cdp_session(it.page)
+    _touch(session, "touchStart", it.at(40, 50))
+    _touch(session, "touchMove", it.at(100, 90))
+    _touch(session, "touchMove", it.at(180, 140))
+    _touch(session, "touchEnd")
+    assert it.edges() == pytest.approx([40, 50, 180, 140], abs=0.5)
+    scale = it.js("editor.transform.scale")
+    (x, y), (u, v) = it.at(100, 120), it.at(200, 120)
+    _touch(session, "touchStart", (x, y))
+    _touch(session, "touchStart", (x, y), (u, v))
+    _touch(session, "touchMove", (x - 50, y), (u + 50, v))
+    _touch(session, "touchMove", (x - 100, y), (u + 100, v))
+    _touch(session, "touchEnd")
+    _settle(it.page)
+    assert it.js("editor.transform.scale") == pytest.approx(scale * (u - x + 200) / (u - x), rel=0.05)
+    assert it.edges() == pytest.approx([40, 50, 180, 140], abs=0.5)
+    assert json.dumps([entry["why"] for entry in it.log]) == '["draw"]'
