@@ -1,0 +1,63 @@
+/** The 3D view of the open frame: cloud, all boxes, and a gizmo on the selected one. */
+
+import { h } from "../dom.js";
+
+const COLORS = [["rgb", "Colour"], ["depth", "Depth"], ["height", "Height"], ["intensity", "Intensity"]];
+const POINT_LIMITS = [0.1, 10];
+
+export function createScene(host, app, desk) {
+  const body = h("div", { class: "viewport-host" });
+  const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
+  const color = h("select", { "aria-label": "Colour of the points", title: "Colour of the points", onchange: () => choose("color", color.value) }, COLORS.map(([value, text]) => h("option", { value }, text)));
+  const reset = h("button", { type: "button", class: "quiet small", title: "Back to the camera's place", "data-testid": "reset-view", onclick: () => send({ reset_view: true }) }, "Reset view");
+  host.append(h("header", {}, h("h2", {}, "3D view"), note, h("span", { class: "grow" }), color, reset), body);
+  const { viewport } = app;
+  const chosen = { gizmo: "off", color: "rgb", point_size: 1 };
+  let is_dragging = false;
+  if (!viewport) {
+    body.append(h("p", { class: "view-note" }, "The 3D view could not be loaded. Reload the page to try again."));
+    return { gizmo: "off", setGizmo() {}, show() {}, preview() {}, points() {}, destroy() {} };
+  }
+  body.append(viewport.element);
+
+  const stop = [
+    viewport.on("select", ({ uid }) => desk.select(uid)),
+    viewport.on("shown", ({ shown_points, points }) => (note.textContent = shown_points < points ? `${shown_points.toLocaleString("en")} of ${points.toLocaleString("en")} points` : `${points.toLocaleString("en")} points`)),
+    viewport.on("box", ({ uid, box, final }) => {
+      if (uid !== desk.uid) return;
+      is_dragging = !final;
+      desk.preview({ box });
+      if (final) void desk.commit();
+    }),
+  ];
+
+  function send(more = {}) {
+    const frame = app.state.frame?.frame.id ?? null;
+    const preview = desk.hasDraft ? { uid: desk.uid, box: desk.shown.box } : null;
+    viewport.show({ frame, selected: desk.uid, labels: "all", preview, ...chosen, ...more });
+  }
+
+  function choose(name, value) {
+    if (chosen[name] === value) return;
+    chosen[name] = value;
+    send();
+  }
+
+  return {
+    get gizmo() {
+      return chosen.gizmo;
+    },
+    setGizmo: (mode) => choose("gizmo", mode),
+    show: () => send(),
+
+    /** The box moves; where it is the gizmo that moves it, the 3D view knows already. */
+    preview() {
+      if (!is_dragging) send();
+    },
+
+    /** Larger or smaller points, by a factor. */
+    points: (factor) => choose("point_size", Math.min(Math.max(chosen.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1])),
+
+    destroy: () => stop.forEach((end) => end()),
+  };
+}

@@ -1,0 +1,93 @@
+/** The column on the left: the queue of proposals, and the boxes of the open frame. */
+
+import { count, h } from "../dom.js";
+import { summary } from "./fields.js";
+import { ORDERS } from "./queue.js";
+
+/** So many rows of the queue are shown around the present one. */
+const ROWS = 120;
+
+export function createQueueList(host, app, queue, { open }) {
+  const order = h(
+    "select",
+    { "aria-label": "Order of the queue", "data-testid": "queue-order", onchange: () => queue.choose({ order: order.value }).then(openFirst, app.toast) },
+    ORDERS.map(([value, text]) => h("option", { value }, text)),
+  );
+  const label = h(
+    "select",
+    { "aria-label": "Class in the queue", "data-testid": "queue-class", onchange: () => queue.choose({ label: label.value }).then(openFirst, app.toast) },
+    h("option", { value: "" }, "All classes"),
+    app.state.project.classes.map((name) => h("option", { value: name }, name)),
+  );
+  const left = h("span", { class: "number muted", "data-testid": "queue-remaining" });
+  const list = h("ol", { class: "rows", "data-testid": "queue" });
+  label.hidden = app.state.project.classes.length < 2;
+  order.value = queue.order;
+  host.replaceChildren(h("header", {}, h("h2", {}, "To review"), h("span", { class: "grow" }), left), h("div", { class: "choices" }, order, label), list);
+
+  function openFirst() {
+    if (queue.items[0]) open(queue.items[0]);
+  }
+
+  return {
+    show(uid) {
+      left.textContent = count(queue.remaining, "proposal");
+      const at = Math.max(0, queue.items.findIndex((item) => item.uid === uid));
+      const from = Math.max(0, Math.min(at - ROWS / 2, queue.items.length - ROWS));
+      const recordings = new Map(app.state.project.recordings.map(({ id, name }) => [id, name]));
+      list.replaceChildren(...queue.items.slice(from, from + ROWS).map((item) => queueRow(item, recordings, item.uid === uid, open)));
+      if (queue.items.length === 0) list.append(h("li", { class: "muted pad" }, "Nothing is left to review."));
+      list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+    },
+  };
+}
+
+function queueRow(item, recordings, is_current, open) {
+  const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
+  return h(
+    "li",
+    {},
+    h(
+      "button",
+      { type: "button", class: "quiet row-button", "aria-current": is_current ? "true" : null, title: `${item.label}, frame ${place}`, onclick: () => open(item), "data-testid": "queue-item", "data-uid": item.uid },
+      h("span", { class: "ellipsis grow" }, item.label),
+      h("span", { class: "muted ellipsis number" }, place),
+      doubtBar(item.doubt),
+    ),
+  );
+}
+
+function doubtBar(doubt) {
+  if (doubt === null || doubt === undefined) return h("span", { class: "doubt" });
+  const bar = h("i", {});
+  bar.style.width = `${Math.round(100 * doubt)}%`;
+  return h("span", { class: "doubt", title: `Doubt ${Math.round(100 * doubt)} %` }, bar);
+}
+
+export function createBoxList(host, desk) {
+  const title = h("h2", {}, "In this frame");
+  const note = h("p", { class: "muted pad", "data-testid": "frame-summary" });
+  const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
+  host.replaceChildren(h("header", {}, title), note, list);
+  return {
+    show() {
+      note.textContent = summary(desk.labels());
+      list.replaceChildren(...desk.labels().map((label) => boxRow(label, desk)));
+    },
+  };
+}
+
+function boxRow(label, desk) {
+  const track = label.track_id === null ? "" : ` #${label.track_id}`;
+  return h(
+    "li",
+    {},
+    h(
+      "button",
+      { type: "button", class: "quiet row-button", "aria-current": label.uid === desk.uid ? "true" : null, onclick: () => desk.select(label.uid), "data-testid": "frame-box", "data-uid": label.uid, "data-state": label.state },
+      h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
+      h("span", { class: "ellipsis grow" }, `${label.label}${track}`),
+      h("span", { class: `state-${label.state}` }, label.state),
+    ),
+  );
+}
