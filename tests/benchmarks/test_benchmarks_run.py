@@ -11,9 +11,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from annotator.recordings import open_recording
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
 from benchmarks import axes, pseudo_view
 from benchmarks.memory import FOLDERS, growth, lengthen
 
@@ -69,6 +71,7 @@ def test_axes(two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
             "mean_iou",
             "share_50",
             "share_70",
+            "false_positives",
             "steps",
             "ms_per_object",
         ]
@@ -76,10 +79,22 @@ def test_axes(two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         assert 0 < row["mean_iou"] <= 1
         assert 0 <= row["share_70"] <= row["share_50"] <= 1
         assert row["ms_per_object"] > 0
+        assert row["false_positives"] == 0, "a perfect detector sees nothing that is not there"
         assert 1 <= row["steps"] <= 10
     by_axes = {row["axes"]: row["mean_iou"] for row in result["results"]}
     assert by_axes["consensus"] > 0.97
     assert by_axes["consensus"] > max(by_axes[name] for name in STRATEGIES[:-1])
+
+
+def test_a_proposal_that_overlaps_no_true_box_is_false() -> None:
+    assert axes.false_share([0.0, 0.05, 0.1, 0.9]) == 0.5
+    assert axes.false_share([]) == 0.0
+    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
+    far = OrientedBox.from_parts(np.array([9.0, 0.0, 0.0]), np.eye(3), np.ones(3))
+    found = [Proposal("a", 1.0, b, Box2D("a", 0.0, 0.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0)) for b in (far, box, box)]
+    assert axes.best_ious(found, [Truth("a", box)]) == pytest.approx([0, 1, 1])
+    assert axes.best_ious(found, []) == [0.0] * 3
+    assert axes.best_ious([], [Truth("a", box)]) == []
 
 
 def test_axes_with_jitter_one_strategy_and_free(
