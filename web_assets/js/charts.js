@@ -1,0 +1,83 @@
+/** Charts by plotly, whose bundled script is fetched from this server the first time one is drawn. */
+
+const SCRIPT = "/assets/vendor/plotly.min.js";
+
+let loading = null;
+
+function loadPlotly() {
+  loading ??= new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = SCRIPT;
+    script.onload = () => (window.Plotly ? resolve(window.Plotly) : reject(new Error("the chart library did not start")));
+    script.onerror = () => reject(new Error("the chart library could not be loaded"));
+    document.head.append(script);
+  }).catch((error) => {
+    loading = null;
+    throw error;
+  });
+  return loading;
+}
+
+/** The theme's colours as they are now: a probe resolves what CSS variables hold. */
+function themeColors() {
+  const probe = document.createElement("i");
+  document.body.append(probe);
+  const read = (name) => {
+    probe.style.color = `var(--${name})`;
+    return getComputedStyle(probe).color;
+  };
+  const names = ["text", "muted", "line", "accent", "good", "warn", "bad", "proposed", "accepted", "edited", "rejected"];
+  const colors = Object.fromEntries(names.map((name) => [name, read(name)]));
+  probe.remove();
+  return colors;
+}
+
+/**
+ * A chart in `host` that follows the theme and the size of its place.
+ *
+ * @param {(colors: object) => {traces: object[], layout: object}} make is asked again at each draw.
+ * @returns {{draw(): Promise<void>, destroy(): void}}
+ */
+export function createChart(host, make) {
+  let plotly = null;
+  let ended = false;
+
+  async function draw() {
+    try {
+      plotly ??= await loadPlotly();
+    } catch (error) {
+      host.textContent = `No chart: ${error.message}. The table has the same numbers.`;
+      return;
+    }
+    if (ended || !host.isConnected) return;
+    const colors = themeColors();
+    const { traces, layout } = make(colors);
+    const axis = { gridcolor: colors.line, zerolinecolor: colors.line, linecolor: colors.line, automargin: true };
+    const base = {
+      paper_bgcolor: "rgba(0,0,0,0)",
+      plot_bgcolor: "rgba(0,0,0,0)",
+      font: { family: "system-ui, sans-serif", size: 12, color: colors.text },
+      margin: { l: 44, r: 10, t: layout.title ? 30 : 10, b: 34 },
+      legend: { orientation: "h", y: -0.22, font: { color: colors.muted } },
+      hovermode: "closest",
+    };
+    const full = { ...base, ...layout, xaxis: { ...axis, ...layout.xaxis }, yaxis: { ...axis, ...layout.yaxis } };
+    if (layout.yaxis2) full.yaxis2 = { ...axis, ...layout.yaxis2 };
+    await plotly.react(host, traces, full, { displayModeBar: false, responsive: true });
+  }
+
+  const watcher = new MutationObserver(() => void draw());
+  watcher.observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  const scheme = matchMedia("(prefers-color-scheme: dark)");
+  scheme.addEventListener("change", draw);
+
+  return {
+    draw,
+    destroy() {
+      ended = true;
+      watcher.disconnect();
+      scheme.removeEventListener("change", draw);
+      plotly?.purge(host);
+    },
+  };
+}

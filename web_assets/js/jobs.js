@@ -1,0 +1,77 @@
+/** Work that the server does in the background: start, follow, stop. Several pages show it. */
+
+import { h } from "./dom.js";
+
+export const isActive = (job) => job.state === "queued" || job.state === "running";
+
+/** The newest job of a kind in the open project, or null. */
+export function latestJob(app, kind) {
+  const mine = app.state.jobs.filter((job) => job.kind === kind && job.project === app.state.route.project);
+  return mine.toSorted((a, b) => b.created_ns - a.created_ns)[0] ?? null;
+}
+
+/** Starts a job and shows it at once. */
+export async function startJob(app, request) {
+  const job = await app.api.post(app.path("jobs"), request);
+  takeJob(app, job);
+  return job;
+}
+
+export function takeJob(app, job) {
+  app.state.set({ jobs: [job, ...app.state.jobs.filter(({ id }) => id !== job.id)] });
+}
+
+/** 75 -> "1 min 15 s". */
+export function duration(seconds) {
+  const whole = Math.max(0, Math.round(seconds));
+  if (whole < 60) return `${whole} s`;
+  const minutes = Math.floor(whole / 60);
+  if (minutes < 60) return `${minutes} min ${whole % 60} s`;
+  return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+/** A line with the state of the newest job of a kind, its progress, and a button that stops it. */
+export function createJobLine(app, kind) {
+  const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
+  const bar = h("progress", { max: 1, "aria-label": "Progress" });
+  const left = h("span", { class: "muted number" });
+  const stop = h("button", { type: "button", class: "danger", "data-testid": `stop-${kind}`, onclick: () => cancel() }, "Stop");
+  const root = h("div", { class: "job-line", "data-testid": `job-${kind}`, role: "status" }, text, bar, left, stop);
+
+  async function cancel() {
+    const job = latestJob(app, kind);
+    stop.disabled = true;
+    try {
+      takeJob(app, await app.api.post(`/api/jobs/${job.id}/cancel`));
+    } catch (error) {
+      app.toast(error);
+    } finally {
+      stop.disabled = false;
+    }
+  }
+
+  return {
+    root,
+    show() {
+      const job = latestJob(app, kind);
+      root.hidden = !job;
+      if (!job) return;
+      root.dataset.state = job.state;
+      text.textContent = describe(job);
+      text.className = `grow${job.state === "failed" ? " bad" : ""}`;
+      stop.hidden = !isActive(job);
+      bar.hidden = !isActive(job);
+      if (job.total > 0) bar.value = job.done / job.total;
+      else bar.removeAttribute("value");
+      left.textContent = job.state === "running" && job.eta_s !== null ? `about ${duration(job.eta_s)} left` : "";
+    },
+  };
+}
+
+function describe(job) {
+  if (job.state === "queued") return "Waits for other work to end";
+  if (job.state === "running") return job.stage || "Running";
+  if (job.state === "failed") return `Failed: ${job.message ?? "see the server's log"}`;
+  if (job.state === "cancelled") return job.message ?? "Stopped";
+  return job.message ?? "Done";
+}

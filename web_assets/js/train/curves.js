@@ -1,0 +1,51 @@
+/** Curves of a training: how right the boxes are (0 to 1), and the losses, by epoch and detector. */
+
+import { createChart } from "../charts.js";
+import { h } from "../dom.js";
+
+const QUALITY = /^(map50|map50_95|precision|recall)$/;
+const NAMES = { map50: "mAP 50", map50_95: "mAP 50–95", precision: "precision", recall: "recall", box: "box loss", box_loss: "box loss", cls: "class loss", cls_loss: "class loss", dfl: "edge loss", dfl_loss: "edge loss" };
+const ROLES = { image: "image", view: "view" };
+
+export function createCurves(host) {
+  const quality = h("div", { class: "chart", "data-testid": "curves-quality" });
+  const losses = h("div", { class: "chart", "data-testid": "curves-losses" });
+  const box = h("div", { class: "charts", hidden: true }, h("figure", {}, h("figcaption", {}, "On validation pictures: share that is right"), quality), h("figure", {}, h("figcaption", {}, "Losses while learning"), losses));
+  host.append(box);
+  let points = [];
+  const charts = [
+    createChart(quality, (colors) => ({ traces: traces(points, colors, (name) => QUALITY.test(name)), layout: { yaxis: { range: [0, 1.02] }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
+    createChart(losses, (colors) => ({ traces: traces(points, colors, (name) => !QUALITY.test(name)), layout: { yaxis: { rangemode: "tozero" }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
+  ];
+  let drawn = "";
+
+  return {
+    show(fresh) {
+      points = fresh;
+      box.hidden = points.length === 0;
+      const key = JSON.stringify(points);
+      if (key === drawn || points.length === 0) return;
+      drawn = key;
+      charts.forEach((chart) => void chart.draw());
+    },
+    destroy: () => charts.forEach((chart) => chart.destroy()),
+  };
+}
+
+function traces(points, colors, wanted) {
+  const series = new Map();
+  for (const { role, epoch, metrics } of points) {
+    for (const [name, value] of Object.entries(metrics)) {
+      if (!wanted(name) || value === null) continue;
+      const key = `${role} ${name}`;
+      if (!series.has(key)) series.set(key, { role, name, x: [], y: [] });
+      series.get(key).x.push(epoch);
+      series.get(key).y.push(value);
+    }
+  }
+  const palette = { image: [colors.accent, colors.good, colors.muted], view: [colors.proposed, colors.bad, colors.warn] };
+  const used = { image: 0, view: 0 };
+  return [...series.values()].map(({ role, name, x, y }) => ({
+    x, y, name: `${ROLES[role] ?? role}: ${NAMES[name] ?? name}`, mode: x.length > 40 ? "lines" : "lines+markers", line: { color: palette[role][used[role]++ % 3], width: 1.6, dash: role === "view" ? "dot" : "solid" }, marker: { size: 4 },
+  }));
+}

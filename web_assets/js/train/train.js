@@ -1,0 +1,163 @@
+/** Train and propose: what there is to learn from, training as it goes on, the models there are, and their proposals. */
+
+import { count, h } from "../dom.js";
+import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
+import { createCurves } from "./curves.js";
+import { createModelList } from "./models.js";
+import { createPropose } from "./propose.js";
+
+/** The server's own defaults, shown so that an operator knows what an empty field means. */
+const PICTURES = { image: 1600, view: 6000 };
+const ROLES = [
+  ["image", "Image detector", "finds objects on the camera image"],
+  ["view", "View detector", "finds their edges on pseudo-views"],
+];
+
+export function mount(root, app) {
+  const material = h("div", { class: "cards" });
+  const line = createJobLine(app, "train");
+  const curves_host = h("div", {});
+  const curves = createCurves(curves_host);
+  const models_host = h("section", { class: "panel" });
+  const propose_host = h("section", { class: "panel" });
+  const models = createModelList(models_host, app, load);
+  const propose = createPropose(propose_host, app);
+  const { form, start } = createForm(app);
+  let known = null;
+  let ended = false;
+
+  root.append(
+    h(
+      "div",
+      { class: "page wide train-page" },
+      h("h1", {}, "Train and propose"),
+      h("section", { class: "panel" }, h("header", {}, h("h2", {}, "Train the detectors")), h("div", { class: "body stack" }, material, form, line.root, curves_host)),
+      propose_host,
+      models_host,
+    ),
+  );
+
+  async function load() {
+    try {
+      const answer = await app.api.get(app.path("models"));
+      if (ended) return;
+      known = answer;
+      show();
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  function show() {
+    const job = latestJob(app, "train");
+    line.show();
+    curves.show(curvesOf(job, known));
+    propose.show();
+    start.disabled = Boolean(job && isActive(job));
+    if (!known) return;
+    material.replaceChildren(...ROLES.map((role) => materialCard(role, known)));
+    models.show(known.models);
+    const nothing = known.material.image === 0 && known.material.view === 0;
+    form.hidden = nothing;
+    if (nothing) material.append(nothingYet(app));
+  }
+
+  let last = "";
+  const stop = [
+    app.state.on("jobs", () => {
+      show();
+      // new models and new proposals change what else the page says
+      const now = app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
+      if (now !== last && last !== "") {
+        void load();
+        app.refreshProject().then(() => !ended && show(), app.toast);
+      }
+      last = now;
+    }),
+    app.state.on("project", () => propose.show()),
+  ];
+  show();
+  void load();
+  app.refreshProject().catch(app.toast);
+  return {
+    unmount() {
+      ended = true;
+      stop.forEach((end) => end());
+      curves.destroy();
+    },
+  };
+}
+
+function createForm(app) {
+  const roles = ROLES.map(([role, label]) => h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` }));
+  const pictures = ROLES.map(([role, label]) =>
+    h("input", { type: "number", min: 16, max: 1000000, step: 1, placeholder: String(PICTURES[role]), "aria-label": `Pictures for the ${label.toLowerCase()}`, "data-testid": `train-pictures-${role}` }),
+  );
+  const model = h(
+    "select",
+    { "data-testid": "train-model" },
+    [["", "yolo11n: small and fast (default)"], ["yolo11s", "yolo11s: larger, slower"], ["yolo11m", "yolo11m: for a GPU"]].map(([value, text]) => h("option", { value }, text)),
+  );
+  const start = h("button", { type: "submit", class: "primary", "data-testid": "train-start" }, "Train");
+  const problem = h("p", { class: "error-box", role: "alert", hidden: true });
+  const more = h(
+    "details",
+    {},
+    h("summary", {}, "Settings"),
+    h(
+      "div",
+      { class: "settings" },
+      ROLES.map(([role, label], i) => h("label", { class: "field" }, h("span", {}, `${label}: pictures seen`), pictures[i])),
+      h("label", { class: "field" }, h("span", {}, "Network"), model),
+      h("p", { class: "help" }, "Every picture is shown many times, changed a little each time. More pictures take longer and teach more."),
+    ),
+  );
+  const form = h(
+    "form",
+    { class: "stack", "data-testid": "train-form" },
+    h("div", { class: "row" }, ROLES.map(([, label], i) => h("label", { class: "row" }, roles[i], label)), h("span", { class: "grow" }), start),
+    more,
+    problem,
+  );
+  const number = (input) => (input.value === "" ? null : input.valueAsNumber);
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    problem.hidden = true;
+    start.disabled = true;
+    try {
+      const chosen = ROLES.map(([role]) => role).filter((_, i) => roles[i].checked);
+      if (chosen.length === 0) throw new Error("Choose at least one detector to train.");
+      await startJob(app, { kind: "train", roles: chosen, image_pictures: number(pictures[0]), view_pictures: number(pictures[1]), model: model.value || null });
+    } catch (error) {
+      problem.textContent = error.message;
+      problem.hidden = false;
+      start.disabled = false;
+    }
+  });
+  return { form, start };
+}
+
+function materialCard([role, label, what], { models, material }) {
+  const active = models.find((model) => model.role === role && model.active);
+  const fresh = active ? material[role] - active.boxes : material[role];
+  return h(
+    "div",
+    { class: "card", "data-testid": `material-${role}` },
+    h("h3", {}, label),
+    h("p", { class: "muted" }, what),
+    h("dl", { class: "figures" }, h("dt", {}, "has learned from"), h("dd", { class: "number" }, active ? count(active.boxes, "box", "boxes") : "nothing yet"), h("dt", {}, "can learn from now"), h("dd", { class: "number" }, count(material[role], "box", "boxes"))),
+    fresh > 0 && active ? h("p", { class: "good" }, `${count(fresh, "box", "boxes")} it has not seen yet`) : null,
+  );
+}
+
+function nothingYet(app) {
+  return h("div", { class: "empty" }, h("p", {}, "There are no boxes to learn from yet. Draw a few objects first: each takes five drags."), h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/label` }, "Label objects"));
+}
+
+/** Curves of the training that runs, or of the active models where none does. */
+function curvesOf(job, known) {
+  if (job && (isActive(job) || job.curves.length > 0) && job.state !== "done") return job.curves;
+  const active = known?.models.filter((model) => model.active) ?? [];
+  const kept = active.flatMap((model) => (model.curves ?? []).map((point) => ({ role: model.role, ...point })));
+  return kept.length ? kept : (job?.curves ?? []);
+}
