@@ -17,9 +17,9 @@ class Running(uvicorn.Server):
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings = settings
+        self.app = create_app(settings)
         self.socket = bind(settings.host, settings.port)
         self.port: int = self.socket.getsockname()[1]
-        self.app = create_app(settings)
         super().__init__(
             uvicorn.Config(self.app, log_level="warning", timeout_graceful_shutdown=3, ws="websockets-sansio")
         )

@@ -1,0 +1,72 @@
+"""Projects: list, create, look at, change."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+
+from annotator.project import BoxRotation, ProjectSettings, create_project, list_projects
+from annotator.web.context import Ctx, Operator
+from annotator.web.projects import ProjectInfo, ProjectSummary, project_info, summary, summary_of
+
+router = APIRouter(prefix="/api/projects", tags=["projects"])
+
+ClassName = Annotated[str, Field(min_length=1, max_length=64)]
+Classes = Annotated[list[ClassName], Field(min_length=1, max_length=200)]
+
+
+class NewProject(BaseModel):
+    """What a project is made of."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(max_length=64)
+    classes: Classes
+    rotation: BoxRotation = BoxRotation.AUTO
+
+
+class ProjectChange(BaseModel):
+    """What to change; null leaves it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    classes: Classes | None = None
+    rotation: BoxRotation | None = None
+
+
+class ProjectList(BaseModel):
+    """All projects."""
+
+    projects: list[ProjectSummary]
+
+
+@router.get("")
+def projects(ctx: Ctx, who: Operator) -> ProjectList:
+    """All projects in the server's folder of projects."""
+    return ProjectList(projects=[summary(ctx, listed) for listed in list_projects(ctx.settings.projects_root)])
+
+
+@router.post("", status_code=201)
+def create(body: NewProject, ctx: Ctx, who: Operator) -> ProjectSummary:
+    """Create a project."""
+    settings = ProjectSettings(rotation=body.rotation)
+    create_project(ctx.settings.projects_root, body.name, body.classes, settings=settings).close()
+    return summary_of(body.name, ctx.project(body.name))
+
+
+@router.get("/{project}")
+def project(project: str, ctx: Ctx, who: Operator) -> ProjectInfo:
+    """One project with its recordings and detectors."""
+    return project_info(project, ctx.project(project))
+
+
+@router.patch("/{project}")
+def change(project: str, body: ProjectChange, ctx: Ctx, who: Operator) -> ProjectInfo:
+    """Change the classes or the rotation of boxes."""
+    opened = ctx.project(project)
+    old = opened.config.settings
+    settings = None if body.rotation is None else old.model_copy(update={"rotation": body.rotation})
+    opened.configure(classes=body.classes, settings=settings)
+    return project_info(project, opened)

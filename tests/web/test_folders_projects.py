@@ -1,0 +1,221 @@
+"""Folders, projects and recordings through the API."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from annotator.types.errors import NotFoundError
+from annotator.web.folders import Folders
+
+if TYPE_CHECKING:
+    from conftest import Live
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A root with sub-folders, beside a folder that is nobody's business, and links of all kinds."""
+    root = tmp_path / "data"
+    for folder in (root / "sub" / "deep", root / ".hidden", tmp_path / "secret" / "in", tmp_path / "data-2"):
+        folder.mkdir(parents=True)
+    (tmp_path / "secret" / "passwords.txt").write_text("x")
+    (root / "notes.txt").write_text("x")
+    (root / "inside").symlink_to(root / "sub")
+    (root / "outside").symlink_to(tmp_path / "secret")
+    (root / "sibling").symlink_to(tmp_path / "data-2")
+    (root / "nowhere").symlink_to(tmp_path / "gone")
+    (root / "circle").symlink_to(root / "circle")
+    return root
+
+
+def test_roots_have_names_that_tell_nothing(tmp_path: Path, tree: Path) -> None:
+    other = tmp_path / "other" / "data"
+    other.mkdir(parents=True)
+    folders = Folders((tree, other, tree, tmp_path / "missing"))
+    listing = folders.list("")
+    assert [(e.name, e.path, e.recording) for e in listing.entries] == [
+        ("data", "data", None),
+        ("data-2", "data-2", None),
+        ("missing", "missing", None),
+    ]
+    assert listing.parent is None
+    assert folders.find("data-2") == other
+    with pytest.raises(NotFoundError):
+        folders.list("missing")
+
+
+def test_sub_folders_and_links_inside_are_listed(tree: Path) -> None:
+    folders = Folders((tree,))
+    listing = folders.list("data")
+    assert [entry.path for entry in listing.entries] == ["data/inside", "data/sub"]
+    assert listing.parent == ""
+    assert folders.list("data/sub").parent == "data"
+    assert folders.find("data/inside/deep") == tree / "sub" / "deep"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "..",
+        ".",
+        "/",
+        "/etc",
+        "data/",
+        "data//sub",
+        "data/..",
+        "data/../secret",
+        "data/sub/../../secret",
+        "data/./sub",
+        "data/.hidden",
+        "data/outside",
+        "data/outside/in",
+        "data/sibling",
+        "data/nowhere",
+        "data/circle",
+        "data\\sub",
+        "data/sub\0",
+        "data/sub\n",
+        "data/missing",
+        "data/notes.txt",
+        "secret",
+        "data-2",
+        "DATA",
+        "data/" + "a" * 5000,
+        "data/" + "/".join(["a"] * 2000),
+        "%2e%2e",
+        "～",
+        "",
+    ],
+)
+def test_path_tricks_find_nothing(tree: Path, path: str) -> None:
+    folders = Folders((tree,))
+    if path != "data/notes.txt":
+        with pytest.raises(NotFoundError):
+            folders.find(path)
+    if path:
+        with pytest.raises(NotFoundError):
+            folders.list(path)
+
+
+def test_a_folder_that_may_not_be_read(tree: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may read everything")
+    (tree / "sub").chmod(0)
+    try:
+        with pytest.raises(NotFoundError, match="cannot be read"):
+            Folders((tree,)).list("data/sub")
+    finally:
+        (tree / "sub").chmod(0o755)
+
+
+def test_recordings_are_recognised(generated: Path) -> None:
+    entries = Folders((generated,)).list(generated.name).entries
+    assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
+
+
+def test_folders_through_the_api(live: Live, generated: Path) -> None:
+    top = live.client.get("/api/folders").json()
+    assert top == {
+        "path": "",
+        "parent": None,
+        "entries": [{"name": generated.name, "path": generated.name, "recording": None}],
+    }
+    inside = live.client.get("/api/folders", params={"path": generated.name}).json()
+    assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
+    for path in ("../..", f"{generated.name}/../..", "/etc"):
+        answer = live.client.get("/api/folders", params={"path": path})
+        assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")
+    assert live.client.get("/api/folders", params={"path": "a" * 5000}).status_code == 422
+
+
+def test_project_from_nothing(live: Live, generated: Path) -> None:
+    client, wanted = live.client, {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
+    made = client.post("/api/projects", json=wanted)
+    assert made.status_code == 201
+    assert made.json()["classes"] == ["person", "hand"]
+    assert made.json()["problem"] is None
+
+    added = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
+    (recording,) = added.json()["added"]
+    assert recording["labels"] == {"person": 15}
+    assert recording["recording"] == {
+        "id": 1,
+        "name": "people",
+        "format": "rgbd_folder",
+        "frames": 5,
+        "is_sequence": True,
+    }
+    again = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
+    assert (again.json()["added"][0]["is_new"], again.json()["added"][0]["new_frames"]) == (False, 0)
+    bare = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands", "labels": False})
+    assert bare.json()["added"][0]["labels"] == {}
+
+    info = client.get("/api/projects/two").json()
+    assert info["settings"]["rotation"] == "upright"
+    assert [entry["name"] for entry in info["recordings"]] == ["people", "hands"]
+    assert info["frames"] == 10
+    assert info["detectors"] == {"image": None, "view": None}
+    assert sum(info["labels_by_state"].values()) == 15
+
+    listed = {entry["name"]: entry for entry in client.get("/api/projects").json()["projects"]}
+    assert set(listed) == {"room", "two"}
+    assert (listed["two"]["frames"], listed["two"]["recordings"]) == (10, 2)
+
+
+def test_project_changes(live: Live) -> None:
+    changed = live.client.patch("/api/projects/room", json={"classes": ["person", "robot"], "rotation": "free"})
+    assert changed.json()["classes"] == ["person", "robot"]
+    assert changed.json()["settings"]["rotation"] == "free"
+    assert live.client.patch("/api/projects/room", json={}).json() == changed.json()
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "status"),
+    [
+        ("POST", "/api/projects", {"name": "room", "classes": ["a"]}, 400),
+        ("POST", "/api/projects", {"name": "../evil", "classes": ["a"]}, 400),
+        ("POST", "/api/projects", {"name": "new", "classes": []}, 422),
+        ("POST", "/api/projects", {"name": "new", "classes": ["a/b"]}, 400),
+        ("POST", "/api/projects", {"name": "new", "classes": ["a"], "rotation": "sideways"}, 422),
+        ("POST", "/api/projects", {"name": "new", "classes": ["a"], "more": 1}, 422),
+        ("POST", "/api/projects", [], 422),
+        ("GET", "/api/projects/nobody", None, 404),
+        ("GET", "/api/projects/..%2Froom", None, 404),
+        ("GET", "/api/projects/%2E%2E", None, 404),
+        ("GET", "/api/projects/ROOM", None, 404),
+        ("PATCH", "/api/projects/nobody", {}, 404),
+        ("PATCH", "/api/projects/room", {"classes": ["a", "a"]}, 400),
+        ("POST", "/api/projects/room/recordings", {"path": "../people"}, 404),
+        ("POST", "/api/projects/room/recordings", {"path": ""}, 422),
+        ("POST", "/api/projects/nobody/recordings", {"path": "x"}, 404),
+    ],
+)
+def test_what_is_refused(live: Live, method: str, path: str, body: object, status: int) -> None:
+    answer = live.client.request(method, path, json=body)
+    assert answer.status_code == status, answer.text
+    assert set(answer.json()["error"]) == {"kind", "message"}
+
+
+def test_a_folder_that_is_no_recording(live: Live, generated: Path) -> None:
+    answer = live.client.post("/api/projects/room/recordings", json={"path": generated.name})
+    assert (answer.status_code, answer.json()["error"]["kind"]) == (400, "UnknownFormatError")
+
+
+def test_a_damaged_project_is_listed_with_its_problem(live: Live) -> None:
+    folder = live.settings.projects_root / "damaged"
+    folder.mkdir()
+    (folder / "project.json").write_text("{")
+    listed = {entry["name"]: entry for entry in live.client.get("/api/projects").json()["projects"]}
+    assert "project.json" in listed["damaged"]["problem"]
+    assert listed["room"]["problem"] is None
+    assert live.client.get("/api/projects/damaged").status_code == 400
+
+
+def test_nothing_without_a_name(live: Live) -> None:
+    live.client.delete("/api/session")
+    for path in ("/api/folders", "/api/projects", "/api/projects/room"):
+        answer = live.client.get(path)
+        assert (answer.status_code, answer.json()["error"]["kind"]) == (401, "NotSignedInError")
