@@ -10,6 +10,7 @@ import { h } from "./dom.js";
 
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
+const ASK_MS = 800;
 const NO_WEBGL = "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it; for the 3D view turn on hardware acceleration, or use another browser.";
 // viser's own panel and notes; nothing in them is for an operator.
 const STYLE = ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } canvas { cursor: default !important; outline: none; }";
@@ -41,7 +42,7 @@ export function createViewport(app) {
 
   Object.assign(element.style, { position: "absolute", inset: "0", display: "grid", placeItems: "center" });
   Object.assign(note.style, { maxWidth: "36em", padding: "0 2em", textAlign: "center", color: "#c3c9d4" });
-  Object.assign(layer.style, { position: "fixed", overflow: "hidden", background: "#141414" });
+  Object.assign(layer.style, { position: "fixed", zIndex: "1", overflow: "hidden", background: "#141414" });
   document.body.append(layer);
 
   const observer = new ResizeObserver(follow);
@@ -132,6 +133,8 @@ export function createViewport(app) {
     last = { project, scene: { ...scene, reset_view: false } };
     if (wanted === newest) wanted = null;
     connected(answer.connected);
+    // the event that says so may be missed where the page's own socket is just being opened
+    if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
     emit("shown", answer);
   }
 

@@ -35,15 +35,19 @@ def thin(n_points: int, most: int = MAX_SHOWN) -> Int64[np.ndarray, "m"] | None:
     """
     if n_points <= most:
         return None
-    edges = np.linspace(0, n_points, most + 1)
+    edges = np.arange(most + 1, dtype=np.int64) * n_points // most
     inside = np.random.default_rng(SEED).random(most)
-    return (edges[:-1] + inside * np.diff(edges)).astype(np.int64)
+    return edges[:-1] + (inside * np.diff(edges)).astype(np.int64)
 
 
 def shown_points(frame: Frame, most: int = MAX_SHOWN) -> PointCloud:
-    """The part of a frame's cloud that is shown."""
-    keep = thin(len(frame.cloud), most)
-    return frame.cloud if keep is None else frame.cloud.select(keep)
+    """The part of a frame's cloud that is shown, with what it can be coloured by."""
+    cloud = frame.cloud
+    keep = thin(len(cloud), most)
+    if keep is None:
+        return cloud
+    rgb, reflectance = (None if values is None else values[keep] for values in (cloud.rgb, cloud.reflectance))
+    return PointCloud(cloud.xyz_m[keep], rgb, reflectance)
 
 
 def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:

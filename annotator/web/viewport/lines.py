@@ -30,12 +30,14 @@ class Standing:
         center_m: the middle of the picture, camera frame.
         R_camera_view: columns = right, down and into the page.
         size_m: width and height.
-        looks_at_m: the middle of its points, straight behind the picture's middle.
+        seen_from_m, looks_at_m: a line along which it was taken: from in front of the picture, through its middle, to
+            the middle of its points.
     """
 
     center_m: Float64[np.ndarray, "3"]
     R_camera_view: Float64[np.ndarray, "3 3"]
     size_m: Float64[np.ndarray, "2"]
+    seen_from_m: Float64[np.ndarray, "3"]
     looks_at_m: Float64[np.ndarray, "3"]
 
 
@@ -72,8 +74,9 @@ def standing(view: PseudoView) -> Standing:
     near = float(depth.min()) if len(depth) else 0.0
     middle = float(np.median(depth)) if len(depth) else 0.0
     in_front = near - GAP * float(view.extent_m.max())
-    place = np.array([[right, down, in_front], [right, down, middle]]) @ view.axes
-    return Standing(place[0], view.axes.T.copy(), view.extent_m, place[1])
+    seen_from = in_front - 2 * GAP * float(view.extent_m.max())
+    place = np.array([[right, down, z] for z in (in_front, seen_from, middle)]) @ view.axes
+    return Standing(place[0], view.axes.T.copy(), view.extent_m, place[1], place[2])
 
 
 def _border_px(box: Box2D) -> Float64[np.ndarray, "n 2"]:

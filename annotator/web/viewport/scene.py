@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import Draft, FirstView, Gizmo, SceneContent, ShownBox
 from annotator.web.viewport.display import first_view, point_colors, point_size_m, scene_up, shown_points
@@ -33,6 +34,8 @@ DRAFT_COLOR = (255, 214, 10)
 FRUSTUM_COLOR = (200, 204, 212)
 AXIS_COLOR = (255, 59, 48)
 THIN_PX, THICK_PX = 1.6, 4.0
+# How much of a pseudo-view's empty part is seen, of 255.
+EMPTY_ALPHA = 90
 # The gizmo reaches out of the selected box, by a share of its longest side and at least so far, metres.
 GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
 
@@ -54,6 +57,12 @@ class _Cloud:
 
     frame: Frame
     points: PointCloud
+    point_size_m: float
+
+
+def _cloud(frame: Frame) -> _Cloud:
+    points = shown_points(frame)
+    return _Cloud(frame, points, point_size_m(points))
 
 
 class Scene:
@@ -121,11 +130,11 @@ class Scene:
             return Shown(0, 0)
         known = self._cloud
         if known is None or known.frame is not frame:
-            known = self._cloud = _Cloud(frame, shown_points(frame))
+            known = self._cloud = _cloud(frame)
             self._send_cloud(known)
         elif self.content.color is not before.color:
             self._api_cloud().colors = self._colors(known)
-        self._api_cloud().point_size = point_size_m(known.points) * self.content.point_size
+        self._api_cloud().point_size = known.point_size_m * self.content.point_size
         return Shown(len(known.points), len(frame.cloud))
 
     def _send_cloud(self, cloud: _Cloud) -> None:
@@ -134,7 +143,7 @@ class Scene:
             CLOUD,
             cloud.points.xyz_m,
             self._colors(cloud),
-            point_size=point_size_m(cloud.points) * self.content.point_size,
+            point_size=cloud.point_size_m * self.content.point_size,
             point_shape="square",
             point_shading="flat",
             precision="float32",
@@ -161,7 +170,7 @@ class Scene:
             return
         lines = [placed_box_lines(shown.box) for shown in rest]
         colors = [
-            np.broadcast_to(np.array(STATE_COLORS[shown.state], np.uint8), part.shape)
+            np.broadcast_to(_light(STATE_COLORS[shown.state]), part.shape)
             for shown, part in zip(rest, lines, strict=True)
         ]
         self._lines(BOXES, np.concatenate(lines), np.concatenate(colors), THIN_PX)
@@ -173,7 +182,9 @@ class Scene:
                 self.gizmo.visible = False
             return
         gizmo = self.gizmo
-        self._lines(SELECTED_LINES, box_lines(selected.box.size_m), _brighter(STATE_COLORS[selected.state]), THICK_PX)
+        self._lines(
+            SELECTED_LINES, box_lines(selected.box.size_m), _light(_brighter(STATE_COLORS[selected.state])), THICK_PX
+        )
         gizmo.scale = max(GIZMO_SHARE * float(selected.box.size_m.max()), GIZMO_LEAST_M)
         gizmo.disable_axes = gizmo.disable_sliders = mode is not Gizmo.TRANSLATE
         gizmo.disable_rotations = mode is not Gizmo.ROTATE
@@ -197,11 +208,11 @@ class Scene:
         if draft is None or frame is None:
             self._remove("/draft")
             return
-        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), FRUSTUM_COLOR, THIN_PX)
+        self._lines(FRUSTUM, frustum_lines(frame, draft.image_box), _light(FRUSTUM_COLOR), THIN_PX)
         if draft.box is None:
             self._remove(DRAFT_BOX)
         else:
-            self._lines(DRAFT_BOX, placed_box_lines(draft.box), DRAFT_COLOR, THICK_PX)
+            self._lines(DRAFT_BOX, placed_box_lines(draft.box), _light(DRAFT_COLOR), THICK_PX)
         self._show_pictures(draft)
 
     def _show_pictures(self, draft: Draft) -> None:
@@ -211,18 +222,17 @@ class Scene:
         for number, (view, place) in enumerate(zip(draft.views, places, strict=True)):
             self._api.add_image(
                 f"/draft/view{number}",
-                view.rgb,
+                _cut_out(view.rgb),
                 float(place.size_m[0]),
                 float(place.size_m[1]),
-                format="jpeg",
-                jpeg_quality=85,
+                format="png",
                 wxyz=_wxyz(place.R_camera_view),
                 position=place.center_m,
             )
         if not places:
             self._remove(AXES)
             return
-        arrows = np.array([[place.center_m, place.looks_at_m] for place in places], np.float32)
+        arrows = np.array([[place.seen_from_m, place.looks_at_m] for place in places], np.float32)
         length = float(np.linalg.norm(arrows[:, 1] - arrows[:, 0], axis=1).max())
         self._api.add_arrows(
             AXES,
@@ -235,16 +245,14 @@ class Scene:
 
     # --- small things ----------------------------------------------------------------------------------------------
 
-    def _lines(
-        self, name: str, points: np.ndarray, colors: UInt8[np.ndarray, "k 2 3"] | tuple[int, int, int], thickness: float
-    ) -> None:
+    def _lines(self, name: str, points: np.ndarray, colors: UInt8[np.ndarray, "*k 3"], thickness: float) -> None:
         """Lines under a name; the same lines as before send nothing."""
         import viser
 
         handle = self._api.get_handle_by_name(name)
         if isinstance(handle, viser.LineSegmentsHandle) and handle.points.shape == points.shape:
             handle.points = points
-            handle.colors = np.asarray(colors, np.uint8)
+            handle.colors = colors
             return
         self._api.add_line_segments(name, points, colors, thickness=thickness, thickness_units="screen")
 
@@ -268,6 +276,17 @@ class Scene:
 def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
     red, green, blue = (round(level + BRIGHTER * (255 - level)) for level in color)
     return red, green, blue
+
+
+def _light(color: tuple[int, int, int]) -> UInt8[np.ndarray, "3"]:
+    """A colour as the browser's line shader takes it: as an amount of light, which it turns into a colour again."""
+    return np.round(255 * (np.array(color) / 255) ** 2.2).astype(np.uint8)
+
+
+def _cut_out(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
+    """A picture whose empty part one sees through, to the points and the arrow behind it."""
+    alpha = np.where((rgb == BACKGROUND).all(axis=2), EMPTY_ALPHA, 255).astype(np.uint8)
+    return np.dstack([rgb, alpha])
 
 
 def _wxyz(rotation: np.ndarray) -> np.ndarray:

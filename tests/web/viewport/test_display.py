@@ -1,0 +1,101 @@
+"""What is shown of a cloud."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from annotator.recordings import open_recording
+from annotator.types import Camera, Frame, PointCloud
+from annotator.web.viewport.content import PointColor
+from annotator.web.viewport.display import first_view, point_colors, point_size_m, shown_points, thin
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def frame_of(xyz: np.ndarray, rgb: np.ndarray | None = None, reflectance: np.ndarray | None = None) -> Frame:
+    camera = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
+    cloud = PointCloud(xyz.astype(np.float32), rgb, reflectance)
+    return Frame("0", 0, camera, np.zeros((6, 8, 3), np.uint8), cloud)
+
+
+@given(st.integers(0, 5000), st.integers(1, 1000))
+def test_thinning_keeps_the_bound_and_picks_each_point_once_in_order(n_points: int, most: int) -> None:
+    keep = thin(n_points, most)
+    if n_points <= most:
+        assert keep is None
+        return
+    assert keep is not None
+    assert len(keep) == most
+    assert (np.diff(keep) > 0).all()
+    assert keep[0] >= 0
+    assert keep[-1] < n_points
+
+
+def test_thinning_is_even_over_the_scan_and_always_the_same() -> None:
+    keep = thin(1_000_000, 1000)
+    assert keep is not None
+    counts, _ = np.histogram(keep, bins=100, range=(0, 1_000_000))
+    assert counts.min() >= 9
+    assert counts.max() <= 11
+    again = thin(1_000_000, 1000)
+    assert again is not None
+    np.testing.assert_array_equal(keep, again)
+
+
+def test_a_thinned_point_keeps_its_own_colour() -> None:
+    n = 1000
+    xyz = np.column_stack([np.arange(n), np.zeros(n), np.ones(n)])
+    rgb = np.column_stack([np.arange(n) % 256, np.arange(n) // 256, np.zeros(n)]).astype(np.uint8)
+    shown = shown_points(frame_of(xyz, rgb), 100)
+    assert len(shown) == 100
+    colors = point_colors(shown, PointColor.RGB, UP).astype(int)
+    np.testing.assert_array_equal(colors[:, 0] + 256 * colors[:, 1], shown.xyz_m[:, 0].astype(int))
+
+
+@pytest.mark.parametrize("color", PointColor)
+@pytest.mark.parametrize("what", ["nothing", "rgb", "reflectance", "both", "empty"])
+def test_every_cloud_has_every_kind_of_colour(color: PointColor, what: str) -> None:
+    n = 0 if what == "empty" else 50
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 256, (n, 3)).astype(np.uint8) if what in ("rgb", "both") else None
+    reflectance = rng.random(n).astype(np.float32) if what in ("reflectance", "both") else None
+    cloud = frame_of(rng.normal(0, 1, (n, 3)) + np.array([0, 0, 5]), rgb, reflectance).cloud
+    colors = point_colors(cloud, color, UP)
+    assert colors.shape == (n, 3)
+    assert colors.dtype == np.uint8
+
+
+def test_height_colours_rise_against_gravity_and_ignore_where_a_point_stands() -> None:
+    height = np.linspace(0, 2, 100)
+    low_to_high = frame_of(np.column_stack([np.zeros(100), -height, np.full(100, 4)])).cloud
+    colors = point_colors(low_to_high, PointColor.HEIGHT, UP).astype(int)
+    assert colors[0, 2] > colors[0, 0]  # low: blue
+    assert colors[-1, 0] > colors[-1, 2]  # high: red
+    moved = frame_of(low_to_high.xyz_m + np.array([3.0, 0, 5.0])).cloud
+    np.testing.assert_array_equal(point_colors(moved, PointColor.HEIGHT, UP), colors)
+
+
+@given(st.floats(1, 60))
+def test_points_and_first_view_scale_with_the_scene(distance_m: float) -> None:
+    rng = np.random.default_rng(1)
+    xyz = rng.normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])
+    unit, scaled = frame_of(xyz), frame_of(xyz * distance_m)
+    assert point_size_m(scaled.cloud) == pytest.approx(distance_m * point_size_m(unit.cloud), rel=1e-3)
+    np.testing.assert_allclose(first_view(scaled).position, distance_m * first_view(unit).position, rtol=1e-3)
+
+
+def test_the_first_view_stands_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    view = first_view(frame)
+    assert view.position[2] < 0
+    assert view.position @ view.up > 0  # above it
+    np.testing.assert_array_equal(view.look_at[:2], 0)
+    assert np.percentile(frame.cloud.xyz_m[:, 2], 20) < view.look_at[2] < np.percentile(frame.cloud.xyz_m[:, 2], 80)
+    assert frame.up is not None
+    np.testing.assert_array_equal(view.up, frame.up)

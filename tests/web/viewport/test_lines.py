@@ -1,0 +1,76 @@
+"""Where things stand in the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import project
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.operator import first_views
+from annotator.recordings import open_recording
+from annotator.types import Box2D, Camera, Frame, OrientedBox
+from annotator.web.viewport.lines import frustum_lines, placed_box_lines, standing
+from annotator.workflows.truth import load_truth
+
+
+@pytest.fixture(scope="module")
+def frame(generated: Path) -> Frame:
+    return open_recording(generated / "people").frame(0)
+
+
+@pytest.fixture(scope="module")
+def truth(generated: Path, frame: Frame) -> OrientedBox:
+    return load_truth(open_recording(generated / "people"), 0, frame)[0].box
+
+
+def test_a_box_is_drawn_by_its_edges_and_a_line_out_of_its_front(truth: OrientedBox) -> None:
+    lines = placed_box_lines(truth)
+    assert lines.shape == (13, 2, 3)
+    corners = box_corners(truth)
+    ends = lines[:12].reshape(-1, 3)
+    nearest = np.linalg.norm(ends[:, None] - corners, axis=2)
+    assert nearest.min(axis=1).max() < 1e-5
+    np.testing.assert_array_equal(np.bincount(nearest.argmin(axis=1)), np.full(8, 3))
+    nose = lines[12, 1] - lines[12, 0]
+    np.testing.assert_allclose(lines[12, 0], truth.center_m, atol=1e-5)
+    assert nose @ truth.rotation[:, 0] > truth.size_m[0] / 2
+
+
+@pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])
+def test_the_frustum_meets_the_image_in_the_drawn_box(frame: Frame, distortion: tuple[float, ...]) -> None:
+    camera = frame.camera
+    bent = Camera(camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, distortion)
+    seen = Frame("0", 0, bent, frame.rgb, frame.cloud)
+    box = Box2D("person", 40.0, 30.0, 200.0, 180.0)
+    lines = frustum_lines(seen, box)
+    px = project(bent, lines[:4, 1])
+    corners = np.array([[40, 30], [200, 30], [200, 180], [40, 180]])
+    np.testing.assert_allclose(px, corners, atol=0.05)
+    np.testing.assert_array_equal(lines[:4, 0], 0)
+    border = project(bent, lines[4:, 0])
+    on_edge = np.abs(border[:, [0, 0, 1, 1]] - [40, 200, 30, 180]).min(axis=1)
+    assert on_edge.max() < 0.05
+
+
+def test_pictures_stand_before_their_points_with_each_pixel_where_it_belongs(frame: Frame, truth: OrientedBox) -> None:
+    image_box = box_on_image(frame.camera, truth, "person")
+    assert image_box is not None
+    views = first_views(frame, image_box, RcvConfig())
+    assert views is not None
+    for view in views:
+        place = standing(view)
+        right, down, into = place.R_camera_view.T
+        np.testing.assert_allclose([right, down, into], view.axes, atol=1e-12)
+        assert (view.xyz_m @ into).min() > place.center_m @ into
+        # the middle of the pixel (0, 0), once over the picture's size and once over the view's own numbers
+        height_px, width_px = view.rgb.shape[:2]
+        half = 0.5 * place.size_m * (1 - 1 / np.array([width_px, height_px]))
+        corner = place.center_m - half[0] * right - half[1] * down
+        np.testing.assert_allclose([corner @ right, corner @ down], view.origin_m, atol=1e-9)
+        along = place.looks_at_m - place.seen_from_m
+        np.testing.assert_allclose(along / np.linalg.norm(along), into, atol=1e-9)

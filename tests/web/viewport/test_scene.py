@@ -1,0 +1,234 @@
+"""What a real viser server holds after a scene was shown."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from viser import TransformControlsEvent
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.outline import box_on_image
+from annotator.rcv.config import RcvConfig
+from annotator.recordings import Recording, open_recording
+from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
+from annotator.web.viewport.content import Draft, Gizmo, PointColor, SceneContent, ShownBox
+from annotator.web.viewport.display import MAX_SHOWN
+from annotator.web.viewport.draft import draft
+from annotator.web.viewport.workbench import Workbench
+from annotator.workflows.truth import load_truth
+
+
+@pytest.fixture(scope="module")
+def recording(generated: Path) -> Recording:
+    return open_recording(generated / "people")
+
+
+@pytest.fixture(scope="module")
+def frames(recording: Recording) -> list[Frame]:
+    return [recording.frame(index) for index in range(2)]
+
+
+@pytest.fixture(scope="module")
+def boxes(recording: Recording, frames: list[Frame]) -> tuple[ShownBox, ...]:
+    truth = load_truth(recording, 0, frames[0])
+    states = [ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED]
+    return tuple(ShownBox(f"box{n}", t.box, state) for n, (t, state) in enumerate(zip(truth, states, strict=False)))
+
+
+def node(bench: Workbench, name: str) -> Any:
+    return bench._server.scene.get_handle_by_name(name)
+
+
+def sent(bench: Workbench) -> list[str]:
+    """Kinds of the messages that a browser would get from now on, in order: read and forgotten."""
+    buffer = bench._server._websock_server.get_message_buffer()
+    first = getattr(bench, "seen_messages", 0)
+    bench.seen_messages = buffer.message_counter  # type: ignore[attr-defined]
+    known = sorted(buffer.message_from_id.items())
+    return [
+        " ".join(
+            [type(message).__name__, getattr(message, "name", ""), *sorted(getattr(message, "updates", ()))]
+        ).strip()
+        for number, message in known
+        if number >= first
+    ]
+
+
+def test_it_listens_on_loopback_only(bench: Workbench) -> None:
+    assert bench._server.get_host() == "127.0.0.1"
+
+
+def test_the_cloud_is_shown_in_metres_of_the_camera_frame(bench: Workbench, frames: list[Frame]) -> None:
+    shown = bench.show(SceneContent(("room", 1), frames[0]))
+    assert shown.points == shown.shown_points == len(frames[0].cloud)
+    cloud = node(bench, "/cloud")
+    np.testing.assert_array_equal(cloud.points, frames[0].cloud.xyz_m)
+    assert cloud.points.dtype == np.float32  # half precision would move points by millimetres
+    np.testing.assert_array_equal(cloud.colors, frames[0].cloud.rgb)
+
+
+def test_a_large_cloud_is_thinned_for_display(bench: Workbench, frames: list[Frame]) -> None:
+    xyz = np.random.default_rng(0).normal(0, 1, (MAX_SHOWN + 50_000, 3)).astype(np.float32)
+    shown = bench.show(SceneContent(("room", 1), replace(frames[0], cloud=PointCloud(xyz))))
+    assert (shown.shown_points, shown.points) == (MAX_SHOWN, MAX_SHOWN + 50_000)
+    assert len(node(bench, "/cloud").points) == MAX_SHOWN
+
+
+def test_boxes_are_lines_in_the_colour_of_their_state(
+    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    bench.show(SceneContent(("room", 1), frames[0], boxes))
+    lines = node(bench, "/boxes")
+    assert lines.points.shape == (13 * len(boxes), 2, 3)
+    colors = lines.colors.reshape(len(boxes), -1, 3)
+    assert len(np.unique(colors[:, 0], axis=0)) == len(boxes)
+    bench.show(SceneContent(("room", 1), frames[0], ()))
+    assert node(bench, "/boxes") is None
+
+
+def test_the_selected_box_hangs_on_the_gizmo(
+    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box1", Gizmo.TRANSLATE)
+    bench.show(content)
+    gizmo, chosen = node(bench, "/selected"), boxes[1].box
+    np.testing.assert_allclose(gizmo.position, chosen.center_m)
+    turned = Rotation.from_quat(gizmo.wxyz, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(turned, chosen.rotation, atol=1e-9)
+    assert len(node(bench, "/boxes").points) == 13 * (len(boxes) - 1)
+    assert node(bench, "/selected/lines").thickness > node(bench, "/boxes").thickness
+    assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, False, True)
+    bench.show(replace(content, gizmo=Gizmo.ROTATE))
+    assert (gizmo.disable_axes, gizmo.disable_sliders, gizmo.disable_rotations) == (True, True, False)
+    bench.show(replace(content, gizmo=Gizmo.OFF))
+    assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, True, True)
+    bench.show(replace(content, selected=None))
+    assert not gizmo.visible
+    assert len(node(bench, "/boxes").points) == 13 * len(boxes)
+
+
+def test_the_same_scene_sends_nothing_and_a_selection_sends_no_points(
+    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box0", Gizmo.TRANSLATE)
+    bench.show(content)
+    sent(bench)
+    bench.show(replace(content))
+    assert sent(bench) == []
+    bench.show(replace(content, selected="box1"))
+    changed = sent(bench)
+    assert changed
+    assert not [message for message in changed if "cloud" in message]
+
+
+def test_colour_and_point_size_change_without_new_points(bench: Workbench, frames: list[Frame]) -> None:
+    content = SceneContent(("room", 1), frames[0])
+    bench.show(content)
+    size = node(bench, "/cloud").point_size
+    sent(bench)
+    bench.show(replace(content, color=PointColor.DEPTH, point_size=2.0))
+    assert sent(bench) == ["SceneNodeUpdateMessage /cloud colors", "SceneNodeUpdateMessage /cloud point_size"]
+    assert node(bench, "/cloud").point_size == pytest.approx(2 * size)
+    assert not np.array_equal(node(bench, "/cloud").colors, frames[0].cloud.rgb)
+
+
+def test_another_frame_replaces_the_cloud_and_leaves_the_camera(bench: Workbench, frames: list[Frame]) -> None:
+    bench.show(SceneContent(("room", 1), frames[0]))
+    sent(bench)
+    bench.show(SceneContent(("room", 1), frames[1]))
+    np.testing.assert_array_equal(node(bench, "/cloud").points, frames[1].cloud.xyz_m)
+    assert not [message for message in sent(bench) if "Camera" in message]
+    bench.show(SceneContent(("room", 2), frames[1]))
+    assert [message for message in sent(bench) if "Camera" in message]
+
+
+def test_nothing_is_shown_where_there_is_no_frame(bench: Workbench, frames: list[Frame]) -> None:
+    bench.show(SceneContent(("room", 1), frames[0]))
+    assert bench.show(SceneContent(None, None)).points == 0
+    assert node(bench, "/cloud") is None
+
+
+def drawing(frame: Frame, box: OrientedBox, drags: int) -> Draft:
+    """A draft after so many drags, each of which spans the true box."""
+    image_box = box_on_image(frame.camera, box, "person")
+    assert image_box is not None
+    drawn: list = []
+    for _ in range(drags):
+        views = draft(frame, image_box, drawn, RcvConfig()).views
+        view = views[len(drawn) % 2]
+        seen = box_corners(box) @ view.axes[:2].T
+        drawn.append(view.box_px(np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1), "person"))
+    return draft(frame, image_box, drawn, RcvConfig())
+
+
+@pytest.mark.parametrize("drags", [0, 1, 2, 4])
+def test_a_draft_has_a_frustum_two_pictures_two_arrows_and_the_box_so_far(
+    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...], drags: int
+) -> None:
+    begun = drawing(frames[0], boxes[0].box, drags)
+    bench.show(SceneContent(("room", 1), frames[0], draft=begun))
+    assert node(bench, "/draft/frustum") is not None
+    assert node(bench, "/draft/view0") is not None
+    assert node(bench, "/draft/view1") is not None
+    assert node(bench, "/draft/axes").points.shape == (2, 2, 3)
+    assert (node(bench, "/draft/box") is not None) == (drags >= 2)
+    if drags >= 2:
+        assert begun.box is not None
+        distance = np.linalg.norm(begun.box.center_m - boxes[0].box.center_m)
+        assert distance < 0.3 * boxes[0].box.size_m.max()
+    bench.show(SceneContent(("room", 1), frames[0]))
+    assert node(bench, "/draft/frustum") is None
+    assert node(bench, "/draft/view0") is None
+
+
+def test_an_image_box_on_nothing_has_a_frustum_only(bench: Workbench, frames: list[Frame]) -> None:
+    begun = draft(frames[0], Box2D("person", -50.0, -50.0, -10.0, -10.0), [], RcvConfig())
+    assert begun.views == ()
+    bench.show(SceneContent(("room", 1), frames[0], draft=begun))
+    assert node(bench, "/draft/frustum") is not None
+    assert node(bench, "/draft/view0") is None
+
+
+def drag(bench: Workbench, phase: str) -> None:
+    """What viser does when a browser sends such a message."""
+    gizmo = node(bench, "/selected")
+    event = TransformControlsEvent(client=None, client_id=0, target=gizmo, phase=phase)
+    asyncio.run(bench._gizmo_moved(event))
+
+
+def test_a_dragged_gizmo_tells_its_box_and_is_not_taken_out_of_the_hand(
+    bench: Workbench, told: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    content = SceneContent(("room", 1), frames[0], boxes, "box1", Gizmo.TRANSLATE)
+    bench.show(content)
+    gizmo, box = node(bench, "/selected"), boxes[1].box
+    drag(bench, "start")
+    assert told.of("box") == []
+    gizmo.position = box.center_m + np.array([0.1, 0, 0])
+    drag(bench, "update")
+    bench.show(replace(content))  # the page, or another operator, while the hand still holds it
+    np.testing.assert_allclose(gizmo.position, box.center_m + np.array([0.1, 0, 0]))
+    drag(bench, "end")
+    moved, final = told.of("box")
+    assert (moved["final"], final["final"]) == (False, True)
+    assert (final["uid"], final["workbench"]) == ("box1", bench.id)
+    np.testing.assert_allclose(final["box"]["center"], box.center_m + np.array([0.1, 0, 0]))
+    np.testing.assert_allclose(final["box"]["rotation"], box.rotation, atol=1e-9)
+    np.testing.assert_allclose(final["box"]["size"], box.size_m)
+    bench.show(replace(content))
+    np.testing.assert_allclose(gizmo.position, box.center_m)
+
+
+def test_a_click_on_a_box_selects_it(
+    bench: Workbench, told: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
+) -> None:
+    bench.show(SceneContent(("room", 1), frames[0], boxes))
+    bench._clicked(boxes[2].box.center_m + np.array([0, -20.0, 0]), np.array([0, 1.0, 0]))
+    bench._clicked(np.zeros(3), np.array([0, -1.0, 0]))
+    assert [event["uid"] for event in told.of("select")] == ["box2"]
