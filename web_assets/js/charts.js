@@ -57,12 +57,11 @@ export function createChart(host, make) {
       paper_bgcolor: "rgba(0,0,0,0)",
       plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: "system-ui, sans-serif", size: 12, color: colors.text },
-      margin: { l: 44, r: 10, t: layout.title ? 30 : 10, b: 34 },
-      legend: { orientation: "h", y: -0.22, font: { color: colors.muted } },
+      margin: { l: 44, r: 10, t: 28, b: 34 },
+      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { color: colors.muted, size: 11.5 } },
       hovermode: "closest",
     };
     const full = { ...base, ...layout, xaxis: { ...axis, ...layout.xaxis }, yaxis: { ...axis, ...layout.yaxis } };
-    if (layout.yaxis2) full.yaxis2 = { ...axis, ...layout.yaxis2 };
     await plotly.react(host, traces, full, { displayModeBar: false, responsive: true });
   }
 

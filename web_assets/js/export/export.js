@@ -17,6 +17,7 @@ export function mount(root, app) {
   const classes = app.state.project.classes.map((name) => h("input", { type: "checkbox", checked: true, value: name }));
   const format = h("select", { "data-testid": "export-format" }, FORMATS.map(([value, text]) => h("option", { value }, text)));
   const start = h("button", { type: "submit", class: "primary", "data-testid": "export-start" }, "Export");
+  const note = h("span", { class: "help", "data-testid": "export-note" });
   const problem = h("p", { class: "error-box", role: "alert", hidden: true });
   const line = createJobLine(app, "export");
   const result = h("div", { class: "row", "data-testid": "export-result" });
@@ -28,7 +29,7 @@ export function mount(root, app) {
     classes.length > 1 ? h("fieldset", { class: "plain" }, h("legend", { class: "field-label" }, "Classes"), h("div", { class: "row" }, classes.map((box) => h("label", { class: "row" }, box, box.value)))) : null,
     h("label", { class: "field" }, h("span", {}, "Format"), format),
     problem,
-    h("div", { class: "row" }, start, h("span", { class: "help" }, "The archive appears when it is complete; you can leave this page meanwhile.")),
+    h("div", { class: "row" }, start, note),
   );
   root.append(h("div", { class: "page" }, h("h1", {}, "Export"), h("section", { class: "panel" }, h("header", {}, h("h2", {}, "Make a dataset")), h("div", { class: "body stack" }, empty, form, line.root, result))));
 
@@ -56,6 +57,7 @@ export function mount(root, app) {
     const total = STATES.reduce((sum, [state]) => sum + (by_state[state] ?? 0), 0);
     empty.hidden = total > 0;
     const chosen = STATES.reduce((sum, [state], i) => sum + (states[i].checked ? (by_state[state] ?? 0) : 0), 0);
+    note.textContent = chosen === 0 ? "No box is in the chosen states." : `${count(chosen, "box", "boxes")}. The archive appears when it is complete; you can leave this page meanwhile.`;
     start.disabled = chosen === 0 || Boolean(job && isActive(job));
     line.show();
     const done = app.state.jobs.filter(({ kind, project, state }) => kind === "export" && project === app.state.route.project && state === "done");

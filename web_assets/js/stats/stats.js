@@ -9,14 +9,15 @@ const ORIGINS = { "proposal accepted untouched": "Proposal, accepted untouched",
 
 export function mount(root, app) {
   const tiles = h("div", { class: "tiles", "data-testid": "stats-tiles" });
-  const effort_chart = h("div", { class: "chart" });
+  const seconds_chart = h("div", { class: "chart" });
+  const actions_chart = h("div", { class: "chart" });
   const state_chart = h("div", { class: "chart" });
   const tables = h("div", { class: "stack" });
-  const charts_box = h("div", { class: "charts" }, h("figure", {}, h("figcaption", {}, "Seconds a box, by where it came from"), effort_chart), h("figure", {}, h("figcaption", {}, "Boxes by class and state"), state_chart));
+  const charts_box = h("div", { class: "charts three" }, h("figure", {}, h("figcaption", {}, "Seconds a box, by where it came from"), seconds_chart), h("figure", {}, h("figcaption", {}, "Actions a box"), actions_chart), h("figure", {}, h("figcaption", {}, "Boxes by class and state"), state_chart));
   root.append(h("div", { class: "page wide", "data-testid": "statistics" }, h("h1", {}, "Statistics"), tiles, h("section", { class: "panel" }, h("div", { class: "body" }, charts_box)), tables));
   let known = null;
   let ended = false;
-  const charts = [createChart(effort_chart, (colors) => effortChart(known, colors)), createChart(state_chart, (colors) => stateChart(known, colors))];
+  const charts = [createChart(seconds_chart, (colors) => effortChart(known, "seconds_a_box", colors.accent)), createChart(actions_chart, (colors) => effortChart(known, "actions_a_box", colors.proposed)), createChart(state_chart, (colors) => stateChart(known, colors))];
 
   async function load() {
     try {
@@ -97,14 +98,10 @@ function projectTable(known) {
   return section("The project", table(["", "Number"], rows.map(([name, value]) => [name, number(value, 0)]), "stats-project"));
 }
 
-function effortChart(known, colors) {
+function effortChart(known, key, color) {
   const entries = Object.entries(known?.effort.by_origin ?? {}).filter(([, entry]) => entry.boxes > 0);
-  const names = entries.map(([name]) => originName(name));
-  const bar = (key, name, color, more = {}) => ({ type: "bar", name, x: names, y: entries.map(([, entry]) => entry[key]), marker: { color }, ...more });
-  return {
-    traces: [bar("seconds_a_box", "seconds", colors.accent, { offsetgroup: "s" }), bar("actions_a_box", "actions", colors.proposed, { offsetgroup: "a", yaxis: "y2" })],
-    layout: { barmode: "group", yaxis: { title: { text: "seconds" }, rangemode: "tozero" }, yaxis2: { title: { text: "actions" }, overlaying: "y", side: "right", rangemode: "tozero", showgrid: false } },
-  };
+  const names = entries.map(([name]) => originName(name).replace(", ", ",<br>"));
+  return { traces: [{ type: "bar", x: names, y: entries.map(([, entry]) => entry[key]), marker: { color } }], layout: { yaxis: { rangemode: "tozero" }, margin: { l: 34, r: 6, t: 10, b: 40 } } };
 }
 
 function stateChart(known, colors) {

@@ -43,7 +43,7 @@ function traces(points, colors, wanted) {
       series.get(key).y.push(value);
     }
   }
-  const palette = { image: [colors.accent, colors.good, colors.muted], view: [colors.proposed, colors.bad, colors.warn] };
+  const palette = { image: [colors.accent, colors.good, colors.muted], view: [colors.proposed, colors.bad, colors.text] };
   const used = { image: 0, view: 0 };
   return [...series.values()].map(({ role, name, x, y }) => ({
     x, y, name: `${ROLES[role] ?? role}: ${NAMES[name] ?? name}`, mode: x.length > 40 ? "lines" : "lines+markers", line: { color: palette[role][used[role]++ % 3], width: 1.6, dash: role === "view" ? "dot" : "solid" }, marker: { size: 4 },
