@@ -6,7 +6,7 @@
  *
  * app = {
  *   api, effort, events, keys, state, toast,
- *   viewport,                    js/viewport.js; null where it could not be loaded
+ *   viewport,                    js/viewport.js
  *   go(hash),                    follows an address (router.makeHash makes one)
  *   path(...parts),              the open project's resource: app.path("frames", 3)
  *   refreshProject(),            reads the project's summary again into state.project
@@ -28,6 +28,7 @@ import { createState } from "./state.js";
 import { applyTheme } from "./theme.js";
 import { toast } from "./toasts.js";
 import { mountTopbar } from "./topbar.js";
+import { createViewport } from "./viewport.js";
 
 const MODULES = {
   start: "./start/start.js",
@@ -127,7 +128,7 @@ async function leave() {
   app.keys.setMode(null);
   await old?.flush?.();
   old?.unmount();
-  app.viewport?.detach?.();
+  app.viewport?.detach();
   work.className = "work";
   work.replaceChildren();
 }
@@ -174,7 +175,7 @@ async function start() {
     showProblem(error, app.state.route);
     return;
   }
-  app.viewport = await import("./viewport.js").then((module) => module.createViewport(app), () => null);
+  app.viewport = createViewport(app);
   app.api.get("/api/jobs").then(({ jobs }) => app.state.set({ jobs }), () => {});
   window.addEventListener("hashchange", follow);
   await follow();

@@ -127,7 +127,7 @@ def _box(x_min: float, y_min: float, x_max: float, y_max: float, **more: Any) ->
 def test_a_drag_stores_where_it_began_and_ended_at_every_zoom(bench, device_pixel_ratio) -> None:
     it = bench("{single: true}", device_scale_factor=device_pixel_ratio)
     scales = []
-    for turns in (-6, 6, 3, 6, 8):
+    for turns in (-12, 9, 4, 4, 5):
         it.js("editor.setBoxes([])")
         it.page.mouse.move(*it.at(150, 110))
         for _ in range(abs(turns)):

@@ -332,8 +332,9 @@ export function createEditor(host, options = {}) {
     key: onKey,
     flush,
     focus: () => root.focus({ preventScroll: true }),
+    /** True during a drag, and while key presses are gathered into one change: no time for setBoxes. */
     get isDragging() {
-      return pointers.isBusy();
+      return pointers.isBusy() || nudged.actions > 0;
     },
     get boxes() {
       return clone();

@@ -27,7 +27,7 @@ export function createView() {
 
     /** Zooms by a factor and keeps what lies under a window point where it is. */
     zoomAbout([x, y], factor, picture, size) {
-      const smallest = Math.min(fitScale(picture, size) / 2, 1);
+      const smallest = Math.min(fitScale(picture, size) / 3, 1);
       const scale = clamp(view.scale * factor, smallest, LARGEST_SCALE);
       const share = scale / view.scale;
       view.offset = [x - (x - view.offset[0]) * share, y - (y - view.offset[1]) * share];

@@ -1,0 +1,78 @@
+/**
+ * Saves one change after the other, each on the revision that the one before has led to.
+ *
+ * A change is {path, body(state) -> request without revision and effort, mine(state) -> what stale.js shows}: its body is made
+ * when it is sent, from what the server has then, so it can be put on top of somebody else's.
+ */
+
+import { askVersion } from "../stale.js";
+
+/**
+ * @param {(state: object) => void} onSaved with the newest state, when the last waiting change is saved.
+ * @param {(change: object) => void} onDropped the operator took the others' version; the change is not saved.
+ * @param {(saving: boolean, problem: Error | null) => void} onBusy
+ */
+export function createSaver(app, { onSaved, onDropped, onBusy }) {
+  let waiting = [];
+  let running = null;
+  let problem = null;
+
+  async function run() {
+    onBusy(true, null);
+    problem = null;
+    while (waiting.length && !problem) await send(waiting[0]);
+    running = null;
+    onBusy(false, problem);
+  }
+
+  async function send(change) {
+    const state = app.state.frame;
+    try {
+      const answer = await app.api.change(app.path("frames", change.frame, ...change.path), { revision: state.frame.revision, ...change.body(state) });
+      change.done?.(answer);
+      take(answer.state ?? answer, change);
+      waiting.shift();
+    } catch (error) {
+      if (error.isStale) await settle(error, change);
+      else problem = error;
+    }
+  }
+
+  function take(state, change) {
+    if (app.state.frame?.frame.id !== change.frame) return;
+    app.state.set({ frame: state });
+    if (waiting.length === 1) onSaved(state);
+  }
+
+  /** Theirs: all that waits here is given up, and kept in sight. Mine: the same again, on top of theirs. */
+  async function settle(error, change) {
+    const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
+    if (choice === "theirs") {
+      const dropped = waiting;
+      waiting = [];
+      app.state.set({ frame: error.body.state });
+      dropped.forEach(onDropped);
+    } else {
+      app.state.set({ frame: error.body.state });
+    }
+  }
+
+  return {
+    /** Queues a change of the open frame. */
+    save(change) {
+      waiting.push({ ...change, frame: app.state.frame.frame.id });
+      running ??= run();
+    },
+    /** Tries again after a failure. */
+    retry() {
+      if (waiting.length) running ??= run();
+    },
+    get isBusy() {
+      return waiting.length > 0;
+    },
+    /** Resolves when nothing waits any more, or a change has failed. */
+    idle: async () => {
+      while (running) await running;
+    },
+  };
+}

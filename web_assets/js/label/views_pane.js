@@ -1,0 +1,80 @@
+/** The pseudo-views of the current object: front and side of one step, side by side, with tabs for the two steps. */
+
+import { createEditor } from "../editor2d/editor.js";
+import { h } from "../dom.js";
+
+const NAMES = ["Front", "Side"];
+
+/**
+ * @param {(index: number, box: object, why: string, actions: number) => void} onBox a box was set on view `index` (0..3).
+ * @param {(index: number) => void} onClear a view's box was deleted.
+ */
+export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
+  const tabs = [0, 1].map((step) =>
+    h("button", { type: "button", role: "tab", class: "quiet", "data-testid": `step-${step + 1}`, onclick: () => onStep(step) }, `Step ${step + 1}`),
+  );
+  const panes = NAMES.map((name, side) => makePane(name, side));
+  const message = h("p", { class: "views-message", role: "status", "data-testid": "views-message" });
+  const root = h(
+    "section",
+    { class: "panel views", "aria-label": "Pseudo-views" },
+    h("header", {}, h("h2", { class: "grow" }, "Views"), h("div", { role: "tablist", class: "row", "aria-label": "Steps" }, tabs)),
+    h("div", { class: "pair" }, panes.map(({ element }) => element)),
+    message,
+  );
+  let shown_step = 0;
+
+  function makePane(name, side) {
+    const caption = h("span", { class: "view-name" }, name);
+    const host = h("div", { class: "view", "data-testid": `view-${name.toLowerCase()}` });
+    const editor = createEditor(host, {
+      label: `${name} view`,
+      single: true,
+      classes: app.state.project.classes,
+      newLabel,
+      onChange(boxes, why, index, actions) {
+        const view = 2 * shown_step + side;
+        if (why === "delete") onClear(view, actions);
+        else onBox(view, boxes[index], why, actions);
+      },
+    });
+    host.append(caption);
+    return { editor, element: host, caption, name };
+  }
+
+  /**
+   * @param {object | null} draft the current object (see draft.js), null for none.
+   * @param {string | null} text what to say in place of views.
+   */
+  function show(draft, step, text) {
+    shown_step = step;
+    const views = draft?.steps[step]?.views ?? null;
+    tabs.forEach((tab, i) => {
+      tab.setAttribute("aria-selected", String(i === step && Boolean(views)));
+      tab.disabled = !draft?.steps[i];
+      tab.textContent = `Step ${i + 1}${draft?.item.boxes[2 * i] && draft.item.boxes[2 * i + 1] ? " ✓" : ""}`;
+    });
+    message.textContent = text ?? "";
+    message.hidden = !text;
+    root.classList.toggle("has-views", Boolean(views));
+    panes.forEach(({ editor, caption, name }, side) => {
+      const index = 2 * step + side;
+      const view = views?.[side] ?? null;
+      void editor.setPicture(view?.url ?? null, view?.width, view?.height);
+      const box = draft?.item.boxes[index] ?? null;
+      const suggested = box ? null : (draft?.suggestions[index] ?? null);
+      const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: "Enter" }] : [];
+      if (!editor.isDragging) editor.setBoxes(view ? list : [], 0);
+      caption.textContent = box ? `${name} ✓` : name;
+    });
+  }
+
+  const editors = panes.map(({ editor }) => editor);
+  return {
+    root,
+    show,
+    editors,
+    setReadonly: (value) => editors.forEach((editor) => editor.setReadonly(value)),
+    destroy: () => editors.forEach((editor) => editor.destroy()),
+  };
+}
