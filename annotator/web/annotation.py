@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 
 from annotator.project.views import png
 from annotator.web.frame_cache import FrameCache
+from annotator.workflows.detectors_ready import ReadyDetectors
 
 # A picture of a pseudo-view takes some 30 kB.
 PICTURES_KEPT = 1000
@@ -47,12 +48,15 @@ class Annotation:
     Attributes:
         frames: the frames that are looked at.
         pictures: of pseudo-views on the screen.
+        detectors: of the projects, once they are loaded.
     """
 
     def __init__(self) -> None:
         self.frames = FrameCache()
         self.pictures = PictureCache()
+        self.detectors = ReadyDetectors()
 
     def close(self) -> None:
         """Ends what runs in the background."""
         self.frames.close()
+        self.detectors.close()

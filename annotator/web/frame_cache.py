@@ -41,7 +41,7 @@ class FrameCache:
         """A frame with what is computed from it; as `read`."""
         stored = project.frames.get(frame_id)
         found = self._open(project, stored)
-        self._read_ahead(project, stored)
+        self._read_ahead(project, stored, found)
         return found
 
     def forget(self, project: Project) -> None:
@@ -96,12 +96,17 @@ class FrameCache:
                 self._sources[project] = (threading.Lock(), FrameSource(project))
             return self._sources[project]
 
-    def _read_ahead(self, project: Project, stored: StoredFrame) -> None:
+    def _read_ahead(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
+        if found.is_prepared:
+            return
+        found.is_prepared = True
         # after `close` nothing is read ahead any more
         with suppress(RuntimeError):
-            self._ahead.submit(self._prepare_next, project, stored)
+            self._ahead.submit(self._prepare, project, stored, found)
 
-    def _prepare_next(self, project: Project, stored: StoredFrame) -> None:
+    def _prepare(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
+        """What will be asked for next: about this frame, and the next one."""
+        _ = found.jpeg, found.index, found.with_normals
         # whoever opens the frame is told what is wrong with it
         with suppress(AnnotatorError):
             _, following = neighbours(project, stored)

@@ -7,7 +7,7 @@ import math
 
 from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FrameRow
-from annotator.types import Quality
+from annotator.types import PseudoView, Quality
 from annotator.web.context import Context
 from annotator.web.wire import (
     Box2DOut,
@@ -88,6 +88,21 @@ def frame_row(row: FrameRow) -> FrameRowJson:
 def view_url(name: str, view_id: str) -> str:
     """Where the picture of a pseudo-view is."""
     return f"/api/projects/{name}/views/{view_id}.png"
+
+
+def drawn_view(ctx: Context, name: str, view: PseudoView) -> ViewJson:
+    """A pseudo-view that was just drawn; its picture can be fetched for a while, and for ever once a box is on it."""
+    view_id = ctx.annotation.pictures.add(view.rgb)
+    height, width = view.rgb.shape[:2]
+    return ViewJson(
+        id=view_id,
+        url=view_url(name, view_id),
+        width=width,
+        height=height,
+        axes=view.axes.tolist(),
+        metres_per_px=view.metres_per_px,
+        origin_m=view.origin_m.tolist(),
+    )
 
 
 def _frame(shown: ShownFrame) -> FrameJson:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.point_index import PointIndex
-from annotator.types import Frame, OrientedBox
+from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError
 
 JPEG_QUALITY = 92
+# Steps of objects that are kept: an operator goes back and forth between a few.
+STEPS_KEPT = 40
+
+Views = tuple[PseudoView, PseudoView]
 
 
 class OpenFrame:
@@ -18,11 +30,15 @@ class OpenFrame:
 
     Attributes:
         frame: the frame.
+        is_prepared: what is computed once has been asked for, and the next frame too.
     """
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
+        self.is_prepared = False
         self._counts: dict[bytes, int] = {}
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
 
     @cached_property
     def jpeg(self) -> bytes:
@@ -40,6 +56,15 @@ class OpenFrame:
         """The cloud, sorted for looks into single boxes."""
         return PointIndex.of(self.frame.cloud.xyz_m)
 
+    @cached_property
+    def with_normals(self) -> Frame:
+        """The frame with normals where a depth image gives them all at once; else as it is."""
+        frame, cloud = self.frame, self.frame.cloud
+        if cloud.normals is not None or frame.depth_m is None or cloud.pixel_index is None:
+            return frame
+        grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
+        return replace(frame, cloud=replace(cloud, normals=grid[cloud.pixel_index]))
+
     def points_in(self, box: OrientedBox) -> int:
         """How many points lie in a box; counted once for each box that a label has had."""
         key = box.T_camera_box.as_matrix().tobytes() + box.size_m.tobytes()
@@ -47,3 +72,40 @@ class OpenFrame:
         if found is None:
             found = self._counts[key] = self.index.count(box)
         return found
+
+    def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:
+        """Which points appear in a box on the image."""
+        mask: np.ndarray = self._once(
+            ("frustum", box.xyxy), lambda: in_frustum(self.frame.camera, self.frame.cloud.xyz_m, box)
+        )
+        return mask
+
+    def views(self, key: Hashable, draw: Callable[[Frame], Views | None]) -> Views | None:
+        """The views of a step, drawn once for each `key`, which must tell all that decides about them."""
+        found: Views | None = self._once(("views", key), lambda: draw(self.with_normals))
+        return found
+
+    def detections(self, views: Views, detector: Detector) -> list[list[Box2D]]:
+        """What a detector finds on the views of a step, asked once."""
+        found: list[list[Box2D]] = self._once(
+            ("found", id(views[0]), detector.fingerprint), lambda: (views, detector.detect(views))
+        )[1]
+        return found
+
+    def image_detections(self, detector: Detector) -> list[Box2D]:
+        """What a detector finds on the image, asked once."""
+        found: list[Box2D] = self._once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
+        return found
+
+    def _once(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        # two threads that ask at once both make it, and one of the two is kept
+        made = make()
+        with self._lock:
+            self._kept[key] = made
+            while len(self._kept) > STEPS_KEPT:
+                self._kept.popitem(last=False)
+        return made

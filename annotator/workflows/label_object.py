@@ -1,0 +1,201 @@
+"""Keeping what an operator has drawn of an object: everything that is new, as one action."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from annotator.project import Change, Origin, Project, Receipt, StoredLabel, ViewBoxes
+from annotator.project.overview import FramePage, read_page
+from annotator.project.payloads import (
+    ImageBoxesSet,
+    LabelCreated,
+    LabelEdited,
+    Payload,
+    ViewBoxesRemoved,
+    ViewBoxesSet,
+)
+from annotator.project.records import BoxRecord
+from annotator.types import Box2D, BoxKind, OrientedBox
+from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.workflows.detectors_ready import ReadyDetector
+from annotator.workflows.labelling import VIEWS_A_STEP, Boxes, Labelling, frame_config, label_steps
+from annotator.workflows.open_frame import OpenFrame
+from annotator.workflows.view_pairs import views_by_object
+from annotator.workflows.views_out import geometry_of
+
+
+@dataclass(frozen=True)
+class ObjectDrawn:
+    """An object as far as it is drawn.
+
+    Attributes:
+        image_box: on the camera image.
+        boxes: on its views, as `label_steps` takes them.
+        uid: of the label that it has become already, or None.
+    """
+
+    image_box: Box2D
+    boxes: Boxes
+    uid: str | None = None
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What was kept: the receipt (None where nothing was new), and the uid of the object's label, if it is finished."""
+
+    receipt: Receipt | None
+    uid: str | None
+
+
+def save_object(
+    project: Project,
+    frame_id: int,
+    opened: OpenFrame,
+    image_boxes: Sequence[Box2D],
+    kind: BoxKind,
+    drawn: ObjectDrawn | None,
+    change: Change,
+) -> Saved:
+    """Keeps the boxes on the image, those on an object's views and, with all four, its 3D label: all or none.
+
+    Boxes on views whose image box is gone, and on views that another box on an earlier step has replaced, go too: what
+    they show is no step of any object.
+
+    Args:
+        image_boxes: all of the image, the object's among them.
+        kind: what the boxes measure.
+
+    Raises:
+        StaleRevisionError: somebody has changed the frame since.
+        NotFoundError: no such frame or label.
+        ConfigError: the object's image box is not among those of the image; or more than four boxes.
+        ProjectError: a class that the project does not have.
+    """
+    page = read_page(project, frame_id)
+    if page.frame.revision != change.revision:
+        where = f"frame {page.frame.key} of recording {page.recording_name}"
+        raise StaleRevisionError(where, change.revision, page.frame.revision)
+    if drawn is not None and drawn.image_box not in image_boxes:
+        raise ConfigError("the object's image_box is not among image_boxes; send all boxes of the image")
+    payloads: list[Payload] = []
+    if page.image_boxes is None or (page.image_boxes.boxes, page.image_boxes.box_kind) != (tuple(image_boxes), kind):
+        payloads.append(ImageBoxesSet(boxes=tuple(image_boxes), box_kind=kind))
+    uid = None
+    wanted: list[ViewBoxesSet] = []
+    if drawn is not None:
+        config = frame_config(project, opened.frame)
+        labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
+        wanted = _view_boxes(project, drawn, kind, labelling)
+        label = _label_change(page, drawn, labelling)
+        uid = _linked(page, drawn) if label is None else label.uid
+        payloads += _new_views(page, wanted) + ([] if label is None else [label])
+    payloads += _stale_views(page, image_boxes, drawn, {entry.view for entry in wanted})
+    if not payloads:
+        return Saved(None, uid)
+    subject = change.subject or _subject(page, image_boxes, drawn, uid)
+    return Saved(project.log.append(frame_id, payloads, replace(change, subject=subject)), uid)
+
+
+def draft_id(frame_id: int, image_box: Box2D) -> str:
+    """The name of an object that is begun but has no label yet; effort goes to it until it has."""
+    edges = ",".join(f"{edge:.3f}" for edge in image_box.xyxy)
+    return "draft-" + hashlib.sha256(f"{frame_id}:{edges}".encode()).hexdigest()[:20]
+
+
+def suggested_image_boxes(
+    opened: OpenFrame, detector: ReadyDetector, least_score: float, classes: Sequence[str]
+) -> list[Box2D]:
+    """What the image detector finds on a frame, of the project's classes, best first."""
+    found = opened.image_detections(detector)
+    return [box for box in found if box.score >= least_score and box.label in classes]
+
+
+def _view_boxes(project: Project, drawn: ObjectDrawn, kind: BoxKind, labelling: Labelling) -> list[ViewBoxesSet]:
+    """The boxes of an object on the views that its earlier boxes have led to."""
+    return [
+        ViewBoxesSet(
+            view=project.views.store(view.rgb),
+            boxes=(box,),
+            box_kind=kind,
+            step=place // VIEWS_A_STEP,
+            geometry=geometry_of(view, drawn.image_box),
+        )
+        for place, (view, box) in enumerate(zip(labelling.views, drawn.boxes, strict=False))
+        if box is not None
+    ]
+
+
+def _new_views(page: FramePage, wanted: Sequence[ViewBoxesSet]) -> list[Payload]:
+    known = {view.view_id: view for view in page.view_boxes}
+    return [entry for entry in wanted if not _is_kept(known.get(entry.view), entry)]
+
+
+def _is_kept(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
+    return view is not None and (view.boxes, view.box_kind, view.step, view.geometry) == (
+        entry.boxes,
+        entry.box_kind,
+        entry.step,
+        entry.geometry,
+    )
+
+
+def _stale_views(
+    page: FramePage, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, wanted: set[str]
+) -> list[Payload]:
+    stale = []
+    for (_, image_box), steps in views_by_object(page.view_boxes).items():
+        if image_box not in image_boxes or (drawn is not None and image_box == drawn.image_box):
+            stale += [view.view_id for views in steps.values() for view in views if view.view_id not in wanted]
+    return [ViewBoxesRemoved(view=view) for view in stale]
+
+
+def _label_change(page: FramePage, drawn: ObjectDrawn, labelling: Labelling) -> LabelCreated | LabelEdited | None:
+    """The object's 3D label, where all four boxes are there and it is not as it should be already."""
+    complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_A_STEP and None not in drawn.boxes
+    if not complete or labelling.box is None:
+        return None
+    name, box = drawn.image_box.label, BoxRecord.of(labelling.box)
+    uid = _linked(page, drawn)
+    if uid is None:
+        new = uuid.uuid4().hex
+        return LabelCreated(uid=new, label=name, box=box, origin=Origin.DRAWN, image_box=drawn.image_box)
+    present = _label(page, uid)
+    if present.image_box == drawn.image_box and present.label.label == name and _same(present.label.box, labelling.box):
+        return None
+    track = present.label.track_id
+    return LabelEdited(uid=uid, label=name, box=box, track_id=track, image_box=drawn.image_box)
+
+
+def _linked(page: FramePage, drawn: ObjectDrawn) -> str | None:
+    if drawn.uid is not None:
+        return _label(page, drawn.uid).label.uid
+    return next((stored.label.uid for stored in page.labels if stored.image_box == drawn.image_box), None)
+
+
+def _label(page: FramePage, uid: str) -> StoredLabel:
+    found = next((stored for stored in page.labels if stored.label.uid == uid), None)
+    if found is None:
+        raise NotFoundError(f"frame {page.frame.key} has no label {uid} (any more); reload the frame")
+    return found
+
+
+def _same(a: OrientedBox, b: OrientedBox) -> bool:
+    return bool(
+        np.allclose(a.T_camera_box.as_matrix(), b.T_camera_box.as_matrix(), atol=1e-9)
+        and np.allclose(a.size_m, b.size_m, atol=1e-9)
+    )
+
+
+def _subject(page: FramePage, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, uid: str | None) -> str | None:
+    """What the effort went into: the label, else the begun object, else the one box on the image that is new."""
+    if drawn is not None:
+        finished = uid is not None and any(stored.label.uid == uid for stored in page.labels)
+        return uid if finished else draft_id(page.frame.id, drawn.image_box)
+    before = () if page.image_boxes is None else page.image_boxes.boxes
+    new = [box for box in image_boxes if box not in before]
+    return draft_id(page.frame.id, new[0]) if len(new) == 1 else None
