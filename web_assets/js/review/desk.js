@@ -42,17 +42,25 @@ export function createDesk(app) {
     const { id } = app.state.frame.frame;
     return enqueue(async () => {
       try {
-        const body = { revision: app.state.frame.frame.revision, changes, subject };
-        take(await app.api.change(app.path("frames", id, "changes"), body));
+        await post(id, changes, subject);
         problem = null;
         return true;
       } catch (error) {
-        if (error.isStale && (await resolveStale(app, error, { changes, subject, take }))) return true;
         problem = error.message;
         app.toast(error);
         return false;
       }
     });
+  }
+
+  async function post(id, changes, subject) {
+    const body = { revision: app.state.frame.frame.revision, changes, subject };
+    try {
+      take(await app.api.change(app.path("frames", id, "changes"), body));
+    } catch (error) {
+      if (!error.isStale) throw error;
+      await resolveStale(app, error, { changes, subject, take });
+    }
   }
 
   function take(frame) {
