@@ -37,7 +37,7 @@ export const KEYS = [
   { id: "copy-previous", keys: ["C"], label: "Copy boxes from the previous frame", modes: ["review"], group: "Review" },
   { id: "points-larger", keys: ["+", "="], shown: ["+"], label: "Larger points", modes: EDITING, group: "View" },
   { id: "points-smaller", keys: ["-"], label: "Smaller points", modes: EDITING, group: "View" },
-  { id: "fit", keys: ["0"], label: "Fit the pictures", modes: EDITING, group: "View" },
+  { id: "fit", keys: ["0", "Home"], label: "Fit the pictures", modes: EDITING, group: "View" },
   { id: "nudge", keys: arrows(["", "Shift+"]), shown: ["← ↑ → ↓"], label: "Move the box by 1 px, with Shift by 10", modes: EDITING, group: "2D boxes" },
   { id: "nudge-size", keys: arrows(["Alt+", "Alt+Shift+"]), shown: ["Alt", "← ↑ → ↓"], label: "Move its right or lower edge", modes: EDITING, group: "2D boxes" },
   { id: "new-box", keys: ["Insert"], label: "New box in the middle", modes: EDITING, group: "2D boxes" },

@@ -18,6 +18,9 @@ import { createQueue } from "./queue.js";
 import { createScene } from "./scene.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
 
+/** A picture that is wider than this, as a share of its height, gets more of the room. */
+const WIDE_ASPECT = 1.9;
+
 export function mount(root, app) {
   const project = app.state.route.project;
   root.classList.add("fixed");
@@ -67,6 +70,8 @@ export function mount(root, app) {
   }
 
   function showAll() {
+    const picture = app.state.frame?.image;
+    parts.root.classList.toggle("wide", Boolean(picture) && picture.width > WIDE_ASPECT * picture.height);
     image.show();
     box_list.show();
     fields.show();
