@@ -1,0 +1,117 @@
+"""Review mode: pictures along a box's own axes, fitting it anew, boxes from the frame before."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse
+from pydantic import Field
+
+from annotator.project import Change, Role
+from annotator.types.errors import StaleRevisionError
+from annotator.web.context import Ctx, Operator
+from annotator.web.routes.frames import STALE, stale_answer
+from annotator.web.shown import drawn_view, frame_state, quality_json
+from annotator.web.wire import (
+    Box3DJson,
+    Box3DOut,
+    ClassName,
+    Effort,
+    FrameStateJson,
+    Outline,
+    QualityJson,
+    RowId,
+    ViewJson,
+    Wire,
+)
+from annotator.workflows.copying import copy_boxes
+from annotator.workflows.labelling import frame_config
+from annotator.workflows.ortho import ortho_views
+from annotator.workflows.refit import refit
+
+router = APIRouter(tags=["review"])
+
+
+class OrthoIn(Wire):
+    """A box, and how large its pictures shall be."""
+
+    box: Box3DJson
+    size_px: Annotated[int, Field(ge=32, le=1024)] = 320
+
+
+class OrthoView(ViewJson):
+    """A picture along the box's own axes."""
+
+    name: Literal["top", "front", "side"]
+
+
+class OrthoOut(Wire):
+    """The three pictures."""
+
+    views: list[OrthoView]
+
+
+class RefitIn(Wire):
+    """A box and its class."""
+
+    box: Box3DJson
+    label: ClassName
+
+
+class RefitOut(Wire):
+    """The box fitted anew, how, and what should be known about it."""
+
+    box: Box3DOut
+    outline: Outline
+    quality: QualityJson | None
+    method: Literal["rcv", "points"]
+    note: str | None
+
+
+class CopyIn(Wire):
+    """The frame to copy from; null = the one before."""
+
+    revision: RowId
+    source: Annotated[RowId | None, Field(alias="from")] = None
+    effort: Effort | None = None
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/ortho")
+def ortho(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: OrthoIn) -> OrthoOut:
+    """Three pictures along the box's own axes; what lies around it is dimmed."""
+    opened = ctx.annotation.frames.open(ctx.project(name), frame_id)
+    found = ortho_views(opened, body.box.box(), body.size_px)
+    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view))) for item in found]
+    return OrthoOut(views=views)
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/refit")
+def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
+    """The box fitted anew from where it is. Nothing is kept."""
+    project = ctx.project(name)
+    opened = ctx.annotation.frames.open(project, frame_id)
+    detector = ctx.annotation.detectors.get(project, Role.VIEW)
+    config = frame_config(project, opened.frame)
+    if detector is not None:
+        config = config.model_copy(update={"box_kind": detector.box_kind})
+    found = refit(opened, body.box.box(), body.label, config, detector)
+    return RefitOut(
+        box=Box3DOut.of(found.box),
+        outline=found.outline.round(2).tolist(),
+        quality=quality_json(found.quality),
+        method=found.method,
+        note=found.note,
+    )
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)
+def copy(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson | JSONResponse:
+    """The reviewed boxes of another frame, as far as this one does not have them."""
+    effort = None if body.effort is None else body.effort.stored()
+    try:
+        receipt = copy_boxes(ctx.project(name), frame_id, body.source, Change(body.revision, who, effort=effort))
+    except StaleRevisionError as error:
+        return stale_answer(ctx, name, frame_id, who, error, [body.model_dump(mode="json", by_alias=True)])
+    ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
+    return frame_state(ctx, name, frame_id, who)

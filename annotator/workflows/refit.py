@@ -1,0 +1,123 @@
+"""Fitting a box anew from where it is: Recursive Cross-View on what lies in and around it, along its own axes and
+others beside them. Without a detector that knows the class, the tightest box around the points inside.
+
+The axes keep the names that they had: the heading stays where the operator has turned it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.geometry.edges import visible_edges
+from annotator.geometry.fit import min_area_upright_box, min_volume_box
+from annotator.geometry.outline import box_on_image
+from annotator.rcv.axes import match_frame
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
+from annotator.types import Box2D, Detector, OrientedBox, PointCloud, Quality, StepTrace, StopReason
+from annotator.types.errors import GeometryError
+from annotator.workflows.open_frame import OpenFrame
+
+RCV, POINTS = "rcv", "points"
+# How much larger than the box the cloud is that a new one is looked for in: factor of its sides.
+ROOM = 1.3
+# Points this share of the box's mean side outside still count as the object's, where only points are left to go by.
+POINT_MARGIN = 0.03
+# The box that is there counts as the result of so many steps; the recursion goes on behind them.
+STEPS_BEFORE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A box fitted anew.
+
+    Attributes:
+        box: the box; the one that was given where nothing better was found.
+        outline: (k, 2, 2) pixels of it on the image.
+        quality: the recursion's signals, where it was used.
+        method: "rcv" or "points".
+        note: what a person should know about it, or None.
+    """
+
+    box: OrientedBox
+    outline: Float64[np.ndarray, "k 2 2"]
+    quality: Quality | None
+    method: str
+    note: str | None
+
+
+def refit(opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector | None) -> Refit:
+    """A box fitted anew from where it is.
+
+    Args:
+        label: the box's class.
+        config: its orientation is the frame's, its kind of boxes the detector's.
+        detector: for pseudo-views; None where there is none (yet).
+    """
+    if detector is None:
+        return _from_points(opened, box, config, "there is no pseudo-view detector yet")
+    if label not in detector.labels:
+        return _from_points(opened, box, config, f"the pseudo-view detector has not learned {label}")
+    state = _recurse(opened, box, label, config, detector)
+    if state is None or state.box is None:
+        return _from_points(opened, box, config, "the detector does not see the object in this box")
+    return _result(opened, renamed(state.box, box), state.quality, RCV, None)
+
+
+def renamed(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
+    """The same box with its axes named as nearly as possible like those of another."""
+    rows = match_frame(box.rotation.T, reference.rotation.T)
+    # which of the old axes each new one is
+    permutation = np.abs(np.rint(rows @ box.rotation))
+    return OrientedBox.from_parts(box.center_m, rows.T, permutation @ box.size_m)
+
+
+def _recurse(
+    opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector
+) -> ObjectState | None:
+    inside = opened.index.inside(OrientedBox(box.T_camera_box, box.size_m * ROOM))
+    cloud = opened.with_normals.cloud.select(np.sort(inside))
+    if len(cloud) < config.min_points:
+        return None
+    state = _present(opened, box, label, cloud, config)
+    limited = config.model_copy(update={"max_steps": max(config.max_steps, STEPS_BEFORE + 1)})
+    while state.stop is StopReason.CONTINUES:
+        plan = plan_step(state, limited)
+        state = absorb_step(state, plan, _only(label, detector.detect(plan.views)), limited)[0]
+    return None if state.stop in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else state
+
+
+def _only(label: str, found: Sequence[Sequence[Box2D]]) -> list[list[Box2D]]:
+    return [[box for box in boxes if box.label == label] for boxes in found]
+
+
+def _present(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud, config: RcvConfig) -> ObjectState:
+    """The box that is there, as the state of a recursion that led to it."""
+    camera = opened.frame.camera
+    seen = box_on_image(camera, box, label)
+    image_box = seen or Box2D(label, -0.5, -0.5, camera.width_px - 0.5, camera.height_px - 0.5)
+    step = StepTrace("given", (), (), box_trace(box), len(cloud), len(cloud), StopReason.CONTINUES)
+    up = held_direction(opened.frame.up, config)
+    return ObjectState(0, image_box, cloud, up, box.rotation.T, box, steps=(step,) * STEPS_BEFORE)
+
+
+def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
+    inside = opened.index.inside(box, POINT_MARGIN * float(box.size_m.mean()))
+    xyz_m = opened.frame.cloud.xyz_m[inside]
+    up = held_direction(opened.frame.up, config)
+    note = f"{reason}: this is the tightest box around the {len(xyz_m)} points inside"
+    try:
+        if len(xyz_m) < config.min_points:
+            raise GeometryError(f"{len(xyz_m)} points are too few")
+        tight = min_volume_box(xyz_m) if up is None else min_area_upright_box(xyz_m, up)
+    except GeometryError as error:
+        return _result(opened, box, None, POINTS, f"{reason}, and the box stays as it was: {error}")
+    return _result(opened, renamed(tight, box), None, POINTS, note)
+
+
+def _result(opened: OpenFrame, box: OrientedBox, quality: Quality | None, method: str, note: str | None) -> Refit:
+    return Refit(box, visible_edges(opened.frame.camera, [box])[0], quality, method, note)
