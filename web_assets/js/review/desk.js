@@ -170,14 +170,21 @@ export function createDesk(app) {
       return send([{ kind: on ? "finalise" : "reopen" }], null);
     },
 
-    /** The boxes of the frame before, in this frame. */
+    /** The reviewed boxes of the frame before, as far as this one lacks them; resolves to how many there were. */
     copyPrevious() {
       const { id } = app.state.frame.frame;
       app.effort.action();
       return enqueue(async () => {
         const before = labels().length;
-        const sent = { revision: app.state.frame.frame.revision, from: null };
-        take(await app.api.post(app.path("frames", id, "copy"), sent));
+        const copy = () => app.api.change(app.path("frames", id, "copy"), { revision: app.state.frame.frame.revision, from: null });
+        try {
+          take(await copy());
+        } catch (error) {
+          if (!error.isStale) throw error;
+          // boxes are only added, so nothing of somebody else's can be lost
+          take(error.body.state);
+          take(await copy());
+        }
         return labels().length - before;
       });
     },

@@ -13,6 +13,7 @@ const ANGLES = [
 
 export function createFields(host, desk, { classes, up }) {
   const inputs = {};
+  let typed = null;
   const title = h("h2", { class: "ellipsis" });
   const chip = h("span", { class: "chip", "data-testid": "label-state" });
   const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
@@ -24,13 +25,16 @@ export function createFields(host, desk, { classes, up }) {
   function number(name, label, help, unit, step, change) {
     const input = h("input", {
       type: "number", step, "aria-label": `${label} in ${unit}`, title: `${label}: ${help}`, "data-testid": `field-${name}`,
-      oninput: () => Number.isFinite(input.valueAsNumber) && change(input.valueAsNumber),
+      oninput: () => {
+        typed = input;
+        if (Number.isFinite(input.valueAsNumber)) change(input.valueAsNumber);
+      },
       onchange: () => leave(input),
       onkeydown: (event) => {
-        if (event.key === "Escape") {
-          event.preventDefault();
-          desk.revert();
-        }
+        if (event.key !== "Escape") return;
+        event.preventDefault();
+        typed = null;
+        desk.revert();
       },
     });
     inputs[name] = input;
@@ -39,6 +43,7 @@ export function createFields(host, desk, { classes, up }) {
 
   // What is half typed is shown by the box, and saved when the field is left or Enter is pressed: one edit.
   function leave(input) {
+    typed = null;
     if (!Number.isFinite(input.valueAsNumber)) desk.revert();
     else void desk.commit();
   }
@@ -67,6 +72,13 @@ export function createFields(host, desk, { classes, up }) {
   );
   form.addEventListener("submit", (event) => event.preventDefault());
 
+  /** Writes a number, but not into the field that is being typed in. */
+  function put(name, value, digits) {
+    // -0.0 is 0
+    const text = value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
+    if (inputs[name] !== typed && inputs[name].value !== text) inputs[name].value = text;
+  }
+
   function showProblem() {
     problem.hidden = !desk.problem || !desk.hasDraft;
     if (problem.hidden) return;
@@ -88,9 +100,9 @@ export function createFields(host, desk, { classes, up }) {
     chip.textContent = state;
     chip.className = `chip state-${label.state}`;
     const turn = anglesDeg(label.box, up());
-    label.box.center.forEach((value, i) => put(inputs[`center-${CENTER[i][0]}`], value, 3));
-    label.box.size.forEach((value, i) => put(inputs[`size-${SIZE[i][0]}`], value, 3));
-    for (const [name] of ANGLES) put(inputs[name], turn[name], 1);
+    label.box.center.forEach((value, i) => put(`center-${CENTER[i][0]}`, value, 3));
+    label.box.size.forEach((value, i) => put(`size-${SIZE[i][0]}`, value, 3));
+    for (const [name] of ANGLES) put(name, turn[name], 1);
     if (![...choice.options].some(({ value }) => value === label.label)) choice.append(h("option", { value: label.label }, label.label));
     choice.value = label.label;
     if (document.activeElement !== track) track.value = label.track_id ?? "";
@@ -102,13 +114,6 @@ export function createFields(host, desk, { classes, up }) {
 
 function group(name, fields) {
   return h("fieldset", {}, h("legend", {}, name), fields);
-}
-
-/** Writes a number unless the operator is typing it. */
-function put(input, value, digits) {
-  if (document.activeElement === input && input.value !== "" && Math.abs(input.valueAsNumber - value) < 0.5 * 10 ** -digits) return;
-  const text = value.toFixed(digits);
-  if (input.value !== text && !(document.activeElement === input && input.dataset.typing === "yes")) input.value = text;
 }
 
 const percent = (value) => (value === null || value === undefined ? "–" : `${(100 * value).toFixed(0)} %`);

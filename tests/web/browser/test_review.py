@@ -1,0 +1,406 @@
+"""Review in a real browser: one key for a right proposal, and every way to mend a wrong one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.outline import box_on_image
+from annotator.project import Change, Project
+from annotator.recordings import open_recording
+from annotator.types import Label, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.workflows.truth import load_truth
+
+if TYPE_CHECKING:
+    from conftest import Live
+    from playwright.sync_api import Locator, Page
+
+FRAMES = 3
+
+
+@dataclass(eq=False)
+class Desk:
+    """A page in Review, and the project behind it."""
+
+    page: Page
+    live: Live
+    project: Project
+
+    @property
+    def frame(self) -> int:
+        """The frame that the page shows."""
+        return int(self.page.url.split("/review/")[1].split("?")[0])
+
+    @property
+    def uid(self) -> str:
+        """The label that is selected."""
+        row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
+        found = row.get_attribute("data-uid")
+        assert found is not None
+        return found
+
+    @property
+    def label(self) -> Label:
+        """The selected label as it is stored."""
+        return self.project.labels.get(self.uid).label
+
+    def box(self, view: str) -> Locator:
+        """The rectangle of the selected box in one of the views along its axes."""
+        return self.page.get_by_test_id(f"ortho-{view}").locator("rect.line")
+
+    def settled(self) -> None:
+        """All is saved, and the three views show the box as it is."""
+        self.page.wait_for_function("document.querySelector('[data-testid=saving]').textContent === ''")
+        for view in ("top", "front", "side"):
+            self.box(view).wait_for()
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        mouse = self.page.mouse
+        mouse.move(*start)
+        mouse.down()
+        for share in (0.25, 0.5, 0.75, 1.0):
+            mouse.move(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]))
+        mouse.up()
+
+
+def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
+    """Proposals near the truth, one a true object: the more doubtful, the further off."""
+    opened = open_recording(recording)
+    rng = np.random.default_rng(5)
+    for index, stored in enumerate(project.frames.of()[:frames]):
+        frame = opened.frame(index)
+        proposals = []
+        for truth in load_truth(opened, index, frame):
+            off = rng.uniform(0.2, 1.0)
+            turn = Rotation.from_rotvec(rng.normal(0, 0.05 * off, 3)).as_matrix() @ truth.box.rotation
+            box = OrientedBox.from_parts(truth.box.center_m + rng.normal(0, 0.03 * off, 3), turn, truth.box.size_m)
+            image_box = box_on_image(frame.camera, box, truth.label)
+            if image_box is not None:
+                proposals.append(Proposal(truth.label, 1 - off / 2, box, image_box, (), Quality(off / 3, 0.9, off / 9)))
+        project.proposals.replace(stored.id, proposals, Change(stored.revision, "detectors", Source.AUTO))
+
+
+@pytest.fixture
+def desk(open_page: Callable[..., Page], live: Live, generated: Path) -> Desk:
+    """A signed-in operator in Review of a project with proposals; the worst one is selected."""
+    project = live.context.project("room")
+    propose(project, generated / "people")
+    page = open_page()
+    sign_in(page, live)
+    page.goto("/#/room/review")
+    desk = Desk(page, live, project)
+    page.locator('[data-testid="frame-box"][aria-current="true"]').wait_for()
+    desk.settled()
+    return desk
+
+
+def sign_in(page: Page, live: Live, operator: str = "Ada") -> None:
+    answer = page.request.post("/api/session", data={"operator": operator}, headers={"Origin": live.url})
+    assert answer.ok
+
+
+def middle(element: Locator) -> tuple[float, float]:
+    box = element.bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_one_key_accepts_a_right_proposal_and_counts_one_action(desk: Desk, wait_for) -> None:
+    first, items = desk.uid, desk.page.get_by_test_id("queue-item").count()
+    desk.press("Space")
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
+    desk.page.wait_for_function(f"document.querySelectorAll('[data-testid=queue-item]').length === {items - 1}")
+    desk.settled()
+    assert desk.uid != first
+    assert desk.project.labels.get(first).label.author == "Ada"
+    statistics = desk.live.client.get("/api/projects/room/statistics").json()
+    assert statistics["effort"]["actions_a_box"] == 1
+    assert statistics["accepted_untouched"] == 1
+
+
+def test_the_queue_is_worked_off_with_one_key_a_proposal(desk: Desk, wait_for) -> None:
+    items = desk.page.get_by_test_id("queue-item").count()
+    assert items >= 2 * FRAMES
+    for left in range(items - 1, -1, -1):
+        desk.press("Space")
+        desk.page.wait_for_function(f"document.querySelectorAll('[data-testid=queue-item]').length === {left}")
+        desk.settled()
+    desk.page.get_by_test_id("review-done").wait_for()
+    labels = desk.project.labels.select()
+    assert {stored.label.state for stored in labels} == {ReviewState.ACCEPTED}
+    assert desk.live.client.get("/api/projects/room/statistics").json()["effort"]["actions_a_box"] == 1
+
+
+@pytest.mark.parametrize("view", ["top", "front", "side"])
+def test_a_dragged_edge_moves_one_face_by_as_many_metres(desk: Desk, wait_for, view: str) -> None:
+    before = desk.label.box
+    rect = desk.box(view).bounding_box()
+    assert rect is not None
+    pull = 31.0
+    right = (rect["x"] + rect["width"], rect["y"] + rect["height"] / 2)
+    desk.drag((right[0] - 1, right[1]), (right[0] - 1 + pull, right[1]))
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    after = desk.label.box
+    changed = np.flatnonzero(np.abs(after.size_m - before.size_m) > 1e-9)
+    assert len(changed) == 1
+    side = int(changed[0])
+    px_m = before.size_m[side] / (rect["width"] - 2)  # the line around the box is 2 px wide
+    assert after.size_m[side] - before.size_m[side] == pytest.approx(pull * px_m, rel=0.02)
+    # the face on the other side stayed where it was
+    shift = before.rotation.T @ (after.center_m - before.center_m)
+    assert abs(shift[side]) == pytest.approx((after.size_m[side] - before.size_m[side]) / 2, abs=1e-6)
+    assert np.abs(np.delete(shift, side)).max() < 1e-6
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-6)
+
+
+def test_while_an_edge_is_dragged_nothing_is_asked_and_all_pictures_follow(desk: Desk) -> None:
+    page = desk.page
+    rect = desk.box("top").bounding_box()
+    assert rect is not None
+    start = (rect["x"] + rect["width"] - 1, rect["y"] + rect["height"] / 2)
+    image = page.get_by_test_id("editor-overlay")
+    lines = image.evaluate_all("found => found.map((one) => one.innerHTML)")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/api/projects/" in request.url else None)
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + 20, start[1], steps=4)
+    page.wait_for_timeout(150)
+    assert asked == []
+    assert image.evaluate_all("found => found.map((one) => one.innerHTML)") != lines
+    assert "not saved" in page.get_by_test_id("label-state").inner_text()
+    page.keyboard.press("Escape")
+    page.mouse.up()
+    desk.settled()
+    assert page.get_by_test_id("label-state").inner_text() == "proposed"
+    assert desk.label.state is ReviewState.PROPOSED
+
+
+def test_the_rotation_handle_turns_the_box_about_its_centre(desk: Desk, wait_for) -> None:
+    before = desk.label.box
+    handle = middle(desk.page.get_by_test_id("ortho-top").get_by_test_id("rotate-handle"))
+    center = middle(desk.box("top"))
+    angle = np.radians(30)
+    arm = np.subtract(handle, center)
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ arm
+    desk.drag(handle, (center[0] + turned[0], center[1] + turned[1]))
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    after = desk.label.box
+    turn = Rotation.from_matrix(before.rotation.T @ after.rotation).as_rotvec()
+    assert np.linalg.norm(turn) == pytest.approx(angle, abs=np.radians(1.5))
+    assert abs(turn[2]) == pytest.approx(np.linalg.norm(turn), rel=1e-3)  # seen from the top: about the box's own z
+    np.testing.assert_allclose(after.center_m, before.center_m, atol=1e-6)
+    np.testing.assert_allclose(after.size_m, before.size_m, atol=1e-9)
+    desk.settled()  # new pictures, along the new axes: the box is a rectangle again
+
+
+def test_an_edit_is_undone_and_done_again(desk: Desk, wait_for) -> None:
+    before, uid = desk.label.box, desk.uid
+    desk.press("f")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    turned = desk.label.box
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.PROPOSED, 5)
+    np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, before.size_m)
+    desk.settled()
+    desk.press("Control+Shift+z")
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED, 5)
+    np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, turned.size_m)
+
+
+def test_the_heading_turns_by_90_degrees_and_the_body_stays(desk: Desk, wait_for) -> None:
+    before = desk.label.box
+    desk.press("f")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    after = desk.label.box
+    np.testing.assert_allclose(after.size_m, before.size_m[[1, 0, 2]], atol=1e-9)
+    np.testing.assert_allclose(after.rotation[:, 0], before.rotation[:, 1], atol=1e-9)
+    np.testing.assert_allclose(after.center_m, before.center_m, atol=1e-9)
+
+
+def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None:
+    before, revision = desk.label.box, desk.project.frames.get(desk.frame).revision
+    field = desk.page.get_by_test_id("field-size-length")
+    field.fill("1.25")
+    assert "not saved" in desk.page.get_by_test_id("label-state").inner_text()
+    field.press("Enter")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    assert desk.label.box.size_m[0] == pytest.approx(1.25)
+    assert desk.project.frames.get(desk.frame).revision == revision + 1
+    desk.settled()
+    yaw = desk.page.get_by_test_id("field-yaw")
+    wanted = float(yaw.input_value()) + 20
+    yaw.fill(f"{wanted:.1f}")
+    yaw.press("Tab")
+    wait_for(lambda: desk.project.frames.get(desk.frame).revision == revision + 2, 5)
+    turn = Rotation.from_matrix(before.rotation.T @ desk.label.box.rotation).magnitude()
+    assert np.degrees(turn) == pytest.approx(20, abs=0.2)
+
+
+def test_escape_takes_back_a_number_that_is_not_saved(desk: Desk) -> None:
+    field = desk.page.get_by_test_id("field-center-x")
+    was = field.input_value()
+    field.fill("9.5")
+    field.press("Escape")
+    assert field.input_value() == was
+    assert desk.label.state is ReviewState.PROPOSED
+
+
+def test_keys_work_when_the_focus_is_in_the_3d_view(desk: Desk, wait_for) -> None:
+    page = desk.page
+    page.wait_for_function("document.querySelector('[data-testid=viewport]').dataset.state === 'ready'", timeout=40_000)
+    first = desk.uid
+    where = page.get_by_test_id("viewport").bounding_box()
+    assert where is not None
+    page.mouse.click(where["x"] + 8, where["y"] + where["height"] - 8)
+    page.get_by_test_id("viewport-frame").content_frame.locator("body").evaluate("body => window.focus()")
+    desk.press("Space")
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
+
+
+def test_the_gizmo_moves_the_box_and_saves_it_when_it_is_let_go(desk: Desk, wait_for) -> None:
+    page = desk.page
+    desk.press("t")
+    assert page.get_by_test_id("gizmo-translate").get_attribute("aria-pressed") == "true"
+    with page.expect_request(
+        lambda request: "/scene" in request.url and '"gizmo":"rotate"' in (request.post_data or "")
+    ):
+        desk.press("r")
+    bench = page.wait_for_function(
+        "performance.getEntriesByType('resource').map((one) => /([0-9a-f]+).scene/.exec(one.name)?.[1]).find(Boolean)"
+    ).json_value()
+    box = desk.label.box
+    moved = {
+        "center": (box.center_m + np.array([0.2, 0, 0])).tolist(),
+        "size": box.size_m.tolist(),
+        "rotation": box.rotation.tolist(),
+    }
+    event = {"type": "viewport", "workbench": bench, "event": "box", "uid": desk.uid, "box": moved}
+    desk.live.context.hub.send({**event, "final": False})
+    page.wait_for_function("document.querySelector('[data-testid=label-state]').textContent === 'not saved'")
+    assert desk.label.state is ReviewState.PROPOSED
+    desk.live.context.hub.send({**event, "final": True})
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    np.testing.assert_allclose(desk.label.box.center_m, box.center_m + np.array([0.2, 0, 0]), atol=1e-9)
+
+
+def test_reject_delete_tab_and_the_class_by_a_digit(desk: Desk, wait_for) -> None:
+    desk.project.configure(classes=("person", "chair"))
+    desk.page.reload()
+    desk.page.locator('[data-testid="frame-box"][aria-current="true"]').wait_for()
+    desk.settled()
+    uids = [row.get_attribute("data-uid") for row in desk.page.get_by_test_id("frame-box").all()]
+    first = desk.uid
+    desk.press("Tab")
+    assert desk.uid == uids[(uids.index(first) + 1) % len(uids)]
+    desk.press("Shift+Tab")
+    assert desk.uid == first
+    desk.press("2")
+    wait_for(lambda: desk.label.label == "chair", 5)
+    desk.settled()
+    second = uids[(uids.index(first) + 1) % len(uids)]
+    desk.press("Tab", "x")
+    wait_for(lambda: desk.project.labels.get(str(second)).label.state is ReviewState.REJECTED, 5)
+    desk.settled()
+    gone = desk.uid
+    frame = desk.frame
+    desk.press("Delete")
+    wait_for(lambda: gone not in {label.uid for label in desk.project.labels.of_frame(frame)}, 5)
+
+
+def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
+    frames = [stored.id for stored in desk.project.frames.of()]
+    desk.page.goto(f"/#/room/review/{frames[0]}")
+    desk.page.wait_for_function("document.querySelector('[data-testid=frame-position]').textContent.startsWith('1 ')")
+    desk.press("n")
+    desk.page.wait_for_function("document.querySelector('[data-testid=frame-position]').textContent.startsWith('2 ')")
+    assert desk.frame == frames[1]
+    desk.press("p")
+    desk.page.wait_for_function("document.querySelector('[data-testid=frame-position]').textContent.startsWith('1 ')")
+    desk.press("Control+Enter")
+    desk.page.get_by_test_id("dialog-yes").click()
+    wait_for(lambda: desk.project.frames.get(frames[0]).finalised, 5)
+    desk.page.get_by_test_id("act-finalise").click()
+    wait_for(lambda: not desk.project.frames.get(frames[0]).finalised, 5)
+
+
+def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for) -> None:
+    frames = [stored.id for stored in desk.project.frames.of()]
+    for label in desk.project.labels.of_frame(frames[FRAMES - 1]):
+        change = Change(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
+        desk.project.labels.accept(frames[FRAMES - 1], label.uid, change)
+    before = desk.project.labels.of_frame(frames[FRAMES - 1])
+    desk.page.goto(f"/#/room/review/{frames[FRAMES]}")
+    desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
+    desk.press("c")
+    wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before), 5)
+
+
+def test_fitting_again_starts_from_the_box(desk: Desk, wait_for) -> None:
+    frame, label = desk.frame, desk.label
+    off = OrientedBox.from_parts(label.box.center_m + np.array([0.15, 0, 0]), label.box.rotation, label.box.size_m)
+    change = Change(desk.project.frames.get(frame).revision, "Bob")
+    desk.project.labels.edit(frame, label.uid, change, label=label.label, box=off)
+    desk.page.reload()
+    desk.page.locator(f'[data-testid="frame-box"][data-uid="{label.uid}"]').click()
+    desk.settled()
+    with desk.page.expect_response(lambda response: response.url.endswith("/refit")) as answer:
+        desk.press("g")
+    assert answer.value.ok
+    fitted = np.array(answer.value.json()["box"]["center"])
+    wait_for(lambda: np.abs(desk.label.box.center_m - fitted).max() < 1e-6, 5)
+
+
+def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) -> None:
+    page = desk.page
+    other = page.locator('[data-testid="frame-box"]:not([aria-current="true"])').first
+    uid = other.get_attribute("data-uid")
+    other.click()
+    assert desk.uid == uid
+    desk.settled()
+    page.keyboard.press("Escape")
+    page.wait_for_function("document.querySelector('[data-testid=frame-box][aria-current=true]') === null")
+    lines = page.locator(f'[data-testid="editor-overlay"][data-id="{uid}"]').bounding_box()
+    assert lines is not None
+    page.mouse.click(lines["x"] + lines["width"] / 2, lines["y"] + lines["height"] * 0.8)
+    page.locator('[data-testid="frame-box"][aria-current="true"]').wait_for()
+
+
+def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
+    frame, uid = desk.frame, desk.uid
+    revision = desk.project.frames.get(frame).revision
+    body = {"revision": revision, "changes": [{"kind": "reject", "uid": uid}], "effort": None, "subject": None}
+    answer = desk.live.client.post(f"/api/projects/room/frames/{frame}/changes", json=body)
+    assert answer.status_code == 200
+    row = desk.page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][data-state="rejected"]')
+    row.wait_for(timeout=2000)
+
+
+@pytest.mark.parametrize("choice", ["theirs", "mine"])
+def test_a_stale_edit_shows_both_versions_and_loses_neither(desk: Desk, wait_for, choice: str) -> None:
+    frame, uid, before = desk.frame, desk.uid, desk.label.box
+    # a change that the page has not heard of
+    change = Change(desk.project.frames.get(frame).revision, "Bob")
+    desk.project.labels.accept(frame, uid, change)
+    desk.press("f")
+    desk.page.get_by_test_id("stale-dialog").wait_for()
+    assert desk.label.state is ReviewState.ACCEPTED
+    desk.page.get_by_test_id(f"dialog-{choice}").click()
+    desk.page.get_by_test_id("stale-dialog").wait_for(state="detached")
+    wanted = ReviewState.ACCEPTED if choice == "theirs" else ReviewState.EDITED
+    wait_for(lambda: desk.label.state is wanted, 5)
+    size = before.size_m if choice == "theirs" else before.size_m[[1, 0, 2]]
+    np.testing.assert_allclose(desk.label.box.size_m, size, atol=1e-9)
+    desk.settled()
+    assert desk.page.get_by_test_id("label-state").inner_text() == wanted.value
