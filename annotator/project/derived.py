@@ -147,6 +147,7 @@ def _proposed_row(event: Event, entry: ProposedObject, run_id: int | None) -> di
         "view_disagreement": proposal.quality.view_disagreement,
         "kept_share": proposal.quality.kept_share,
         "last_change": proposal.quality.last_change,
+        "image_agreement": proposal.quality.image_agreement,
         "proposal_event_id": event.id,
         "run_id": run_id,
     }

@@ -175,9 +175,9 @@ def _label(row: AnyRow) -> Label:
 def stored_label(row: AnyRow) -> StoredLabel:
     """The label that a row of the table holds, with its place in the project."""
     # SQLite keeps NaN as NULL
-    signals = [
+    disagreement, kept, change = (
         float("nan") if value is None else value for value in (row.view_disagreement, row.kept_share, row.last_change)
-    ]
-    quality = None if row.proposal_event_id is None else Quality(*signals)
+    )
+    quality = None if row.proposal_event_id is None else Quality(disagreement, kept, change, row.image_agreement)
     origin = None if row.origin is None else Origin(row.origin)
     return StoredLabel(row.frame_id, _label(row), quality, row.run_id, origin, box_2d_of(row.image_box))

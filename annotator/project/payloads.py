@@ -55,6 +55,7 @@ class LabelState(BaseModel):
     origin: Origin | None
     image_box: Box2D | None
     place: int
+    image_agreement: float | None = None
 
 
 class ImageBoxesState(BaseModel):

@@ -107,6 +107,7 @@ labels = Table(
     Column("run_id", Integer, ForeignKey("runs.id")),
     Column("origin", Text),
     Column("image_box", Text),
+    Column("image_agreement", Float),
 )
 
 image_labels = Table(

@@ -116,6 +116,7 @@ def _label_state(row: AnyRow) -> LabelState:
         origin=row.origin,
         image_box=box_2d_of(row.image_box),
         place=row.id,
+        image_agreement=row.image_agreement,
     )
 
 

@@ -143,9 +143,16 @@ def quality_json(quality: Quality | None) -> QualityJson | None:
     """JSON has no word for NaN: a signal without a value is null."""
     if quality is None:
         return None
-    values = (quality.view_disagreement, quality.kept_share, quality.last_change)
-    disagreement, kept, change = (value if math.isfinite(value) else None for value in values)
-    return QualityJson(view_disagreement=disagreement, kept_share=kept, last_change=change)
+    return QualityJson(
+        view_disagreement=_finite(quality.view_disagreement),
+        kept_share=_finite(quality.kept_share),
+        last_change=_finite(quality.last_change),
+        image_agreement=_finite(quality.image_agreement),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
 
 
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:

@@ -144,6 +144,7 @@ class QualityJson(Wire):
     view_disagreement: float | None
     kept_share: float | None
     last_change: float | None
+    image_agreement: float | None
 
 
 class LabelJson(Wire):

@@ -1,10 +1,11 @@
 """How much a proposal is to be doubted, in one number: what the review queue is sorted by.
 
-    doubt = 1 - (1 - d1) (1 - d2) (1 - d3) (1 - d4)
+    doubt = 1 - (1 - d1) (1 - d2) (1 - d3) (1 - d4) (1 - d5)
 
 Each d is what one signal alone says, 0 = fine and growing linearly to at most `MOST` where the signal is as bad as it
 gets in practice: the disagreement of the views (bad at `BAD_DISAGREEMENT`), the share of the last step's points that
-the box lost (`BAD_LOST_SHARE`), the change of the box in the last step (`BAD_CHANGE`), and 1 - score. So one bad
+the box lost (`BAD_LOST_SHARE`), the change of the box in the last step (`BAD_CHANGE`), the disagreement with the box on
+the image (`BAD_IMAGE`), and 1 - score. So one bad
 signal is enough to bring a proposal forward, and several add up. A signal without a value says nothing.
 """
 
@@ -15,10 +16,11 @@ import math
 from annotator.types import Quality
 
 MOST = 0.7
-# Values at which a signal counts fully: shares of the box's size, of points, 1 - IoU, 1 - score.
+# Values at which a signal counts fully: shares of the box's size, of points, 1 - IoU (twice), 1 - score.
 BAD_DISAGREEMENT = 0.25
 BAD_LOST_SHARE = 0.5
 BAD_CHANGE = 0.3
+BAD_IMAGE = 0.6
 BAD_SCORE = 1.0
 
 
@@ -30,6 +32,7 @@ def doubt(quality: Quality | None, score: float | None) -> float | None:
         (quality.view_disagreement, BAD_DISAGREEMENT),
         (1.0 - quality.kept_share, BAD_LOST_SHARE),
         (quality.last_change, BAD_CHANGE),
+        (1.0 - (1.0 if quality.image_agreement is None else quality.image_agreement), BAD_IMAGE),
         (1.0 - (1.0 if score is None else score), BAD_SCORE),
     )
     trust = 1.0

@@ -12,7 +12,14 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
-from annotator.project.migrations import m0001_events, m0002_batch, m0003_label_runs, m0004_packed, m0005_actions
+from annotator.project.migrations import (
+    m0001_events,
+    m0002_batch,
+    m0003_label_runs,
+    m0004_packed,
+    m0005_actions,
+    m0006_agreement,
+)
 from annotator.types.errors import ProjectError
 
 APPLICATION_ID = 0x416E6E6F  # "Anno": tells our databases from other SQLite files
@@ -37,6 +44,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(3, m0003_label_runs.STATEMENTS),
     Migration(4, m0004_packed.STATEMENTS),
     Migration(5, m0005_actions.STATEMENTS),
+    Migration(6, m0006_agreement.STATEMENTS),
 )
 
 
