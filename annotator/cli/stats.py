@@ -13,7 +13,7 @@ from annotator.project import Statistics
 
 
 def run(project: str, /, *, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False, root: Root = None) -> None:
-    """Say how far a project is: frames, labels, 2D boxes, runs, models.
+    """Say how far a project is: frames, labels, 2D boxes, what a box costs, runs, models.
 
     Args:
         project: the project's name.
@@ -41,6 +41,14 @@ def _rows(counts: Statistics) -> Iterator[tuple[str, object]]:
     yield "  by source", _listed(counts.labels.by_source)
     yield "2D boxes on images", f"{counts.image_boxes.boxes} on {counts.image_boxes.pictures} pictures"
     yield "2D boxes on views", f"{counts.view_boxes.boxes} on {counts.view_boxes.pictures} pictures"
+    yield "boxes with counted effort", counts.effort.boxes
+    if counts.effort.boxes:
+        yield "  seconds a box", f"{counts.effort.seconds_a_box:.1f}"
+        yield "  actions a box", f"{counts.effort.actions_a_box:.1f}"
+    if counts.accepted_untouched is not None:
+        yield "proposals accepted untouched", f"{counts.accepted_untouched:.0%} of those reviewed"
+    if counts.iou_proposal_to_final is not None:
+        yield "IoU from proposal to final", f"{counts.iou_proposal_to_final:.3f}"
     yield "runs", counts.runs
     yield "models", counts.models
 

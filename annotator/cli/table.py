@@ -28,6 +28,7 @@ COMMANDS: dict[str, Command] = {
     "export": Command("annotator.cli.export:run", "write a dataset"),
     "stats": Command("annotator.cli.stats:run", "say how far a project is"),
     "serve": Command("annotator.cli.serve:run", "open the workbench in the browser"),
+    "check": Command("annotator.cli.check:run", "list labels that look wrong"),
     "generate": Command("annotator.cli.generate:run", "make a recording of a generated room, with its truth"),
     "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),
 }

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
+from annotator.project.effort_statistics import EffortStatistics, read_review
 from annotator.project.jobs import Status, latest_results
 from annotator.project.schema import (
     events,
@@ -31,6 +32,7 @@ class LabelCounts(BaseModel):
     total: int
     by_state: dict[ReviewState, int]
     by_class: dict[str, int]
+    by_class_and_state: dict[str, dict[ReviewState, int]]
     by_source: dict[Source, int]
 
 
@@ -51,6 +53,7 @@ class Statistics(BaseModel):
         frames: those that the latest scans found.
         frames_with_proposals: with at least one proposal still waiting for its review.
         frames_failed: whose latest automatic pass failed.
+        effort, accepted_untouched, iou_proposal_to_final: as in `ReviewStatistics`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -67,6 +70,9 @@ class Statistics(BaseModel):
     events: int
     runs: int
     models: int
+    effort: EffortStatistics
+    accepted_untouched: float | None
+    iou_proposal_to_final: float | None
 
 
 def read_statistics(store: Store) -> Statistics:
@@ -79,6 +85,7 @@ def read_statistics(store: Store) -> Statistics:
     proposed = labels.c.state == ReviewState.PROPOSED.value
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
     with store.read() as connection:
+        review = read_review(connection)
         return Statistics(
             recordings=_rows(connection, recordings),
             frames=_number(connection, here),
@@ -92,6 +99,9 @@ def read_statistics(store: Store) -> Statistics:
             events=_rows(connection, events),
             runs=_rows(connection, runs),
             models=_rows(connection, models),
+            effort=review.effort,
+            accepted_untouched=review.accepted_untouched,
+            iou_proposal_to_final=review.iou_proposal_to_final,
         )
 
 
@@ -118,8 +128,17 @@ def _label_counts(connection: Connection) -> LabelCounts:
         total=_rows(connection, labels),
         by_state={state: states.get(state.value, 0) for state in ReviewState},
         by_class=_grouped(connection, labels, "label", func.count()),
+        by_class_and_state=_class_and_state(connection),
         by_source=_by_source(_grouped(connection, labels, "source", func.count())),
     )
+
+
+def _class_and_state(connection: Connection) -> dict[str, dict[ReviewState, int]]:
+    query = select(labels.c.label, labels.c.state, func.count()).group_by(labels.c.label, labels.c.state)
+    found: dict[str, dict[ReviewState, int]] = {}
+    for name, state, number in connection.execute(query.order_by(labels.c.label)):
+        found.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] = int(number)
+    return found
 
 
 def _box_counts(connection: Connection, table: FromClause) -> BoxCounts:

@@ -17,16 +17,19 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import Label, OrientedBox, ReviewState
+from annotator.workflows.point_counts import PointCounts
 
 SIZE_FACTOR = 1.6
 LEAST_FOR_MEDIAN = 5
 LEAST_POINTS = 5
 HEADING_JUMP_RAD = float(np.deg2rad(60))
 DUPLICATE_IOU = 0.3
+LOOKED_AT = (*REVIEWED, ReviewState.PROPOSED)
 
 CountPoints = Callable[[StoredFrame, Sequence[OrientedBox]], Sequence[int] | None]
 """How many points of a frame lie in each of some boxes; None where the frame cannot be read."""
@@ -61,6 +64,58 @@ class Warned:
     message: str
 
 
+class WarningRow(BaseModel):
+    """One warning as JSON: `frame` is an id, `recording` a name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Kind
+    frame: int
+    key: str
+    recording: str
+    uid: str
+    message: str
+
+
+class CheckReport(BaseModel):
+    """All warnings.
+
+    Attributes:
+        labels: how many were looked at.
+        unreadable: frames whose points could not be counted, as `key: reason`.
+        uncounted: frames whose points were not counted because the time was up; the next look goes on.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    warnings: tuple[WarningRow, ...]
+    labels: int
+    unreadable: tuple[str, ...]
+    uncounted: int
+
+
+def check_project(project: Project, frame_id: int | None = None, budget_s: float | None = None) -> CheckReport:
+    """As `check`, with the points counted from the recordings.
+
+    Args:
+        budget_s: how long frames may be read for; None = until all are counted.
+
+    Raises:
+        NotFoundError: no such frame.
+    """
+    counts = PointCounts(project, budget_s)
+    warned = check(project, counts, frame_id)
+    counts.save()
+    rows = tuple(
+        WarningRow(kind=w.kind, frame=w.frame.id, key=w.frame.key, recording=w.recording, uid=w.uid, message=w.message)
+        for w in warned
+    )
+    looked_at = [e for e in project.labels.select(states=LOOKED_AT) if frame_id in (None, e.frame_id)]
+    return CheckReport(
+        warnings=rows, labels=len(looked_at), unreadable=tuple(counts.unreadable), uncounted=counts.unknown
+    )
+
+
 def check(project: Project, count_points: CountPoints, frame_id: int | None = None) -> list[Warned]:
     """All warnings about labels that are not rejected, frame by frame.
 
@@ -75,7 +130,7 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     frames = {frame.id: frame for frame in project.frames.of()}
     recordings = {recording.id: recording for recording in project.recordings.all()}
     by_frame: dict[int, list[Label]] = defaultdict(list)
-    stored = project.labels.select(states=[state for state in ReviewState if state is not ReviewState.REJECTED])
+    stored = project.labels.select(states=LOOKED_AT)
     for entry in stored:
         by_frame[entry.frame_id].append(entry.label)
     medians = _medians(stored)

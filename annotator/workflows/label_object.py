@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from annotator.project import Change, Origin, Project, Receipt, StoredLabel, ViewBoxes
+from annotator.project.efforts import draft_id
 from annotator.project.overview import FramePage, read_page
 from annotator.project.payloads import (
     ImageBoxesSet,
@@ -99,12 +99,6 @@ def save_object(
         return Saved(None, uid)
     subject = change.subject or _subject(page, image_boxes, drawn, uid)
     return Saved(project.log.append(frame_id, payloads, replace(change, subject=subject)), uid)
-
-
-def draft_id(frame_id: int, image_box: Box2D) -> str:
-    """The name of an object that is begun but has no label yet; effort goes to it until it has."""
-    edges = ",".join(f"{edge:.3f}" for edge in image_box.xyxy)
-    return "draft-" + hashlib.sha256(f"{frame_id}:{edges}".encode()).hexdigest()[:20]
 
 
 def suggested_image_boxes(
