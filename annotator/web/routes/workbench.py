@@ -13,16 +13,16 @@ from pydantic import Field
 from starlette.requests import HTTPConnection, Request
 
 from annotator.project import Project
-from annotator.types import Frame, Label, OrientedBox, ReviewState
+from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.web.context import Ctx, Operator
 from annotator.web.hub import Hub
 from annotator.web.viewport.content import Draft, Gizmo, PointColor, SceneContent, ShownBox
-from annotator.web.viewport.draft import draft
 from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.web.viewport.workbench import Workbench
 from annotator.web.viewport.workbenches import Workbenches
 from annotator.web.wire import Box2DJson, Box3DJson, ClassName, RowId, Uid, Wire
-from annotator.workflows.rcv_settings import rcv_config
+from annotator.workflows.labelling import frame_config, label_steps
+from annotator.workflows.open_frame import OpenFrame
 
 
 @asynccontextmanager
@@ -70,6 +70,7 @@ class DraftJson(Wire):
 
     image_box: Box2DJson
     boxes: Annotated[tuple[Box2DJson | None, ...], Field(max_length=4)] = ()
+    box_kind: BoxKind = BoxKind.SILHOUETTE
 
 
 class PreviewJson(Wire):
@@ -150,17 +151,17 @@ async def viser_socket(id: str, socket: WebSocket, who: Operator, benches: Bench
 
 
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
-    frame = ctx.frame(project, frame_id)
+    opened = ctx.annotation.frames.open(project, frame_id)
     state = project.frame_state(frame_id)
     labels: Sequence[Label] = state.labels if body.labels == "all" else ()
     preview = None if body.preview is None else (body.preview.uid, body.preview.box.box())
     return SceneContent(
         place=(project.path.name, state.frame.recording_id),
-        frame=frame,
+        frame=opened.frame,
         boxes=_boxes(labels, preview),
         selected=body.selected,
         gizmo=body.gizmo,
-        draft=None if body.draft is None else _draft(project, frame, body.draft),
+        draft=None if body.draft is None else _draft(project, opened, body.draft),
         color=body.color,
         point_size=1.0 if body.point_size is None else body.point_size,
         reset_view=body.reset_view,
@@ -176,6 +177,9 @@ def _boxes(labels: Sequence[Label], preview: tuple[str | None, OrientedBox] | No
     return (*(shown for shown in boxes if shown.uid != uid), ShownBox(uid, box, state))
 
 
-def _draft(project: Project, frame: Frame, body: DraftJson) -> Draft:
+def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:
+    """The views of the present step are those that the page was given: drawn once."""
+    image_box = body.image_box.box()
     drawn = [None if box is None else box.box() for box in body.boxes]
-    return draft(frame, body.image_box.box(), drawn, rcv_config(project))
+    found = label_steps(opened, image_box, drawn, frame_config(project, opened.frame), body.box_kind)
+    return Draft(image_box, found.steps[-1].views if found.steps else (), found.box)

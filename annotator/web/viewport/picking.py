@@ -34,7 +34,7 @@ def _enters(
     T_box_camera = box.T_camera_box.inv()
     start = T_box_camera.apply(origin_m)
     along = T_box_camera.rotation.apply(direction)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         to_planes = (np.array([[-0.5], [0.5]]) * box.size_m - start) / along
     # a ray along a face's own plane gives 0/0: it is within that slab
     near = np.nan_to_num(np.minimum(*to_planes), nan=-np.inf).max()

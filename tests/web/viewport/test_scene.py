@@ -19,8 +19,9 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import Draft, Gizmo, PointColor, SceneContent, ShownBox
 from annotator.web.viewport.display import MAX_SHOWN
-from annotator.web.viewport.draft import draft
 from annotator.web.viewport.workbench import Workbench
+from annotator.workflows.labelling import label_steps
+from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.truth import load_truth
 
 
@@ -158,13 +159,14 @@ def drawing(frame: Frame, box: OrientedBox, drags: int) -> Draft:
     """A draft after so many drags, each of which spans the true box."""
     image_box = box_on_image(frame.camera, box, "person")
     assert image_box is not None
-    drawn: list = []
+    drawn: list[Box2D | None] = []
+    found = label_steps(OpenFrame(frame), image_box, drawn, RcvConfig())
     for _ in range(drags):
-        views = draft(frame, image_box, drawn, RcvConfig()).views
-        view = views[len(drawn) % 2]
+        view = found.views[len(drawn)]
         seen = box_corners(box) @ view.axes[:2].T
         drawn.append(view.box_px(np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1), "person"))
-    return draft(frame, image_box, drawn, RcvConfig())
+        found = label_steps(OpenFrame(frame), image_box, drawn, RcvConfig())
+    return Draft(image_box, found.steps[-1].views, found.box)
 
 
 @pytest.mark.parametrize("drags", [0, 1, 2, 4])
@@ -188,8 +190,7 @@ def test_a_draft_has_a_frustum_two_pictures_two_arrows_and_the_box_so_far(
 
 
 def test_an_image_box_on_nothing_has_a_frustum_only(bench: Workbench, frames: list[Frame]) -> None:
-    begun = draft(frames[0], Box2D("person", -50.0, -50.0, -10.0, -10.0), [], RcvConfig())
-    assert begun.views == ()
+    begun = Draft(Box2D("person", -50.0, -50.0, -10.0, -10.0), (), None)
     bench.show(SceneContent(("room", 1), frames[0], draft=begun))
     assert node(bench, "/draft/frustum") is not None
     assert node(bench, "/draft/view0") is None

@@ -1,0 +1,214 @@
+"""The 3D view in a real browser: the cloud is drawn, keys belong to the page, the gizmo and a click tell the page."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from browser_page import until
+from PIL import Image
+
+from annotator.project.labels import NewLabel
+from annotator.project.writing import Change
+from annotator.recordings import open_recording
+from annotator.workflows.truth import load_truth
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+STARTS_S = 60.0
+LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
+
+# The page's own modules around the view, without a mode: `view` and what it and the key table have told.
+PAGE = """async ([left, top, width, height]) => {
+  const load = (name) => import(`/assets/js/${name}.js`);
+  const [viewport, keys, api, events, effort, state] = await Promise.all(
+    ["viewport", "keys", "api", "events", "effort", "state"].map(load));
+  const app = { effort: effort.createEffort(), events: events.createEvents(), keys: keys.createKeys(),
+    state: state.createState({ route: { project: "room" } }) };
+  app.api = api.createApi(app.effort, () => {});
+  app.events.follow("room");
+  app.keys.setMode("review");
+  app.keys.listen(window);
+  window.pressed = [];
+  app.keys.register({ accept: () => pressed.push("Space"), "next-box": () => pressed.push("Tab"),
+    nudge: (event, key) => pressed.push(key), undo: () => pressed.push("Ctrl+Z") });
+  const host = document.createElement("div");
+  host.style.cssText = `position: fixed; left: ${left}px; top: ${top}px; width: ${width}px; height: ${height}px`;
+  window.view = viewport.createViewport(app);
+  host.append(view.element);
+  document.body.append(host);
+  window.host = host;
+  window.told = { box: [], select: [], shown: [], state: [] };
+  for (const event of Object.keys(told)) view.on(event, (value) => told[event].push(value));
+}"""
+
+
+@pytest.fixture
+def labels(live: Any) -> list[Any]:
+    """True boxes on the first frame of `room`."""
+    project = live.context.project("room")
+    frame = project.frames.of()[0]
+    recording = open_recording(project.recordings.get(frame.recording_id).path)
+    truth = load_truth(recording, 0, recording.frame(0))
+    project.labels.create(frame.id, [NewLabel("person", entry.box) for entry in truth], Change(frame.revision, "Ada"))
+    return list(project.frame_state(frame.id).labels)
+
+
+@pytest.fixture
+def view(page: Page, live: Any, labels: list[Any]) -> Page:
+    """A page with the view of the first frame, connected and drawn."""
+    page.context.add_cookies([{"name": n, "value": v, "url": live.url} for n, v in live.client.cookies.items()])
+    page.goto("/")
+    page.evaluate(PAGE, [LEFT, TOP, WIDTH, HEIGHT])
+    show(page, frame=1)
+    until(page, "view.state === 'ready'", STARTS_S)
+    until(page, lambda: drawn(page) > 0.1)
+    return page
+
+
+def show(page: Page, **scene: Any) -> None:
+    page.evaluate("(scene) => view.show(scene)", scene)
+
+
+def picture(page: Page) -> np.ndarray:
+    """What is on the screen where the view is."""
+    clip = {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}
+    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")).astype(int)
+
+
+def drawn(page: Page) -> float:
+    """Share of the view's pixels that are not its background."""
+    seen = picture(page)
+    return float((np.abs(seen - seen[2, 2]).max(axis=2) > 24).mean())
+
+
+def bench(live: Any, page: Page) -> Any:
+    return live.server.app.state.workbenches.get(page.evaluate("view.id"), "Ada")
+
+
+def camera(live: Any, page: Page) -> np.ndarray:
+    """Where viser's camera is: position and direction."""
+    (client,) = bench(live, page)._server.get_clients().values()
+    return np.concatenate([client.camera.position, client.camera.wxyz])
+
+
+def on_screen(live: Any, page: Page, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the camera frame is on the page, through viser's own camera."""
+    import viser.transforms as tf
+
+    (client,) = bench(live, page)._server.get_clients().values()
+    seen = tf.SO3(client.camera.wxyz).inverse() @ (point - client.camera.position)
+    focal = HEIGHT / 2 / np.tan(client.camera.fov / 2)
+    return LEFT + WIDTH / 2 + focal * seen[0] / seen[2], TOP + HEIGHT / 2 + focal * seen[1] / seen[2]
+
+
+def test_the_cloud_is_drawn_in_its_own_colours_and_the_newest_scene_wins(view: Page, live: Any) -> None:
+    assert drawn(view) > 0.3
+    mean = picture(view).reshape(-1, 3)
+    mean = mean[np.abs(mean - mean[0]).max(axis=1) > 24].mean(axis=0)
+    cloud = live.context.frame(live.context.project("room"), 1).cloud
+    np.testing.assert_allclose(mean, cloud.rgb.mean(axis=0), atol=30)
+    frame = view.frame_locator("[data-testid=viewport-frame]")
+    assert frame.locator(".mantine-Paper-root:visible, .mantine-Notifications-root:visible").count() == 0
+    assert frame.locator("canvas:visible").count() >= 1
+
+    before = view.evaluate("told.shown.length")
+    view.evaluate("() => { for (let n = 0; n < 40; n += 1) view.show({ frame: 1 + (n % 5) }); }")
+    until(view, lambda: bench(live, view)._scene.content.frame.index == 4)
+    view.wait_for_timeout(500)
+    assert bench(live, view)._scene.content.frame.index == 4
+    assert view.evaluate("told.shown.length") - before <= 3
+
+    show(view, frame=None)
+    until(view, lambda: drawn(view) < 0.01)
+
+
+def test_keys_in_the_view_reach_the_page_and_never_the_camera(view: Page, live: Any) -> None:
+    view.mouse.click(LEFT + 10, TOP + 10)
+    assert view.evaluate("document.activeElement.dataset.testid") == "viewport-frame"
+    view.wait_for_timeout(500)
+    before, seen = camera(live, view), picture(view)
+    for key in ("w", "a", "s", "d", "q", "e", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"):
+        view.keyboard.down(key)
+        view.wait_for_timeout(150)
+        view.keyboard.up(key)
+    for key in ("Space", "Tab", "Control+z"):
+        view.keyboard.press(key)
+    arrows = ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"]
+    assert view.evaluate("pressed") == [*arrows, "Space", "Tab", "Ctrl+Z"]
+    view.wait_for_timeout(500)
+    np.testing.assert_array_equal(camera(live, view), before)
+    assert np.abs(picture(view) - seen).mean() < 0.1
+
+    # the mouse does turn it
+    view.mouse.move(LEFT + 100, TOP + 450)
+    view.mouse.down()
+    view.mouse.move(LEFT + 200, TOP + 430, steps=5)
+    view.mouse.up()
+    until(view, lambda: np.abs(camera(live, view) - before).max() > 0.01)
+
+
+def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Any, labels: list[Any]) -> None:
+    nearest = min(labels, key=lambda label: label.box.center_m[2])
+    view.mouse.click(*on_screen(live, view, nearest.box.center_m))
+    until(view, "told.select.length > 0")
+    assert view.evaluate("told.select[0].uid") == nearest.uid
+
+    label = labels[0]
+    show(view, frame=1, selected=label.uid, gizmo="translate")
+    until(view, "told.shown.length > 1")
+    view.wait_for_timeout(1000)
+    node = bench(live, view)._server.scene.get_handle_by_name("/selected")
+    axis = label.box.rotation[:, 0]
+    # the arrow along the box's own x: take it at its middle, pull outwards
+    start, end = (on_screen(live, view, label.box.center_m + share * node.scale * axis) for share in (0.6, 1.0))
+    view.mouse.move(*start)
+    view.wait_for_timeout(300)
+    view.mouse.down()
+    view.mouse.move(*end, steps=8)
+    view.mouse.up()
+    until(view, "told.box.some((event) => event.final)")
+    events = view.evaluate("told.box")
+    assert [event["final"] for event in events].count(True) == 1
+    assert events[-1]["final"]
+    assert {event["uid"] for event in events} == {label.uid}
+    moved = np.array(events[-1]["box"]["center"]) - label.box.center_m
+    assert np.linalg.norm(moved) > 0.05
+    np.testing.assert_allclose(moved / np.linalg.norm(moved), axis, atol=1e-3)
+    np.testing.assert_allclose(events[-1]["box"]["size"], label.box.size_m)
+    np.testing.assert_allclose(events[-1]["box"]["rotation"], label.box.rotation, atol=1e-6)
+
+
+def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Page, live: Any) -> None:
+    known = view.evaluate("view.id")
+    view.evaluate("view.detach()")
+    until(view, lambda: not view.get_by_test_id("viewport-frame").is_visible())
+    view.evaluate("host.style.width = '400px'; host.append(view.element)")
+    until(view, lambda: view.locator("[data-testid=viewport-frame]").bounding_box()["width"] == 400)
+    assert view.evaluate("[view.id, view.state]") == [known, "ready"]
+    until(view, lambda: drawn(view) > 0.1)
+
+    # the server has closed it, or was started anew
+    live.client.delete(f"/api/workbench/{known}")
+    show(view, frame=2)
+    until(view, f"view.id !== null && view.id !== '{known}' && view.state === 'ready'")
+    assert bench(live, view)._scene.content.frame.index == 1
+
+    benches = live.server.app.state.workbenches
+    assert len(benches._open) == 1
+    view.goto("about:blank")
+    until(view, lambda: len(benches._open) == 0)
+
+
+def test_without_webgl_the_page_says_so(page: Page, live: Any) -> None:
+    page.context.add_cookies([{"name": n, "value": v, "url": live.url} for n, v in live.client.cookies.items()])
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto("/")
+    page.evaluate(PAGE, [LEFT, TOP, WIDTH, HEIGHT])
+    show(page, frame=1)
+    assert page.evaluate("view.state") == "unsupported"
+    assert "no WebGL" in page.get_by_test_id("viewport-note").inner_text()
+    assert live.server.app.state.workbenches._open == {}
