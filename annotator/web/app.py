@@ -11,9 +11,11 @@ from fastapi import FastAPI
 
 from annotator import __version__
 from annotator.web.context import Context
-from annotator.web.errors import add_error_handlers
+from annotator.web.errors import ErrorAnswer, add_error_handlers
+from annotator.web.security import Guard, check_settings
 from annotator.web.settings import ServerSettings
 from annotator.web.static import add_static
+from annotator.web.watch import Watch
 
 # Modules of `annotator.web.routes`; each has a `router`.
 ROUTES: tuple[str, ...] = (
@@ -41,13 +43,17 @@ def create_app(settings: ServerSettings) -> FastAPI:
     """The application of one server; nothing is shared between two.
 
     Raises:
-        ConfigError: the page's files are missing.
+        ConfigError: the page's files are missing, or anybody could come in.
     """
+    check_settings(settings)
     context = Context(settings)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        watch = Watch(context)
+        watch.start()
         yield
+        watch.close()
         context.close()
 
     app = FastAPI(
@@ -56,6 +62,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
         openapi_url="/api/openapi.json",
         docs_url=None,
         redoc_url=None,
+        responses={"4XX": {"model": ErrorAnswer, "description": "What is wrong, and what to do."}},
         lifespan=lifespan,
     )
     app.state.context = context
@@ -64,4 +71,5 @@ def create_app(settings: ServerSettings) -> FastAPI:
         if find_spec(f"annotator.web.routes.{name}") is not None:
             app.include_router(import_module(f"annotator.web.routes.{name}").router)
     add_static(app)
+    app.add_middleware(Guard, settings=settings)
     return app

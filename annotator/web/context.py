@@ -56,6 +56,7 @@ class Context:
             folder = self._folder(name)
             if known is not None:
                 self._projects.pop(name).close()
+                self.hub.forget(name)
             if not folder.is_dir():
                 raise NotFoundError(f"there is no project {name!r}; the start page lists those there are")
             self._projects[name] = open_project(folder)

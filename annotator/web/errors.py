@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, WebSocket
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel
 from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 
 from annotator.types.errors import AnnotatorError, FinalisedFrameError, HistoryError, NotFoundError, StaleRevisionError
 
@@ -26,6 +28,19 @@ class ForbiddenError(AnnotatorError):
 
 class TooLargeError(AnnotatorError):
     """The request's body is larger than any that the server takes."""
+
+
+class ErrorBody(BaseModel):
+    """The kind of an error, for programs, and what it says, for people."""
+
+    kind: str
+    message: str
+
+
+class ErrorAnswer(BaseModel):
+    """The answer to a request that failed; some say more beside `error`."""
+
+    error: ErrorBody
 
 
 # The first row that an error is an instance of decides; a row for a new kind goes above its bases.
@@ -48,7 +63,15 @@ def status_of(error: AnnotatorError) -> int:
 
 def error_response(kind: str, message: str, status: int, **more: object) -> JSONResponse:
     """The answer to a request that failed; `more` stands beside "error"."""
-    return JSONResponse({"error": {"kind": kind, "message": message}, **more}, status)
+    # half a surrogate pair, quoted from a request, cannot be sent
+    readable = message.encode("utf-8", "replace").decode()
+    return JSONResponse({"error": {"kind": kind, "message": readable}, **more}, status)
+
+
+def internal_error(connection: HTTPConnection, error: Exception) -> JSONResponse:
+    """The answer to a fault of the program, which only the log explains."""
+    LOG.error("%s failed", connection.url.path, exc_info=error)
+    return error_response("InternalError", INTERNAL, 500)
 
 
 def add_error_handlers(app: FastAPI) -> None:
@@ -56,15 +79,19 @@ def add_error_handlers(app: FastAPI) -> None:
     app.add_exception_handler(AnnotatorError, _told)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(Exception, _internal)
 
 
-def _told(request: Request, error: Exception) -> JSONResponse:
+async def _told(connection: HTTPConnection, error: Exception) -> Response:
     assert isinstance(error, AnnotatorError)
-    return error_response(type(error).__name__, str(error), status_of(error))
+    status = status_of(error)
+    if isinstance(connection, WebSocket):
+        # a reason has at most 123 bytes
+        await connection.close(4000 + status, str(error).encode()[:120].decode("utf-8", "ignore"))
+        return Response()  # nobody reads it
+    return error_response(type(error).__name__, str(error), status)
 
 
-def _invalid(request: Request, error: Exception) -> JSONResponse:
+async def _invalid(connection: HTTPConnection, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
     problems = "; ".join(f"{_field(problem['loc'])}: {problem['msg']}" for problem in error.errors()[:5])
     return error_response("ValidationError", problems, 422)
@@ -75,15 +102,10 @@ def _field(location: tuple[int | str, ...]) -> str:
     return ".".join(map(str, location[1:])) or str(location[0])
 
 
-def _http(request: Request, error: Exception) -> JSONResponse:
+async def _http(connection: HTTPConnection, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     kind = "NotFoundError" if error.status_code == 404 else "HTTPError"
-    message = f"there is nothing at {request.url.path}" if error.status_code == 404 else str(error.detail)
+    message = f"there is nothing at {connection.url.path}" if error.status_code == 404 else str(error.detail)
     answer = error_response(kind, message, error.status_code)
     answer.headers.update(error.headers or {})
     return answer
-
-
-def _internal(request: Request, error: Exception) -> JSONResponse:
-    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error)
-    return error_response("InternalError", INTERNAL, 500)

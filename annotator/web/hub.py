@@ -41,6 +41,7 @@ class Hub:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
+        self._announced: dict[tuple[str, int], int] = {}
 
     # --- pages come and go (from the event loop) -------------------------------------------------------------------
 
@@ -101,8 +102,17 @@ class Hub:
     # --- events (any thread) ---------------------------------------------------------------------------------------
 
     def frame_changed(self, project: str, frame_id: int, revision: int, operator: str) -> None:
-        """Says that a frame has a new revision."""
+        """Says that a frame has a new revision; once, whoever else noticed it."""
+        with self._lock:
+            if self._announced.get((project, frame_id), -1) >= revision:
+                return
+            self._announced[project, frame_id] = revision
         self.send({"type": "frame", "project": project, "frame": frame_id, "revision": revision, "operator": operator})
+
+    def forget(self, project: str) -> None:
+        """A project has been replaced by another of the same name: its frames begin anew."""
+        with self._lock:
+            self._announced = {place: revision for place, revision in self._announced.items() if place[0] != project}
 
     def send(self, message: Message) -> None:
         """Sends an event to those whom it concerns: the pages of its "project" or "workbench", else all of them.

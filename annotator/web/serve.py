@@ -11,6 +11,9 @@ from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
 from annotator.web.settings import ServerSettings
 
+# The largest message that a browser sends, bytes.
+WS_LIMIT = 1 << 22
+
 
 class Running(uvicorn.Server):
     """A server on a socket that is bound already, so that its port is known before it begins."""
@@ -21,7 +24,16 @@ class Running(uvicorn.Server):
         self.socket = bind(settings.host, settings.port)
         self.port: int = self.socket.getsockname()[1]
         super().__init__(
-            uvicorn.Config(self.app, log_level="warning", timeout_graceful_shutdown=3, ws="websockets-sansio")
+            uvicorn.Config(
+                self.app,
+                log_level="warning",
+                timeout_graceful_shutdown=3,
+                ws="websockets-sansio",
+                ws_max_size=WS_LIMIT,
+                # nobody in between is trusted to say who asks
+                proxy_headers=False,
+                server_header=False,
+            )
         )
 
     @property

@@ -1,0 +1,52 @@
+"""Asks an application without a server: quick enough for long tables."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import httpx
+from fastapi import FastAPI
+
+HERE = "http://127.0.0.1"
+
+
+def ask(app: FastAPI, method: str, path: str | httpx.URL, base: str = HERE, **request: Any) -> httpx.Response:
+    """One request, from the page of the server where `headers` do not say otherwise."""
+
+    async def asking() -> httpx.Response:
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        cookies = request.pop("cookies", None)
+        async with httpx.AsyncClient(transport=transport, base_url=base, cookies=cookies, trust_env=False) as client:
+            return await client.request(method, path, **request)
+
+    return asyncio.run(asking())
+
+
+def knock(app: FastAPI, path: str, headers: dict[str, str]) -> int:
+    """Asks for a WebSocket; the status of the answer, 101 where it was let in."""
+    sent: list[Any] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "websocket.disconnect" if len(sent) else "websocket.connect", "code": 1000}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": "websocket",
+        "path": path,
+        "raw_path": path.encode(),
+        "query_string": b"",
+        "root_path": "",
+        "scheme": "ws",
+        "server": ("127.0.0.1", 80),
+        "client": ("127.0.0.1", 1),
+        "subprotocols": [],
+        "state": {},
+        "headers": [(name.lower().encode(), value.encode()) for name, value in headers.items()],
+        "extensions": {"websocket.http.response": {}},
+    }
+    asyncio.run(app(scope, receive, send))
+    first = sent[0]
+    return {"websocket.accept": 101, "websocket.close": 403}.get(first["type"]) or int(first["status"])

@@ -1,0 +1,286 @@
+"""Who gets in: every route without the token, other pages, other hosts, large bodies, what browsers are told."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import httpx
+import pytest
+from fastapi import FastAPI
+from in_process import HERE, ask, knock
+from starlette.routing import BaseRoute
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from annotator.types.errors import ConfigError
+from annotator.web.app import create_app
+from annotator.web.security import BODY_LIMIT, check_settings, cookie_name, is_loopback, link
+from annotator.web.settings import ServerSettings
+
+if TYPE_CHECKING:
+    from conftest import Live
+
+TOKEN = "a-token-for-the-tests"
+
+
+def flat(routes: Iterable[BaseRoute]) -> Iterator[tuple[str, str]]:
+    """(method, path) of every route, with something in place of its parameters; WS for a socket."""
+    for route in routes:
+        inner = getattr(route, "original_router", None)
+        if inner is not None:
+            yield from flat(inner.routes)
+            continue
+        path = re.sub(r"\{[^}]*\}", "1", route.path)
+        methods = getattr(route, "methods", None)
+        if "Mount" in type(route).__name__:
+            yield from (("GET", f"{path}/{name}") for name in ("index.html", "js/main.js", "nothing"))
+        elif methods is None:
+            yield "WS", path
+        else:
+            yield from ((method, path) for method in methods)
+
+
+def headers(cookies: dict[str, str], origin: str | None) -> dict[str, str]:
+    found = {"Host": "127.0.0.1", "Cookie": "; ".join(f"{name}={value}" for name, value in cookies.items())}
+    return found if origin is None else {**found, "Origin": origin}
+
+
+def locked(tmp: Path) -> FastAPI:
+    return create_app(ServerSettings(tmp / "projects", token=TOKEN))
+
+
+@pytest.fixture(scope="module")
+def app(tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
+    return locked(tmp_path_factory.mktemp("web"))
+
+
+ROUTES = sorted(set(flat(locked(Path("/nowhere")).routes)))
+
+
+def test_the_table_is_the_whole_application() -> None:
+    for known in [
+        ("GET", "/"),
+        ("GET", "/assets/js/main.js"),
+        ("GET", "/assets/vendor/plotly.min.js"),
+        ("GET", "/api/openapi.json"),
+        ("POST", "/api/projects"),
+        ("GET", "/viser/1/1"),
+        ("WS", "/viser/1"),
+        ("WS", "/api/events"),
+    ]:
+        assert known in ROUTES
+    assert len(ROUTES) > 20
+
+
+@pytest.mark.parametrize(("method", "path"), ROUTES, ids=" ".join)
+@pytest.mark.parametrize("cookies", [{}, {cookie_name(TOKEN): "wrong"}, {cookie_name(TOKEN): ""}], ids=str)
+def test_nothing_without_the_token(app: FastAPI, method: str, path: str, cookies: dict[str, str]) -> None:
+    cookies = {**cookies, "annotator_operator": "Ada"}
+    if method == "WS":
+        assert knock(app, path, headers(cookies, HERE)) == 401
+        return
+    answer = ask(app, method, path, headers=headers(cookies, HERE))
+    assert answer.status_code == 401
+    if method != "HEAD":
+        assert answer.json()["error"]["kind"] == "NotSignedInError"
+
+
+@pytest.mark.parametrize(("method", "path"), [r for r in ROUTES if r[0] not in ("GET", "HEAD")], ids=" ".join)
+@pytest.mark.parametrize(
+    "origin",
+    ["http://evil.example", "http://127.0.0.1:81", "https://127.0.0.1.evil.example", "null", "", "127.0.0.1", None],
+)
+def test_nothing_changes_for_another_page(app: FastAPI, method: str, path: str, origin: str | None) -> None:
+    asked = headers({cookie_name(TOKEN): TOKEN, "annotator_operator": "Ada"}, origin)
+    if method == "WS":
+        assert knock(app, path, asked) == 403
+        return
+    answer = ask(app, method, path, headers=asked)
+    assert (answer.status_code, answer.json()["error"]["kind"]) == (403, "ForbiddenError")
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1.evil.example", "10.0.0.1", "", "[", "localhost.evil", "a@b"]
+)
+def test_a_local_server_has_local_names_only(tmp_path: Path, host: str) -> None:
+    app = create_app(ServerSettings(tmp_path))
+    answer = ask(app, "GET", "/api/session", headers={"Host": host})
+    assert (answer.status_code, answer.json()["error"]["kind"]) == (403, "ForbiddenError")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:8080", "localhost:1", "LOCALHOST", "[::1]:8080"])
+def test_local_names(tmp_path: Path, host: str) -> None:
+    app = create_app(ServerSettings(tmp_path))
+    assert ask(app, "GET", "/api/session", headers={"Host": host}).status_code == 200
+
+
+def test_elsewhere_any_name_will_do_for_who_has_the_token(tmp_path: Path) -> None:
+    app = create_app(ServerSettings(tmp_path, host="0.0.0.0", token=TOKEN))
+    answer = ask(app, "GET", "/api/session", "http://workstation:8080", cookies={cookie_name(TOKEN): TOKEN})
+    assert answer.json()["token_required"] is True
+
+
+def test_the_link_becomes_a_cookie(app: FastAPI) -> None:
+    answer = ask(app, "GET", "/", params={"token": TOKEN, "go": "room/review"})
+    assert answer.status_code == 200
+    assert TOKEN not in answer.text
+    assert "url=/#/room/review" in answer.text
+    assert "<script" not in answer.text
+    cookie = answer.headers["set-cookie"]
+    assert "httponly" in cookie.lower()
+    assert "samesite=strict" in cookie.lower()
+    kept = dict([cookie.split(";")[0].split("=")])
+    assert ask(app, "GET", "/api/session", cookies=kept).status_code == 200
+    assert ask(app, "GET", "/assets/js/main.js", cookies=kept).status_code == 200
+    assert knock(app, "/api/events", headers(kept, HERE)) == 403, "nobody has signed in"
+    assert knock(app, "/api/events", headers({**kept, "annotator_operator": "Ada"}, HERE)) == 101
+
+
+@pytest.mark.parametrize(
+    "go", ["//evil.example", "room/../x", 'x"><script>', "room/review#", "javascript:alert(1)", ""]
+)
+def test_the_link_leads_nowhere_else(app: FastAPI, go: str) -> None:
+    answer = ask(app, "GET", "/", params={"token": TOKEN, "go": go})
+    assert 'url=/"' in answer.text
+
+
+@pytest.mark.parametrize("token", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "ü" * 21, "\ud800"])
+def test_another_token(app: FastAPI, token: str) -> None:
+    answer = ask(app, "GET", httpx.URL(HERE, params={"token": token.encode("utf-8", "surrogatepass")}))
+    assert answer.status_code == 401
+    assert "set-cookie" not in answer.headers
+
+
+def test_the_token_in_the_address_opens_pages_only(app: FastAPI) -> None:
+    assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
+
+
+def test_a_browser_is_told_what_to_do(app: FastAPI) -> None:
+    answer = ask(app, "GET", "/", headers={"Accept": "text/html"})
+    assert answer.status_code == 401
+    assert "link that the server printed" in answer.text
+
+
+@pytest.mark.parametrize(
+    ("host", "token", "right"),
+    [
+        ("127.0.0.1", None, True),
+        ("localhost", None, True),
+        ("::1", None, True),
+        ("127.0.0.1", TOKEN, True),
+        ("0.0.0.0", TOKEN, True),
+        ("0.0.0.0", None, False),
+        ("::", None, False),
+        ("192.168.0.1", None, False),
+        ("workstation", None, False),
+        ("0.0.0.0", "short", False),
+        ("0.0.0.0", "", False),
+        ("127.0.0.1", "ü" * 20, False),
+    ],
+)
+def test_no_server_without_a_token_elsewhere(tmp_path: Path, host: str, token: str | None, right: bool) -> None:
+    settings = ServerSettings(tmp_path, host=host, token=token)
+    if right:
+        check_settings(settings)
+        return
+    with pytest.raises(ConfigError):
+        create_app(settings)
+
+
+def test_loopback() -> None:
+    assert all(map(is_loopback, ["127.0.0.1", "127.9.9.9", "::1", "localhost", "LocalHost"]))
+    assert not any(map(is_loopback, ["0.0.0.0", "::", "10.0.0.1", "localhost.example", "", "127.0.0.1.example"]))
+
+
+def test_links() -> None:
+    assert link("http://h:1/", None) == "http://h:1/"
+    assert link("http://h:1/", None, "room/review") == "http://h:1/#/room/review"
+    assert link("http://h:1/", "a b") == "http://h:1/?token=a+b"
+    assert link("http://h:1/", "t", "room/label") == "http://h:1/?token=t&go=room%2Flabel"
+
+
+@pytest.mark.parametrize("path", ["/", "/assets/js/main.js", "/api/session", "/api/nothing", "/api/openapi.json"])
+def test_headers(live: Live, path: str) -> None:
+    headers = live.client.get(path).headers
+    policy = headers["content-security-policy"]
+    assert "default-src 'self'" in policy
+    assert "frame-ancestors 'self'" in policy
+    assert "unsafe-inline" not in policy.split("style-src")[0]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["referrer-policy"] == "no-referrer"
+    assert "server" not in headers
+    if path.startswith("/api/"):
+        assert headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/assets/../pyproject.toml",
+        "/assets/..%2fpyproject.toml",
+        "/assets/%2e%2e/pyproject.toml",
+        "/assets//etc/passwd",
+    ],
+)
+def test_files_of_the_page_only(live: Live, path: str) -> None:
+    host, port = live.url.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port))) as raw:  # httpx would tidy the path up
+        raw.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode())
+        assert raw.makefile("rb").readline().split()[1] == b"404"
+
+
+def test_large_bodies(live: Live) -> None:
+    small = b'{"operator": "' + b"a" * (BODY_LIMIT - 100) + b'"}'
+    large = b" " * (BODY_LIMIT + 1)
+    assert live.client.post("/api/session", content=small).status_code == 422
+    declared = live.client.post("/api/session", content=large)
+    assert (declared.status_code, declared.json()["error"]["kind"]) == (413, "TooLargeError")
+    streamed = live.client.post("/api/session", content=(large[i : i + 65536] for i in range(0, len(large), 65536)))
+    assert streamed.status_code == 413
+    assert live.client.get("/api/session").status_code == 200
+
+
+def test_a_chunked_body_without_end_is_cut_off(live: Live) -> None:
+    host, port = live.url.removeprefix("http://").split(":")
+    head = (
+        f"POST /api/session HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: {live.url}\r\nTransfer-Encoding: chunked\r\n\r\n"
+    )
+    chunk = b"10000\r\n" + b" " * 65536 + b"\r\n"
+    with socket.create_connection((host, int(port)), timeout=10) as raw:
+        raw.sendall(head.encode())
+        sent = 0
+        try:
+            while sent < 1024 * len(chunk):
+                raw.sendall(chunk)
+                sent += len(chunk)
+        except OSError:
+            pass  # the server has closed the connection
+        assert sent < 1024 * len(chunk), "it took 64 MiB"
+
+
+def test_a_fault_of_the_program_tells_nothing(tmp_path: Path) -> None:
+    app = create_app(ServerSettings(tmp_path))
+
+    def broken() -> None:
+        raise RuntimeError("the secret")
+
+    app.add_api_route("/api/broken", broken)
+    app.router.routes.insert(0, app.router.routes.pop())
+    answer = ask(app, "GET", "/api/broken")
+    assert answer.status_code == 500
+    assert answer.json()["error"] == {"kind": "InternalError", "message": "internal error, see the server's log"}
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example"])
+def test_sockets_of_a_real_server(live: Live, origin: str | None) -> None:
+    url, cookie = live.socket_url("/api/events?project=room"), {"Cookie": live.cookies()}
+    with pytest.raises(InvalidStatus) as refused, connect(url, additional_headers=cookie, origin=origin):
+        pass
+    assert refused.value.response.status_code == 403
+    with connect(url, additional_headers=cookie, origin=live.url) as socket_:
+        assert "presence" in socket_.recv(timeout=5)
