@@ -79,7 +79,6 @@ function createPanel(name, desk) {
   const root = h("section", { class: "panel ortho", "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` }, h("header", {}, h("h3", {}, TITLES[name]), h("span", { class: "grow" }), scale), body);
   let view = null;
   let start = null;
-  let turning = false;
 
   const editor = createEditor(body, {
     label: `${TITLES[name]} view of the selected box`,
@@ -90,34 +89,47 @@ function createPanel(name, desk) {
     color: () => STATE_COLORS[desk.shown?.state] ?? STATE_COLORS.proposed,
     onDrag([rect]) {
       if (!view || !rect || !desk.shown) return;
-      start ??= copyBox(desk.shown.box);
+      begin();
       desk.preview({ box: withViewRect(view, start, rect) });
     },
     onChange(_, __, ___, actions) {
-      start = null;
-      void desk.commit(actions);
+      end();
+      if (desk.hasDraft) void desk.commit(actions);
+      else follow();
     },
     onRotate(angle_rad, final) {
       if (!view || !desk.shown) return;
-      start ??= copyBox(desk.shown.box);
-      turning = !final && angle_rad !== 0;
+      begin();
       desk.preview({ box: turnedInView(view, start, angle_rad) });
-      if (!turning) start = null;
-      if (final) void desk.commit();
+      if (!final) return;
+      end();
+      void desk.commit();
     },
   });
   editor.setHandles({ edges: true, corners: true, rotate: true });
 
+  let is_pointer = false;
+  editor.root.addEventListener("pointerdown", () => (is_pointer = true), { capture: true });
+  editor.root.addEventListener("keydown", () => (is_pointer = false), { capture: true });
+
+  /** From here on the editor has the box: what is done is measured from the box as it was. */
+  function begin() {
+    start ??= copyBox(desk.shown.box);
+    // A drag that was given up, or that moved nothing, is followed by no change; presses of the arrow keys are, later.
+    if (is_pointer && !editor.isDragging) queueMicrotask(() => start && !editor.isDragging && (end(), follow()));
+  }
+
+  function end() {
+    start = null;
+  }
+
   function follow() {
     const box = desk.shown?.box;
     root.classList.toggle("idle", !box);
-    if (editor.isDragging && box) {
-      editor.setOverlays(turning ? viewHeading(view, box, STATE_COLORS[desk.shown.state]) : headingOf(box));
-      return;
-    }
-    start = null;
-    turning = false;
-    if (!view || !box) {
+    if (start && box) {
+      // the editor draws the rectangle itself
+      editor.setOverlays(headingOf(box));
+    } else if (!view || !box) {
       editor.setBoxes([]);
       editor.setOverlays([]);
     } else if (isAligned(view, box)) {
@@ -135,14 +147,14 @@ function createPanel(name, desk) {
     name,
     root,
     editor,
-    isDragging: () => editor.isDragging,
+    isDragging: () => start !== null || editor.isDragging,
     follow,
 
     async setView(fresh) {
       note.hidden = true;
       // the picture and the box on it change together
       await editor.setPicture(fresh.url, fresh.width, fresh.height);
-      if (editor.isDragging) return;
+      if (start || editor.isDragging) return;
       view = fresh;
       scale.textContent = `${(fresh.metres_per_px * fresh.width).toFixed(2)} m wide`;
       editor.fit();
