@@ -1,0 +1,72 @@
+"""Wire frames on the image: what is visible of each edge, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.edges import PIECES_DISTORTED, cut_segments, visible_edges
+from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import project
+from annotator.types import Camera, OrientedBox
+
+CAMERA = Camera(640, 480, 500.0, 510.0, 320.0, 235.0)
+BENT = Camera(640, 480, 500.0, 510.0, 320.0, 235.0, (-0.28, 0.09, 0.001, -0.0005, -0.012))
+
+
+def box_at(x: float, y: float, z: float, size: float = 1.0, turn: float = 0.4) -> OrientedBox:
+    rotation = Rotation.from_euler("xyz", [0.2, turn, -0.3]).as_matrix()
+    return OrientedBox.from_parts(np.array([x, y, z]), rotation, np.array([size, 0.6 * size, 0.4 * size]))
+
+
+def test_a_box_in_full_view_has_its_twelve_edges() -> None:
+    box = box_at(0.1, 0.0, 4.0)
+    (pieces,) = visible_edges(CAMERA, [box])
+    px = project(CAMERA, box_corners(box))
+    assert np.allclose(pieces, px[np.array(EDGES)], atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BENT])
+@pytest.mark.parametrize(
+    "place", [(0.0, 0.0, 3.0), (1.7, 0.2, 3.0), (-0.9, 0.8, 2.0), (0.0, 0.0, 0.4), (0.3, 0.1, 0.2)]
+)
+def test_the_pieces_span_what_the_box_spans(camera: Camera, place: tuple[float, float, float]) -> None:
+    box = box_at(*place)
+    (pieces,) = visible_edges(camera, [box])
+    spanned = box_on_image(camera, box, "x")
+    assert spanned is not None
+    inside = pieces.reshape(-1, 2).clip([-0.5, -0.5], [639.5, 479.5])
+    # a face may fill the picture beyond the edges that are seen, never the other way round
+    assert (inside.min(axis=0) >= np.array(spanned.xyxy[:2]) - 0.1).all()
+    assert (inside.max(axis=0) <= np.array(spanned.xyxy[2:]) + 0.1).all()
+    assert np.isfinite(pieces).all()
+
+
+def test_what_cannot_be_seen_has_no_pieces_and_boxes_keep_their_order() -> None:
+    behind, beside, shown = box_at(0, 0, -3.0), box_at(30.0, 0, 3.0), box_at(0, 0, 4.0)
+    found = visible_edges(CAMERA, [behind, shown, beside])
+    assert [len(pieces) for pieces in found] == [0, 12, 0]
+    assert visible_edges(CAMERA, []) == []
+
+
+def test_edges_are_bent_on_a_distorted_image() -> None:
+    (pieces,) = visible_edges(BENT, [box_at(0.6, 0.4, 2.5)])
+    assert len(pieces) == 12 * PIECES_DISTORTED
+    ends = pieces.reshape(12, PIECES_DISTORTED, 2, 2)
+    assert np.allclose(ends[:, :-1, 1], ends[:, 1:, 0]), "the pieces of an edge follow each other"
+
+
+def test_a_cut_segment_is_the_part_that_is_kept() -> None:
+    rng = np.random.default_rng(4)
+    ends = rng.normal(size=(200, 2, 3))
+    planes = np.column_stack([rng.normal(size=(5, 3)), np.full(5, -0.4)])
+    cut, seen = cut_segments(ends, planes)
+    share = np.linspace(0, 1, 401)[:, None, None]
+    along = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+    kept = (along @ planes[:, :3].T >= planes[:, 3]).all(axis=2)
+    assert (kept.any(axis=0) <= seen).all()
+    for n in np.flatnonzero(kept.sum(axis=0) > 1):
+        points = along[kept[:, n], n]
+        assert np.allclose(cut[n], points[[0, -1]], atol=0.02)
