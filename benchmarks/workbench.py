@@ -1,0 +1,160 @@
+"""What the workbench must reach: how long an operator waits, and that no saved edit is ever lost.
+
+python -m benchmarks.workbench [--only switch,views,million,kill,clients] [--json]
+
+The browser is headless Chromium, which draws WebGL in software: on a computer with a graphics card the 3D view is
+faster than measured here.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+import tyro
+
+from annotator.types.errors import ConfigError
+from benchmarks import workbench_browser, workbench_edits
+from benchmarks.report import Table, finish, guarded
+from benchmarks.workbench_server import LABEL, PRESET, make_people, make_project, serving
+
+PARTS = ("switch", "views", "million", "kill", "clients")
+KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc")
+# A depth image of so many pixels has a million valid points.
+MILLION_PX = (1280, 800)
+
+
+@dataclass
+class Arguments:
+    """Figures of the workbench, on generated recordings and one of KITTI."""
+
+    only: str = ",".join(PARTS)
+    """Parts to measure, with commas."""
+    frames: int = 12
+    """Of the generated 640 x 480 recording."""
+    switches: int = 60
+    """Frames to switch to, on each recording."""
+    boxes: int = 24
+    """Image boxes to draw."""
+    kills: int = 50
+    """How often the server is killed."""
+    clients: int = 20
+    """At once on one frame."""
+    edits: int = 5
+    """Of each client."""
+    shared: Path = Path(os.environ.get("ANNOTATOR_SHARED", "../shared"))
+    """Where `data/kitti_drive_0005` is, a tracking-style KITTI recording; it is left out where that is missing."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+def run(args: Arguments) -> dict[str, Any]:
+    """The benchmark; what `--json` prints.
+
+    Raises:
+        ConfigError: a part that there is not, no browser, or a server that does not start.
+    """
+    parts = [part.strip() for part in args.only.split(",") if part.strip()]
+    if unknown := [part for part in parts if part not in PARTS]:
+        raise ConfigError(f"--only: there is no part {unknown[0]!r}; there are {', '.join(PARTS)}")
+    with TemporaryDirectory() as temporary:
+        return {name: measure(args, Path(temporary)) for name, measure in _measures().items() if name in parts}
+
+
+def _measures() -> dict[str, Callable[[Arguments, Path], dict[str, Any]]]:
+    measures = (measure_switch, measure_views, measure_million, measure_kill, measure_clients)
+    return dict(zip(PARTS, measures, strict=True))
+
+
+def _people(args: Arguments, folder: Path) -> Path:
+    """The generated recording, made once."""
+    path = folder / PRESET
+    return path if path.exists() else make_people(path, args.frames, 640, 480)
+
+
+def measure_switch(args: Arguments, folder: Path) -> dict[str, Any]:
+    """Both recordings, each with all its labels shown."""
+    projects = folder / "switch"
+    recordings = {"rgbd": _people(args, folder), "kitti": args.shared / "data" / "kitti_drive_0005"}
+    there = {name: path for name, path in recordings.items() if path.is_dir()}
+    for name, path in there.items():
+        make_project(projects, name, (LABEL,) if name == "rgbd" else KITTI, [path])
+    with serving(projects) as server, workbench_browser.chromium() as browser:
+        return {
+            name: workbench_browser.switch(
+                browser, server, name, workbench_browser.frames_of(projects, name), args.switches
+            )
+            for name in there
+        }
+
+
+def measure_views(args: Arguments, folder: Path) -> dict[str, Any]:
+    """Boxes around true objects, on frames that nobody has labelled."""
+    from annotator.geometry.outline import box_on_image
+    from annotator.recordings import open_recording
+    from annotator.workflows.truth import load_truth
+
+    projects, recording = folder / "views", open_recording(_people(args, folder))
+    make_project(projects, "views", (LABEL,), [_people(args, folder)])
+    boxes = []
+    for index, frame_id in enumerate(workbench_browser.frames_of(projects, "views")):
+        frame = recording.frame(index)
+        for truth in load_truth(recording, index, frame):
+            box = box_on_image(frame.camera, truth.box, LABEL, 20)
+            if box is not None:
+                boxes.append((frame_id, box.xyxy))
+    with serving(projects) as server, workbench_browser.chromium() as browser:
+        return workbench_browser.views(browser, server, "views", boxes[: args.boxes])
+
+
+def measure_million(args: Arguments, folder: Path) -> dict[str, Any]:
+    """One frame of a million points, beside a small one."""
+    projects = folder / "million"
+    small, large = make_people(folder / "small", 1, 320, 240), make_people(folder / "large", 1, *MILLION_PX)
+    make_project(projects, "million", (LABEL,), [small, large])
+    first, second = workbench_browser.frames_of(projects, "million")
+    with serving(projects) as server, workbench_browser.chromium() as browser:
+        return workbench_browser.million(browser, server, "million", first, second)
+
+
+def measure_kill(args: Arguments, folder: Path) -> dict[str, Any]:
+    """A scripted run of edits, cut off by `kill -9`."""
+    projects = folder / "kill"
+    make_project(projects, "kill", (LABEL,), [_people(args, folder)])
+    return workbench_edits.kill(projects, "kill", workbench_browser.frames_of(projects, "kill")[0], args.kills)
+
+
+def measure_clients(args: Arguments, folder: Path) -> dict[str, Any]:
+    """Many operators on one frame."""
+    projects = folder / "clients"
+    make_project(projects, "clients", (LABEL,), [_people(args, folder)])
+    frame = workbench_browser.frames_of(projects, "clients")[0]
+    with ExitStack() as stack:
+        server = stack.enter_context(serving(projects))
+        browser = stack.enter_context(workbench_browser.chromium())
+        return workbench_edits.clients(browser, server, "clients", frame, args.clients, args.edits)
+
+
+def _rows(result: Mapping[str, Any], prefix: str = "") -> list[tuple[str, object]]:
+    rows: list[tuple[str, object]] = []
+    for name, value in result.items():
+        rows += _rows(value, f"{prefix}{name} ") if isinstance(value, Mapping) else [(f"{prefix}{name}", value)]
+    return rows
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = run(args)
+    table = Table("measure", "figure")
+    for row in _rows(result):
+        table.add(*row)
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    guarded(main)

@@ -1,0 +1,279 @@
+"""What an operator waits for: measured in a real browser, from the key or the mouse to what is on the screen.
+
+A probe in the page looks at each animation frame: which picture the editors show, and a small copy of the 3D view's
+pixels. Something is on the screen from the first frame on after which it does not change any more.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+
+from annotator.types.errors import ConfigError
+from benchmarks.workbench_server import Server, answered, percentile
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+ARGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+VIEWPORT = {"width": 1366, "height": 768}
+OPENS_WITHIN_S = 90.0
+# After so long at the latest all is on the screen, or the measurement has failed; and so long nothing may change.
+WATCH_S, QUIET_S = 8.0, 0.6
+
+# Begins to watch at the next `trigger` event: pictures by selector, and the 3D view where there is one.
+PROBE = """([trigger, selector, quiet_ms, longest_ms]) => {
+  const frame = document.querySelector("[data-testid=viewport-frame]");
+  const canvas = [...(frame?.contentDocument?.querySelectorAll("canvas") ?? [])].find((c) => c.dataset.engine);
+  const small = Object.assign(document.createElement("canvas"), { width: 64, height: 48 });
+  const context = small.getContext("2d", { willReadFrequently: true });
+  const look = () => {
+    if (!canvas) return null;
+    context.drawImage(canvas, 0, 0, 64, 48);
+    return context.getImageData(0, 0, 64, 48).data;
+  };
+  const pictures = () => [...document.querySelectorAll(selector)].map((i) => (i.complete ? i.src : "")).join(" ");
+  const differs = (a, b) => a !== b && a.some((value, n) => Math.abs(value - b[n]) > 10);
+  const seen = { picture: pictures(), view: look(), first: pictures() };
+  const at = { begin: null, picture: null, view: null };
+  window.measured = null;
+  addEventListener(trigger, () => (at.begin ??= performance.now()), { capture: true, once: true });
+  const tick = () => {
+    const now = performance.now();
+    const [picture, view] = [pictures(), look()];
+    if (at.begin !== null) {
+      if (picture !== seen.picture) at.picture = now;
+      if (view && differs(view, seen.view)) at.view = now;
+      const last = Math.max(at.picture ?? at.begin, at.view ?? at.begin);
+      const is_done = at.picture !== null && (at.view !== null || !canvas) && now - last > quiet_ms;
+      if (is_done || now - at.begin > longest_ms) {
+        window.measured = { picture: at.picture && at.picture - at.begin, view: at.view && at.view - at.begin };
+        return;
+      }
+    }
+    seen.picture = picture;
+    seen.view = view;
+    requestAnimationFrame(tick);
+  };
+  requestAnimationFrame(tick);
+}"""
+
+# The longest time for which the page's thread did nothing else.
+HEARTBEAT = """() => {
+  window.stall = 0;
+  let last = performance.now();
+  clearInterval(window.heartbeat);
+  window.heartbeat = setInterval(() => {
+    const now = performance.now();
+    window.stall = Math.max(window.stall, now - last - 10);
+    last = now;
+  }, 10);
+}"""
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Headless Chromium that draws WebGL in software.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise ConfigError("playwright is not installed; run scripts/setup test") from error
+    path = os.environ.get("ANNOTATOR_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    if path is None:
+        raise ConfigError("there is no chromium on the path; install it, or set ANNOTATOR_CHROMIUM")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=list(ARGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
+    """A page in a browser context of its own."""
+    page = browser.new_context(base_url=server.url, viewport=VIEWPORT).new_page()  # type: ignore[arg-type]
+    page.request.post("/api/session", data={"operator": operator}, headers={"Origin": server.url})
+    return page
+
+
+def open_mode(page: Page, project: str, mode: str, frame: int) -> None:
+    """Opens a mode on a frame, until image and 3D view are there."""
+    page.goto(f"/#/{project}/{mode}/{frame}")
+    page.reload()
+    until(page, "document.querySelector('[data-testid=viewport]')?.dataset.state === 'ready'", OPENS_WITHIN_S)
+    until(page, "document.querySelector('img.picture')?.complete", OPENS_WITHIN_S)
+    page.wait_for_timeout(2000)
+
+
+def until(page: Page, expression: str, seconds: float) -> None:
+    """Waits for a JavaScript expression.
+
+    Raises:
+        ConfigError: not within the time.
+    """
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        if time.monotonic() > end:
+            raise ConfigError(f"not within {seconds:.0f} s: {expression}")
+        page.wait_for_timeout(50)
+
+
+def watch(page: Page, trigger: str, selector: str) -> None:
+    """Begins to watch from the next such event on."""
+    page.evaluate(PROBE, [trigger, selector, QUIET_S * 1000, WATCH_S * 1000])
+
+
+def measured(page: Page) -> dict[str, float]:
+    """When picture and 3D view were there, ms after the event.
+
+    Raises:
+        ConfigError: one of them never was.
+    """
+    until(page, "window.measured !== null", WATCH_S + OPENS_WITHIN_S)
+    found: dict[str, float | None] = page.evaluate("window.measured")
+    times = {name: value for name, value in found.items() if value is not None}
+    if "picture" not in times:
+        raise ConfigError(f"the new picture was not on the screen within {WATCH_S:.0f} s")
+    return times
+
+
+def switch(browser: Browser, server: Server, project: str, frames: Sequence[int], rounds: int) -> dict[str, Any]:
+    """From the key N or P to the new frame's image and cloud on the screen, in Review."""
+    page = signed_in(browser, server)
+    open_mode(page, project, "review", frames[0])
+    times: list[dict[str, float]] = []
+    keys = ["n"] * (len(frames) - 1) + ["p"] * (len(frames) - 1)
+    for number in range(rounds):
+        watch(page, "keydown", "[data-testid=image-editor] img.picture, img.picture[src*='image.jpg']")
+        page.keyboard.press(keys[number % len(keys)])
+        times.append(measured(page))
+    page.context.close()
+    both = [max(t.values()) for t in times if "view" in t]
+    images, clouds = [t["picture"] for t in times], [t["view"] for t in times if "view" in t]
+    return {
+        "switches": len(both),
+        "p50_ms": percentile(both, 50),
+        "p95_ms": percentile(both, 95),
+        "image_p95_ms": percentile(images, 95),
+        "cloud_p95_ms": percentile(clouds, 95),
+    }
+
+
+def views(
+    browser: Browser, server: Server, project: str, boxes: Sequence[tuple[int, tuple[float, float, float, float]]]
+) -> dict[str, Any]:
+    """From the release of the mouse, an image box drawn, to its two pseudo-views on the screen, in Label.
+
+    Args:
+        boxes: frame, and x_min, y_min, x_max, y_max on its image, pixels.
+    """
+    page = signed_in(browser, server)
+    open_mode(page, project, "label", boxes[0][0])
+    times = []
+    for frame, box in boxes:
+        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/label/{frame}")
+        _wait_for_frame(page, frame)
+        corners = _on_page(page, box)
+        page.mouse.move(*corners[0])
+        page.mouse.down()
+        page.mouse.move(*corners[1], steps=4)
+        watch(page, "pointerup", ".views img.picture")
+        page.mouse.up()
+        times.append(measured(page)["picture"])
+        page.wait_for_timeout(300)
+    page.context.close()
+    return {"boxes": len(times), "p50_ms": percentile(times, 50), "p95_ms": percentile(times, 95)}
+
+
+def _wait_for_frame(page: Page, frame: int) -> None:
+    picture = f"[data-testid=image-editor] img.picture[src*='frames/{frame}/image']"
+    until(page, f'document.querySelector("{picture}")?.complete', OPENS_WITHIN_S)
+    page.wait_for_timeout(500)
+
+
+def _on_page(page: Page, box: tuple[float, float, float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Two corners of a box on the image, in pixels of the page."""
+    image = page.locator("[data-testid=image-editor] img.picture").first
+    rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
+    x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
+    low = (rect["left"] + (box[0] + 0.5) * x, rect["top"] + (box[1] + 0.5) * y)
+    return low, (rect["left"] + (box[2] + 0.5) * x, rect["top"] + (box[3] + 0.5) * y)
+
+
+def million(browser: Browser, server: Server, project: str, small: int, large: int) -> dict[str, Any]:
+    """Opens a frame of a million points beside a small one: what is shown, and the longest stall anywhere."""
+    page = signed_in(browser, server)
+    open_mode(page, project, "review", small)
+    with server.client() as client, _pinged(server) as pings:
+        page.evaluate(HEARTBEAT)
+        pings.clear()
+        began = time.perf_counter()
+        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/review/{large}")
+        until(page, f"document.querySelector(\"img.picture[src*='frames/{large}/image']\")?.complete", 60)
+        answer = "document.querySelector('[data-testid=viewport-points]').textContent"
+        until(page, f"/ of /.test({answer})", 60)
+        opened_s = time.perf_counter() - began
+        page.wait_for_timeout(1000)
+        # and it still turns
+        place = page.get_by_test_id("viewport").bounding_box()
+        assert place is not None
+        x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 60, y + 20, steps=10)
+        page.mouse.up()
+        stall_ms, text = page.evaluate("window.stall"), page.evaluate(answer)
+        slowest_ms = max(pings, default=float("nan"))
+        state = answered(client.get(f"/api/projects/{project}/frames/{large}"))
+    page.context.close()
+    shown = int(text.split(" of ")[0].replace(",", ""))
+    return {
+        "points": state["points"],
+        "shown_points": shown,
+        "opened_s": opened_s,
+        "page_stall_ms": stall_ms,
+        "server_stall_ms": slowest_ms,
+        "points_in_boxes": [label["points"] for label in state["labels"]],
+    }
+
+
+@contextmanager
+def _pinged(server: Server) -> Iterator[list[float]]:
+    """How long the server takes for the smallest request, asked all the time, ms."""
+    times: list[float] = []
+    stop = threading.Event()
+
+    def ping() -> None:
+        with httpx.Client(base_url=server.url, timeout=60.0) as client:
+            while not stop.wait(0.02):
+                began = time.perf_counter()
+                client.get("/api/session")
+                times.append((time.perf_counter() - began) * 1000)
+
+    thread = threading.Thread(target=ping)
+    thread.start()
+    try:
+        yield times
+    finally:
+        stop.set()
+        thread.join()
+
+
+def frames_of(projects: Path, name: str) -> list[int]:
+    """Ids of a project's frames, in order."""
+    from annotator.project import open_project
+
+    with open_project(projects / name) as project:
+        return [frame.id for frame in project.frames.of()]

@@ -1,0 +1,255 @@
+"""What is never lost: edits under `kill -9`, and under many operators on one frame."""
+
+from __future__ import annotations
+
+import json
+import random
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from annotator.types.errors import ConfigError
+from benchmarks.workbench_browser import open_mode, signed_in
+from benchmarks.workbench_server import LABEL, Server, answered, percentile
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+SIZE_M = [0.5, 0.6, 1.7]
+IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+# A killed server had at least and at most so long to be edited on, seconds.
+LIVES_S = (0.3, 2.5)
+SEEN_WITHIN_S = 1.0
+
+Stored = dict[str, tuple[str, float]]
+"""Labels by uid: state, and x of the centre, which tells each edit from any other."""
+
+
+def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> dict[str, Any]:
+    """Edits, kills the server in the middle, and looks what is stored, so many times."""
+    chance = random.Random(seed)
+    acknowledged = lost = 0
+    for _ in range(times):
+        server = Server(projects)
+        timer = threading.Timer(chance.uniform(*LIVES_S), server.kill)
+        with server.client() as client:
+            timer.start()
+            script = _Script(client, name, frame, chance)
+            script.run()
+        timer.join()
+        acknowledged += script.acknowledged
+        lost += not script.accounts_for(_stored(projects, name, frame))
+    return {"kills": times, "edits_acknowledged": acknowledged, "kills_that_lost_an_edit": lost}
+
+
+class _Script:
+    """Creates, moves, accepts and deletes boxes until the server is gone.
+
+    Attributes:
+        known: labels as of the last acknowledged edit.
+        expected: labels as they are if the edit on its way was stored before the answer could come.
+        acknowledged: how many edits were.
+    """
+
+    def __init__(self, client: httpx.Client, name: str, frame: int, chance: random.Random) -> None:
+        self._client, self._chance = client, chance
+        self._path = f"/api/projects/{name}/frames/{frame}"
+        self.acknowledged = 0
+        state = answered(client.get(self._path))
+        self._revision: int = state["frame"]["revision"]
+        self.known = self.expected = _labels(state)
+
+    def run(self) -> None:
+        while True:
+            change, self.expected = self._next()
+            body = {"revision": self._revision, "changes": [change]}
+            try:
+                response = self._client.post(f"{self._path}/changes", json=body)
+            except httpx.TransportError:
+                return
+            state = answered(response)
+            if change["kind"] == "create":
+                # the server gives a new box its uid
+                (uid,) = _labels(state).keys() - self.known.keys()
+                self.expected = {**self.known, uid: self.expected["?"]}
+            if _labels(state) != self.expected:
+                raise ConfigError(f"the answer to {change['kind']} does not show it")
+            self.known, self._revision = self.expected, state["frame"]["revision"]
+            self.acknowledged += 1
+
+    def accounts_for(self, stored: Stored) -> bool:
+        """True where all acknowledged edits are stored, and besides them at most the one that was on its way."""
+        new = stored.keys() - self.known.keys()
+        if "?" in self.expected and len(new) == 1:
+            return stored == {**self.known, new.pop(): self.expected["?"]}
+        return stored in (self.known, self.expected)
+
+    def _next(self) -> tuple[dict[str, Any], Stored]:
+        uid = self._chance.choice(sorted(self.known)) if self.known else None
+        kind = self._chance.choice(["create", "edit", "edit", "accept", "reject", "delete"])
+        if uid is None or (kind == "delete" and len(self.known) < 4) or (kind == "create" and len(self.known) > 12):
+            kind = "create" if uid is None else "edit"
+        x = round(self._chance.uniform(-2, 2), 6)
+        rest = {other: label for other, label in self.known.items() if other != uid}
+        if kind == "create":
+            return {"kind": "create", "label": LABEL, "box": box_at(x)}, {**self.known, "?": ("accepted", x)}
+        assert uid is not None
+        if kind == "edit":
+            change = {"kind": "edit", "uid": uid, "label": LABEL, "box": box_at(x), "track_id": None}
+            return change, {**rest, uid: ("edited", x)}
+        if kind == "delete":
+            return {"kind": "delete", "uid": uid}, rest
+        state = "accepted" if kind == "accept" else "rejected"
+        return {"kind": kind, "uid": uid}, {**rest, uid: (state, self.known[uid][1])}
+
+
+def box_at(x_m: float) -> dict[str, Any]:
+    """A box in front of the camera."""
+    return {"center": [x_m, 0.0, 3.0], "size": SIZE_M, "rotation": IDENTITY}
+
+
+def _labels(state: dict[str, Any]) -> Stored:
+    return {label["uid"]: (label["state"], round(label["box"]["center"][0], 6)) for label in state["labels"]}
+
+
+def _stored(projects: Path, name: str, frame: int) -> Stored:
+    from annotator.project import open_project
+
+    with open_project(projects / name) as project:
+        if problems := project.problems():
+            raise ConfigError(f"the database is damaged: {problems[0]}")
+        labels = project.frame_state(frame).labels
+    return {label.uid: (label.state.value, round(float(label.box.center_m[0]), 6)) for label in labels}
+
+
+@dataclass
+class _Listener:
+    """A client's socket of events: when it heard of which revision."""
+
+    heard_s: dict[int, float] = field(default_factory=dict)
+
+    def listen(self, server: Server, cookies: str, project: str, frame: int, ready: threading.Barrier) -> None:
+        url = server.url.replace("http", "ws", 1) + f"/api/events?project={project}"
+        with connect(url, additional_headers={"Cookie": cookies}, origin=server.url) as socket:  # type: ignore[arg-type]
+            socket.send(f'{{"type": "open", "project": "{project}", "frame": {frame}}}')
+            ready.wait()
+            try:
+                while True:
+                    event = json.loads(socket.recv(timeout=5))
+                    if event["type"] == "frame" and event["frame"] == frame:
+                        self.heard_s.setdefault(event["revision"], time.time())
+            except (TimeoutError, ConnectionClosed):
+                return
+
+
+def clients(
+    browser: Browser | None, server: Server, project: str, frame: int, number: int, edits: int
+) -> dict[str, Any]:
+    """So many clients add boxes to one frame at once, two browsers look on: what is lost, crossed, or late.
+
+    A client that is refused for a stale revision takes the present one and sends its edit again.
+    """
+    path = f"/api/projects/{project}/frames/{frame}"
+    with server.client() as client:
+        before = _labels(answered(client.get(path)))
+    pages = [] if browser is None else [signed_in(browser, server, name) for name in ("Grace", "Edsger")]
+    for page in pages:
+        open_mode(page, project, "review", frame)
+        page.evaluate(COUNT_ROWS)
+    listeners = [_Listener() for _ in range(number)]
+    saved: dict[int, float] = {}
+    made: dict[str, float] = {}
+    refused: list[int] = []
+    lock = threading.Lock()
+    ready = threading.Barrier(2 * number)
+
+    def edit(n: int) -> None:
+        chance = random.Random(n)
+        with server.client(f"operator {n}") as client:
+            cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+            listening = pool.submit(listeners[n].listen, server, cookies, project, frame, ready)
+            revision = answered(client.get(path))["frame"]["revision"]
+            ready.wait()
+            for turn in range(edits):
+                x = round(-2 + 4 * (n * edits + turn) / (number * edits), 6)
+                body = {"changes": [{"kind": "create", "label": LABEL, "box": box_at(x)}]}
+                while True:
+                    response = client.post(f"{path}/changes", json={"revision": revision, **body})
+                    answer = response.json()
+                    if response.status_code != 409:
+                        break
+                    revision = answer["state"]["frame"]["revision"]
+                    with lock:
+                        refused.append(n)
+                now = time.time()
+                state = answered(response)
+                revision = state["frame"]["revision"]
+                mine = [uid for uid, (_, at) in _labels(state).items() if at == x]
+                with lock:
+                    saved[revision] = now
+                    made.update(dict.fromkeys(mine, x))
+                time.sleep(chance.uniform(0.2, 1.0))
+            listening.result()
+
+    with ThreadPoolExecutor(2 * number) as pool:
+        for waiting in [pool.submit(edit, n) for n in range(number)]:
+            _pump(waiting, pages)
+    with server.client() as client:
+        after = _labels(answered(client.get(path)))
+    late = [heard[r] - at for heard in (entry.heard_s for entry in listeners) for r, at in saved.items() if r in heard]
+    unheard = sum(r not in entry.heard_s for entry in listeners for r in saved)
+    shown = [_shown_late(page, len(before), saved) for page in pages]
+    for page in pages:
+        page.context.close()
+    return {
+        "clients": number,
+        "edits": number * edits,
+        "refused_as_stale": len(refused),
+        "lost": sum(after.get(uid, ("", None))[1] != x for uid, x in made.items()) + number * edits - len(made),
+        "crossed": len(after) - len(before) - number * edits,
+        "events_missed": unheard,
+        "event_p95_s": percentile(late, 95),
+        "event_max_s": max(late, default=float("nan")),
+        "browsers": len(pages),
+        "browsers_all_shown": all(entry["shown"] == len(after) for entry in shown),
+        "browser_p95_s": percentile([late for entry in shown for late in entry["late_s"]], 95),
+        "browser_max_s": max((late for entry in shown for late in entry["late_s"]), default=float("nan")),
+    }
+
+
+# How many boxes the page lists, and since when.
+COUNT_ROWS = """() => {
+  window.rows = [];
+  setInterval(() => {
+    const count = document.querySelectorAll("[data-testid=frame-box]").length;
+    if (count !== (window.rows.at(-1)?.[0] ?? -1)) window.rows.push([count, Date.now() / 1000]);
+  }, 10);
+}"""
+
+
+def _pump(waiting: Any, pages: list[Page]) -> None:
+    """Waits for a client; the pages' own messages are taken meanwhile."""
+    while not waiting.done():
+        if pages:
+            pages[0].wait_for_timeout(100)
+        else:
+            time.sleep(0.05)
+    waiting.result()
+
+
+def _shown_late(page: Page, before: int, saved: dict[int, float]) -> dict[str, Any]:
+    """How long after each save the page listed as many boxes, seconds."""
+    page.wait_for_timeout(1500)
+    rows: list[list[float]] = page.evaluate("window.rows")
+    late = []
+    for number, revision in enumerate(sorted(saved), start=1):
+        since = [at for count, at in rows if count >= before + number]
+        late.append(min(since) - saved[revision] if since else float("inf"))
+    return {"shown": int(rows[-1][0]), "late_s": late}
