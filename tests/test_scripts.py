@@ -92,3 +92,57 @@ def test_an_environment_that_was_moved_is_made_anew(clone: Path) -> None:
     assert "does not work here any more" in result.stderr
     assert result.returncode == 1
     assert not (moved / ".venv").exists()
+
+
+def programs(folder: Path, *names: str, **scripts: str) -> Path:
+    """A folder for the PATH with only these programs of the machine, and made-up ones."""
+    folder.mkdir()
+    for name in names:
+        found = shutil.which(name)
+        assert found is not None, name
+        (folder / name).symlink_to(found)
+    for name, text in scripts.items():
+        path = folder / name.replace("_", "-")
+        path.write_text(f"#!/bin/bash\n{text}\n")
+        path.chmod(0o755)
+    return folder
+
+
+NEEDED = ("bash", "env", "dirname", "uname", "sed", "tr", "sort", "paste", "mv", "rm", "tail")
+
+
+def test_the_tests_get_a_browser_where_there_is_none(clone: Path, tmp_path: Path) -> None:
+    fake_environment(clone)
+    log = tmp_path / "apt.log"
+    path = programs(tmp_path / "bin", *NEEDED, id="echo 0", apt_get=f'echo "$*" >>"{log}"')
+    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
+    assert result.returncode == 0, result.stderr
+    assert log.read_text().splitlines()[-1] == "-qq install -y --no-install-recommends chromium"
+    log.unlink()
+    for extras, environment in [(["kinect"], {}), (["test"], {"ANNOTATOR_CHROMIUM": "/somewhere/chrome"})]:
+        assert setup(clone, *extras, **{"PATH": str(path), "ANNOTATOR_CHROMIUM": "", **environment}).returncode == 0
+    (path / "chromium").symlink_to("/bin/true")
+    assert setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="").returncode == 0
+    assert not log.exists()
+
+
+def test_without_a_browser_and_rights_one_line_says_what_to_install(clone: Path, tmp_path: Path) -> None:
+    fake_environment(clone)
+    path = programs(tmp_path / "bin", *NEEDED, id="echo 1000", apt_get="exit 1")
+    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
+    assert result.returncode == 1
+    assert result.stderr.splitlines() == [
+        "setup: the tests drive a browser and found none of chromium chromium-browser google-chrome; install it as "
+        "root and call this again (Debian, Ubuntu: apt-get install chromium)"
+    ]
+
+
+def test_sudo_without_a_password_is_used(clone: Path, tmp_path: Path) -> None:
+    fake_environment(clone)
+    log = tmp_path / "apt.log"
+    sudo = f'[[ "$1" == -n ]] || exit 1; shift; echo "sudo $*" >>"{log}"; exec "$@"'
+    path = programs(tmp_path / "bin", *NEEDED, "true", id="echo 1000", sudo=sudo, apt_get=f'echo "$*" >>"{log}"')
+    assert setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="").returncode == 0
+    said = log.read_text()
+    assert "sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y" in said
+    assert said.splitlines()[-1].endswith("chromium")
