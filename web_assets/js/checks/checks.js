@@ -15,15 +15,21 @@ const LISTED = 200;
 
 export function mount(root, app) {
   const body = h("div", { class: "stack" }, h("p", { class: "muted" }, "Looking at all boxes …"));
+  const note = h("span", { class: "muted", role: "status", "data-testid": "checks-note" });
   const again = h("button", { type: "button", "data-testid": "check-again", onclick: () => void load() }, "Check again");
-  root.append(h("div", { class: "page", "data-testid": "checks" }, h("div", { class: "row" }, h("h1", { class: "grow" }, "Checks"), again), body));
+  root.append(h("div", { class: "page", "data-testid": "checks" }, h("div", { class: "row" }, h("h1", {}, "Checks"), note, h("span", { class: "grow" }), again), body));
   let ended = false;
+  let timer = 0;
 
   async function load() {
+    clearTimeout(timer);
     again.disabled = true;
     try {
-      const { warnings } = await app.api.get(app.path("checks"));
-      if (!ended) show(warnings);
+      const report = await app.api.get(app.path("checks"));
+      if (ended) return;
+      show(report);
+      // the server stops after a few seconds, and goes on where it was
+      if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
       if (!ended) body.replaceChildren(h("p", { class: "error-box", role: "alert" }, error.message));
     } finally {
@@ -31,19 +37,21 @@ export function mount(root, app) {
     }
   }
 
-  function show(warnings) {
+  function show({ warnings, labels, unreadable, uncounted }) {
+    note.textContent = uncounted > 0 ? `Counting points: ${count(uncounted, "frame")} to go …` : `${count(labels, "box was", "boxes were")} looked at.`;
+    const failed = unreadable.length ? [h("div", { class: "error-box", role: "alert" }, `These frames could not be read:\n${unreadable.join("\n")}`)] : [];
     if (warnings.length === 0) {
-      body.replaceChildren(h("div", { class: "empty panel", "data-testid": "no-warnings" }, h("h2", {}, "Nothing looks wrong"), h("p", {}, "Sizes, points, headings and overlaps of all boxes were looked at.")));
+      const nothing = labels === 0 ? ["There is no box yet", "Label objects, or let the detectors propose some, and come back."] : ["Nothing looks wrong", "Sizes, points, headings and overlaps of all boxes were looked at."];
+      body.replaceChildren(...failed, h("div", { class: "empty panel", "data-testid": "no-warnings" }, h("h2", {}, nothing[0]), h("p", {}, nothing[1])));
       return;
     }
     const unknown = [...new Set(warnings.map(({ kind }) => kind))].filter((kind) => !KINDS.some(([name]) => name === kind)).map((kind) => [kind, kind, ""]);
     const groups = [...KINDS, ...unknown].map(([kind, title, help]) => [title, help, kind, warnings.filter((warning) => warning.kind === kind)]).filter(([, , , found]) => found.length > 0);
-    body.replaceChildren(...groups.map(group));
+    body.replaceChildren(...failed, ...groups.map(group));
   }
 
   function group([title, help, kind, found]) {
-    const names = new Map(app.state.project.recordings.map(({ id, name }) => [id, name]));
-    const rows = found.slice(0, LISTED).map((warning) => row(warning, names));
+    const rows = found.slice(0, LISTED).map(row);
     if (found.length > LISTED) rows.push(h("li", { class: "muted pad" }, `and ${count(found.length - LISTED, "more", "more")}`));
     return h(
       "section",
@@ -53,15 +61,16 @@ export function mount(root, app) {
     );
   }
 
-  function row({ frame, key, recording, uid, message }, names) {
+  function row({ frame, key, recording, uid, message }) {
     const href = makeHash(app.state.route.project, "review", frame, { uid });
-    return h("li", {}, h("a", { href, "data-testid": "warning", "data-uid": uid }, h("span", { class: "grow" }, message), h("span", { class: "muted number" }, `${names.get(recording) ?? ""} ${key}`)));
+    return h("li", {}, h("a", { href, "data-testid": "warning", "data-uid": uid }, h("span", { class: "grow" }, message), h("span", { class: "muted number" }, `${recording} ${key}`)));
   }
 
   void load();
   return {
     unmount() {
       ended = true;
+      clearTimeout(timer);
     },
   };
 }

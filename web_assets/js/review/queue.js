@@ -8,6 +8,8 @@ export const ORDERS = [
 
 /** Another operator's work is read in after this pause, milliseconds. */
 const CALM_MS = 1500;
+/** The server sends the first few hundred items; more are read when so few of them are left. */
+const FEW = 100;
 
 export function createQueue(app, onChange) {
   let order = ORDERS.some(([name]) => name === localStorage.getItem("queue-order")) ? localStorage.getItem("queue-order") : "worst";
@@ -74,7 +76,8 @@ export function createQueue(app, onChange) {
       remaining = Math.max(items.length, remaining - (before - items.length));
       const known = new Set(items.map(({ uid }) => uid));
       // an undo brings proposals back
-      if (!label && [...open].some((uid) => !known.has(uid))) this.reloadSoon();
+      const comes_back = !label && [...open].some((uid) => !known.has(uid));
+      if (comes_back || (items.length < FEW && items.length < remaining)) this.reloadSoon();
       if (items.length !== before) onChange();
     },
 

@@ -5,7 +5,9 @@ import { h } from "../dom.js";
 import { makeHash } from "../router.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
-const ORIGINS = { "proposal accepted untouched": "Proposal, accepted untouched", "proposal edited": "Proposal, edited", "from nothing": "From nothing" };
+const ORIGINS = { "proposal accepted untouched": "Proposal, accepted untouched", "proposal edited": "Proposal, edited", "from nothing": "From nothing", "placed in 3D": "Placed in 3D", copied: "Copied", "import edited": "Imported, edited" };
+/** These are listed without any box, too: they are what the tool is measured by. */
+const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
 export function mount(root, app) {
   const tiles = h("div", { class: "tiles", "data-testid": "stats-tiles" });
@@ -74,7 +76,8 @@ function table(heads, rows, testid) {
 }
 
 function effortTable({ effort }) {
-  const rows = Object.entries(effort.by_origin).map(([name, entry]) => [originName(name), number(entry.boxes, 0), number(entry.seconds_a_box), number(entry.actions_a_box)]);
+  const shown = Object.entries(effort.by_origin).filter(([name, entry]) => entry.boxes > 0 || ALWAYS.includes(name));
+  const rows = shown.map(([name, entry]) => [originName(name), number(entry.boxes, 0), number(entry.seconds_a_box), number(entry.actions_a_box)]);
   rows.push(["All", number(effort.boxes, 0), number(effort.seconds_a_box), number(effort.actions_a_box)]);
   return section("What a box costs", table(["Where it came from", "Boxes", "Seconds a box", "Actions a box"], rows, "stats-effort"));
 }
