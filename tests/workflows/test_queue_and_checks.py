@@ -1,0 +1,181 @@
+"""What to look at next, and what looks wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.cli.main import main
+from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
+from annotator.types.errors import NotFoundError
+from annotator.workflows.checks import Kind, check, check_project
+from annotator.workflows.doubt import doubt
+from annotator.workflows.own_labels import import_own_labels
+from annotator.workflows.point_counts import PointCounts
+from annotator.workflows.queue import Order, queue
+
+
+def box_at(x: float, yaw_rad: float = 0.0, size: Sequence[float] = (0.8, 0.5, 1.7)) -> OrientedBox:
+    rotation = Rotation.from_rotvec([0, 0, yaw_rad]).as_matrix()
+    return OrientedBox.from_parts(np.array([x, 0.0, 3.0]), rotation, np.array(size, np.float64))
+
+
+def proposed(x: float, score: float, label: str = "person") -> Proposal:
+    return Proposal(label, score, box_at(x), Box2D(label, 0.0, 0.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0, 1.0))
+
+
+def propose(project: Project, frame: StoredFrame, *proposals: Proposal) -> None:
+    change = Change(project.frames.get(frame.id).revision, "rcv", Source.AUTO)
+    project.proposals.replace(frame.id, proposals, change)
+
+
+@pytest.mark.parametrize(
+    ("quality", "score", "low", "high"),
+    [
+        (None, 0.3, None, None),
+        (Quality(0.0, 1.0, 0.0), 1.0, 0.0, 0.0),
+        (Quality(0.5, 1.0, 0.0), 1.0, 0.69, 0.71),
+        (Quality(0.0, 0.2, 0.9, 0.1), 0.0, 0.97, 1.0),
+        (Quality(float("nan"), 1.0, float("nan"), None), 0.5, 0.3, 0.4),
+    ],
+)
+def test_doubt(quality: Quality | None, score: float, low: float | None, high: float | None) -> None:
+    found = doubt(quality, score)
+    if low is None or high is None:
+        assert found is None
+    else:
+        assert found is not None and low <= found <= high
+
+
+def test_each_signal_raises_the_doubt() -> None:
+    fine = Quality(0.05, 0.9, 0.05, 0.9)
+    base = doubt(fine, 0.9) or 0.0
+    worse = [Quality(0.1, 0.9, 0.05, 0.9), Quality(0.05, 0.7, 0.05, 0.9), Quality(0.05, 0.9, 0.2, 0.9)]
+    worse += [Quality(0.05, 0.9, 0.05, 0.6)]
+    assert all((doubt(quality, 0.9) or 0.0) > base for quality in worse)
+    assert (doubt(fine, 0.5) or 0.0) > base
+
+
+def test_proposals_in_order(people: Project) -> None:
+    people.configure(classes=["person", "dog"])
+    frames = people.frames.of()
+    propose(people, frames[0], proposed(0, 0.9), proposed(3, 0.2, "dog"))
+    propose(people, frames[1], proposed(0, 0.5))
+    propose(people, frames[2], proposed(0, 0.1))
+    people.frames.finalise(frames[2].id, Change(1, "ann"))
+
+    def shown(order: Order, **options: object) -> list[tuple[int, str | None]]:
+        return [(item.frame.index or 0, item.label) for item in queue(people, order, **options)]  # type: ignore[arg-type]
+
+    assert shown(Order.WORST) == [(0, "dog"), (1, "person"), (0, "person")]
+    assert shown(Order.TIME) == [(0, "person"), (0, "dog"), (1, "person")]
+    assert shown(Order.CLASS) == [(0, "dog"), (1, "person"), (0, "person")]
+    assert shown(Order.WORST, label="person") == [(1, "person"), (0, "person")]
+    assert shown(Order.WORST, recording=1) == shown(Order.WORST)
+    with pytest.raises(NotFoundError, match="no recording with id 9"):
+        queue(people, Order.WORST, recording=9)
+    for uid in [item.uid for item in queue(people, Order.WORST)]:
+        assert uid is not None
+        frame = people.labels.get(uid).frame_id
+        people.labels.accept(frame, uid, Change(people.frames.get(frame).revision, "ann"))
+    assert queue(people, Order.WORST) == ()
+
+
+def test_frames_that_teach_most_come_first(people: Project) -> None:
+    frames = people.frames.of()
+
+    def shown() -> list[int]:
+        return [item.frame.index or 0 for item in queue(people, Order.TEACH)]
+
+    assert shown()[0] == 0, "an operator begins at the beginning"
+    assert shown()[1] == 4, "and goes on where it looks most different"
+    assert sorted(shown()) == [0, 1, 2, 3, 4]
+    people.boxes.set_on_image(frames[0].id, [], BoxKind.SILHOUETTE, Change(0, "ann"))
+    assert shown()[0] == 4
+    propose(people, frames[1], proposed(0, 0.95))
+    propose(people, frames[2], proposed(0, 0.05))
+    assert shown()[0] == 2, "what the detectors are least sure of"
+    assert shown()[-1] == 1, "what they know already"
+    assert all(item.uid is None for item in queue(people, Order.TEACH))
+
+
+def label(box: OrientedBox, name: str = "person", track: int | None = None) -> NewLabel:
+    return NewLabel(name, box, track_id=track)
+
+
+def warned(project: Project, frame: int | None = None) -> list[tuple[Kind, int]]:
+    found = check(project, lambda frame, boxes: [100] * len(boxes), frame)
+    return [(warning.kind, warning.frame.index or 0) for warning in found]
+
+
+def test_odd_sizes(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [label(box_at(3.0 * n)) for n in range(5)], Change(0, "ann"))
+    assert warned(people) == []
+    turned = box_at(0.0, size=(0.5, 0.8, 1.7))
+    people.labels.create(second.id, [label(turned), label(box_at(9.0, size=(1.8, 0.5, 1.7)))], Change(0, "ann"))
+    assert warned(people) == [(Kind.SIZE, 1)]
+    (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
+    assert message == "person of 1.80 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+
+
+def test_heading_jumps_in_sequences(people: Project) -> None:
+    frames = people.frames.of()
+    people.labels.create(frames[0].id, [label(box_at(0.0), track=1), label(box_at(5.0))], Change(0, "ann"))
+    near, far = label(box_at(5.1, np.pi)), label(box_at(0.1, 0.5), track=1)
+    people.labels.create(frames[1].id, [near, far], Change(0, "ann"))
+    assert warned(people) == [(Kind.HEADING, 1)]
+    # another track in the same place is another object
+    people.labels.create(frames[2].id, [label(box_at(0.1, 2.5), track=2)], Change(0, "ann"))
+    assert warned(people, frames[2].id) == []
+
+
+def test_duplicates(people: Project) -> None:
+    people.configure(classes=["person", "dog"])
+    frame = people.frames.of()[0]
+    boxes = [label(box_at(0.0)), label(box_at(0.1)), label(box_at(0.0), "dog"), label(box_at(0.7))]
+    people.labels.create(frame.id, boxes, Change(0, "ann"))
+    assert warned(people) == [(Kind.DUPLICATE, 0)]
+
+
+def test_empty_boxes_are_found_in_the_recording_and_counted_once(people: Project) -> None:
+    import_own_labels(people, 1)
+    frame = people.frames.of()[1]
+    nothing = OrientedBox.from_parts(np.array([0.0, -40.0, 3.0]), np.eye(3), np.array([0.7, 0.5, 1.7]))
+    people.labels.create(frame.id, [label(nothing)], Change(frame.revision, "ann"))
+    report = check_project(people)
+    assert [(row.kind, row.key) for row in report.warnings if row.kind is Kind.EMPTY] == [(Kind.EMPTY, frame.key)]
+    assert report.labels == 16
+    again = PointCounts(people, budget_s=0.0)
+    assert check_project(people, budget_s=0.0).uncounted == 0, "all of it was counted before"
+    assert again(frame, [nothing]) == [0]
+    assert again(frame, [box_at(0.0)]) is None
+    assert again.unknown == 1
+
+
+def test_a_frame_that_cannot_be_read_is_told(people: Project, generated: Path) -> None:
+    people.recordings.rescan(1, ["000000", "gone"])
+    gone = people.frames.find(1, "gone")
+    people.labels.create(gone.id, [label(box_at(0.0))], Change(0, "ann"))
+    report = check_project(people)
+    assert len(report.unreadable) == 1 and report.unreadable[0].startswith("gone: ")
+
+
+def test_the_command(people: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = people.frames.of()[0]
+    people.labels.create(frame.id, [label(box_at(0.0)), label(box_at(0.1))], Change(0, "ann"))
+    root = str(people.path.parent)
+    assert main(["check", people.path.name, "--json", "--root", root]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {row["kind"] for row in told["warnings"]} >= {"duplicate"}
+    assert told["labels"] == 2
+    assert main(["check", people.path.name, "--root", root]) == 0
+    out = capsys.readouterr().out
+    assert f"{frame.key}: duplicate: two boxes of person overlap by" in out
+    assert "warnings about 2 labels" in out
