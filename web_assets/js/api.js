@@ -16,7 +16,7 @@ export class ApiError extends Error {
 
   /** Somebody else has changed the frame: `body.state` is theirs. */
   get isStale() {
-    return this.status === 409 && Boolean(this.body.state) && this.kind !== "FinalisedFrameError";
+    return this.status === 409 && this.kind === "StaleRevisionError" && Boolean(this.body.state);
   }
 }
 

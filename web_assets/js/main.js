@@ -17,7 +17,7 @@
  */
 
 import { createApi, projectPath } from "./api.js";
-import { keyTableDialog } from "./dialogs.js";
+import { confirm, keyTableDialog } from "./dialogs.js";
 import { h } from "./dom.js";
 import { createEffort } from "./effort.js";
 import { createEvents } from "./events.js";
@@ -78,17 +78,21 @@ async function loadFrame(id) {
   return frame;
 }
 
-async function travel(direction) {
+/** Undo or redo; where somebody else has changed the same since, the operator may pass over that step. */
+async function travel(direction, skip = false) {
   if (app.state.route.project === null) return;
   try {
     await mounted?.flush?.();
-    const { frame, state, done } = await app.api.post(app.path(direction));
+    app.effort.action();
+    const { frame, state, done } = await app.api.change(app.path(direction), { skip });
     toast(`${direction === "undo" ? "Undone" : "Done again"}: ${done}`);
     const { mode, project } = app.state.route;
     if (app.state.frame?.frame.id === frame) app.state.set({ frame: state });
     else if (mode === "label" || mode === "review") app.go(makeHash(project, mode, frame));
   } catch (error) {
-    toast(error, error.status === 409 ? "warn" : "error");
+    if (error.status !== 409) toast(error);
+    else if (error.body.frame === undefined || skip) toast(error, "warn");
+    else if (await confirm("This cannot be taken back any more", error.message, `Skip it and ${direction} the step before`)) await travel(direction, true);
   }
 }
 

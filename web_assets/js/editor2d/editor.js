@@ -63,7 +63,8 @@ export function createEditor(host, options = {}) {
   let shown_url = null;
   let nudged = { index: -1, actions: 0, timer: 0 };
   const picture = { width: 0, height: 0 };
-  const size = { width: 0, height: 0 };
+  /** Of the window, CSS pixels and fractions of them; `border` is its outer width. */
+  const size = { width: 0, height: 0, border: 0 };
 
   function redraw() {
     drawn ||= requestAnimationFrame(draw);
@@ -224,10 +225,15 @@ export function createEditor(host, options = {}) {
     }
   });
   root.addEventListener("blur", flush);
-  const watcher = new ResizeObserver(() => {
+  /** The first size, before the observer has told it: pictures are fitted into it at once. */
+  function measure() {
+    const { width, height } = root.getBoundingClientRect();
+    Object.assign(size, { width, height, border: width });
+  }
+
+  const watcher = new ResizeObserver(([{ contentBoxSize, borderBoxSize }]) => {
     const before = { ...size };
-    size.width = root.clientWidth;
-    size.height = root.clientHeight;
+    Object.assign(size, { width: contentBoxSize[0].inlineSize, height: contentBoxSize[0].blockSize, border: borderBoxSize[0].inlineSize });
     if (view.is_fitted) view.fit(picture, size);
     else view.panBy((size.width - before.width) / 2, (size.height - before.height) / 2, picture, size);
     draw();
@@ -252,6 +258,7 @@ export function createEditor(host, options = {}) {
       picture.width = width ?? 0;
       picture.height = height ?? 0;
       root.classList.toggle("blank", url === null);
+      if (!size.width) measure();
       if (!is_same_size || view.is_fitted) view.fit(picture, size);
       draw();
       if (url === null) return true;

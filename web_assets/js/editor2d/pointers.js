@@ -13,7 +13,7 @@ export function listenToPointers(editor) {
   /** Where an event is, in CSS pixels of the editor's own box, also where an ancestor is scaled. */
   function windowPoint(event) {
     const rect = root.getBoundingClientRect();
-    const stretch = rect.width / (root.offsetWidth || 1) || 1;
+    const stretch = rect.width / (editor.size.border || rect.width) || 1;
     return [(event.clientX - rect.left) / stretch - root.clientLeft, (event.clientY - rect.top) / stretch - root.clientTop];
   }
 

@@ -18,15 +18,16 @@ function wholeSteps(boxes) {
 }
 
 /**
- * Brings a draft's views up to date with its boxes; boxes of views that changed are carried over. The newest call wins.
+ * `load(draft)` brings a draft's views up to date with its boxes; boxes of views that changed are carried over. It resolves to
+ * false where a newer call came in between.
  *
- * @returns {Promise<boolean>} false where a newer call came in between.
+ * @param {() => string} kind what the boxes measure.
  */
-export function createStepLoader(app) {
+export function createStepLoader(app, kind) {
   let request = null;
 
   async function ask(item, boxes, signal) {
-    return app.api.post(app.path("frames", app.state.frame.frame.id, "label", "steps"), { image_box: plainBox(item.image_box), boxes }, { signal });
+    return app.api.post(app.path("frames", app.state.frame.frame.id, "label", "steps"), { image_box: plainBox(item.image_box), boxes, box_kind: kind() }, { signal });
   }
 
   async function load(draft) {

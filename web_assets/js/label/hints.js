@@ -4,9 +4,10 @@ import { progressOf } from "./items.js";
 
 const SIDES = ["front", "side"];
 
-export function hintFor({ draft, step, is_readonly, label, has_items, not_saved }) {
+export function hintFor({ draft, step, is_readonly, label, has_items, guesses, not_saved }) {
   if (is_readonly) return "This frame is finalised. Reopen it to change something.";
   if (not_saved) return "Click the dashed box that says 'yours' to save it after all.";
+  if (!draft && guesses) return "Enter accepts a dashed box, a drag corrects it; or drag a box of your own.";
   if (!draft) return has_items ? `Drag a box around the next ${label}, or go on with N.` : `Drag a box around a ${label}.`;
   const name = draft.item.image_box.label;
   if (draft.item.uid && draft.item.boxes.every(Boolean)) return `The ${name} is finished. Drag a box around the next one, or go on with N.`;

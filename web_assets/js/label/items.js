@@ -60,3 +60,13 @@ export function exchanged(boxes, before, after) {
 export function sameItem(a, b) {
   return sameBox(a.image_box, b.image_box) && progressOf(a) === progressOf(b) && a.boxes.every((box, i) => sameBox(box, b.boxes[i]) || (!box && !b.boxes[i]));
 }
+
+/** Intersection over union of two boxes of the same class; 0 for different classes. */
+export function overlap(a, b) {
+  if (a.label !== b.label) return 0;
+  const width = Math.min(a.x_max, b.x_max) - Math.max(a.x_min, b.x_min);
+  const height = Math.min(a.y_max, b.y_max) - Math.max(a.y_min, b.y_min);
+  if (width <= 0 || height <= 0) return 0;
+  const area = (box) => (box.x_max - box.x_min) * (box.y_max - box.y_min);
+  return (width * height) / (area(a) + area(b) - width * height);
+}

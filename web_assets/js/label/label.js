@@ -11,7 +11,7 @@ import { h } from "../dom.js";
 import { makeHash } from "../router.js";
 import { createStepLoader, demoteSecondStep, makeDraft } from "./draft.js";
 import { hintFor, viewsMessage } from "./hints.js";
-import { exchanged, itemsOf, makeItem, openStep, plainBox, sameBox, sameItem } from "./items.js";
+import { exchanged, itemsOf, makeItem, openStep, plainBox, overlap, sameBox, sameItem } from "./items.js";
 import { createOrder } from "./order.js";
 import { createSaver } from "./saver.js";
 import { createClassPicker, createFrameBar, createKindSwitch, createObjectList, noFrames, reviewHash } from "./side_panel.js";
@@ -21,6 +21,8 @@ const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5
 const PREVIEW_COLOR = "#ff5d8f";
 const KIND_KEPT = "box-kind";
 const WIDE_ASPECT = 1.9;
+/** A box that the detector found is a drawn one already where they overlap by this much (IoU). */
+const SAME_OBJECT = 0.4;
 const POINT_LIMITS = [0.1, 10];
 
 export function mount(root, app) {
@@ -31,13 +33,14 @@ export function mount(root, app) {
   }
   root.classList.add("fixed");
   const order = createOrder(app);
-  const loader = createStepLoader(app);
+  const loader = createStepLoader(app, () => kind());
   const saver = createSaver(app, { onSaved, onDropped, onBusy });
   let items = [];
   let draft = null;
   let step = 0;
   let label = classes[0];
   let not_saved = [];
+  let found = [];
   let point_size = 1;
   let frame_shown = null;
   let selected = null;
@@ -101,15 +104,24 @@ export function mount(root, app) {
     const readonly = isReadonly();
     image.setReadonly(readonly);
     views.setReadonly(readonly);
-    if (!image.isDragging) image.setBoxes([...items.map(imageBox), ...not_saved.map((item) => ({ ...item.image_box, suggested: true, caption: "yours, not saved" }))], items.indexOf(selected));
+    const guesses = openGuesses();
+    if (!image.isDragging) image.setBoxes([...items.map(imageBox), ...guesses.map(({ image_box, caption }) => ({ ...image_box, suggested: true, caption }))], items.indexOf(selected));
     image.setOverlays(overlays(state));
     picker.show(draft ? draft.item.image_box.label : label);
     kinds.show(kind(), readonly);
     list.show({ items, current: draft?.item ?? null, state, is_readonly: readonly });
     bar.show(state);
-    hint.textContent = hintFor({ draft, step, is_readonly: readonly, label, has_items: items.length > 0, not_saved: not_saved.length });
+    hint.textContent = hintFor({ draft, step, is_readonly: readonly, label, has_items: items.length > 0, guesses: guesses.length, not_saved: not_saved.length });
     views.show(draft, step, viewsMessage(draft, step));
     app.viewport.show({ frame: state.frame.id, selected: draft?.item.uid ?? null, gizmo: "off", labels: "all", draft: sceneDraft(), point_size });
+  }
+
+  /** Dashed boxes on the image: what was drawn here and not saved, and what the detector found where nothing is drawn. */
+  function openGuesses() {
+    if (isReadonly()) return [];
+    const mine = not_saved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
+    const theirs = found.filter((box) => !items.some((item) => overlap(item.image_box, box) > SAME_OBJECT));
+    return [...mine, ...theirs.map((box) => ({ item: makeItem(box), image_box: box, caption: `${box.label} ${Math.round(100 * box.score)} %` }))];
   }
 
   function imageBox(item) {
@@ -148,6 +160,7 @@ export function mount(root, app) {
       if (app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
       else onFrame(app.state.frame);
     } catch (error) {
+      hint.textContent = error.message;
       app.toast(error);
     }
   }
@@ -163,6 +176,8 @@ export function mount(root, app) {
       loader.stop();
       draft = null;
       not_saved = [];
+      found = [];
+      void suggest(state.frame.id);
       const { url, width, height } = state.image;
       page.classList.toggle("wide-image", width / height > WIDE_ASPECT);
       void image.setPicture(url, width, height);
@@ -170,6 +185,15 @@ export function mount(root, app) {
     }
     rebuild(state);
     if (is_new) app.events.openFrame(state.frame.id);
+  }
+
+  /** What the image detector finds, to begin with; without it there is nothing. */
+  async function suggest(frame) {
+    if (!app.state.project?.detectors.image || isReadonly()) return;
+    const { boxes } = await app.api.get(app.path("frames", frame, "label", "suggestions"));
+    if (frame_shown !== frame) return;
+    found = boxes;
+    show();
   }
 
   function rebuild(state) {
@@ -271,7 +295,7 @@ export function mount(root, app) {
 
   function onImageChange(boxes, why, index, actions) {
     app.effort.action(actions);
-    if (index >= items.length && why !== "draw") restoreMine(not_saved[index - items.length], boxes[index]);
+    if (index >= items.length && why !== "draw") takeGuess(openGuesses()[index - items.length].item, boxes[index]);
     else if (why === "draw") addItem(plainBox(boxes[index]));
     else if (why === "delete") removeItem(items[index]);
     else changeImageBox(items[index], plainBox(boxes[index]));
@@ -391,10 +415,11 @@ export function mount(root, app) {
     show();
   }
 
-  function restoreMine(item, image_box) {
+  function takeGuess(item, image_box) {
     not_saved = not_saved.filter((known) => known !== item);
-    const restored = { ...item, uid: null, image_box: plainBox(image_box) };
+    const restored = { ...item, uid: null, image_box: { ...plainBox(image_box), score: 1 } };
     items = [...items, restored];
+    selected = restored;
     open(restored);
     saveObject(restored, null);
   }

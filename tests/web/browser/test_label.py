@@ -1,0 +1,303 @@
+"""Label mode in a real browser: five drags an object, each saved as it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from drawing import Scene
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import Project
+from annotator.types import Label, ReviewState
+
+expect = pytest.importorskip("playwright.sync_api").expect
+
+if TYPE_CHECKING:
+    from conftest import Live
+    from playwright.sync_api import Page
+
+FRAME = 1
+# Label works without the 3D view, and far faster where software draws that: it has tests of its own.
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
+EDGES = ("x_min", "y_min", "x_max", "y_max")
+
+
+@dataclass(eq=False)
+class Bench:
+    """A page in Label mode, the project behind it, and what is truly on its frame."""
+
+    page: Page
+    live: Live
+    project: Project
+    scene: Scene
+
+    @property
+    def labels(self) -> list[Label]:
+        return list(self.project.frame_state(FRAME).labels)
+
+    @property
+    def image_boxes(self) -> list[dict[str, float]]:
+        known = self.state["image_boxes"]
+        return [] if known is None else known["boxes"]
+
+    @property
+    def state(self) -> dict[str, Any]:
+        return self.live.client.get(f"/api/projects/room/frames/{FRAME}").json()
+
+    @property
+    def hint(self) -> str:
+        return self.page.get_by_test_id("hint").inner_text()
+
+    def saved(self) -> None:
+        """Nothing is on its way to the server any more."""
+        self.page.wait_for_selector(".label-mode:not([data-saving])")
+        assert self.page.get_by_test_id("save-problem").inner_text() == ""
+
+    def drag(self, editor: str, box: dict[str, Any], picture: tuple[int, int]) -> None:
+        """Drags a box out on the picture of an editor with the mouse."""
+        img = self.page.get_by_test_id(editor).locator("img.picture")
+        rect = img.evaluate("(img) => img.getBoundingClientRect().toJSON()")
+        sx, sy = rect["width"] / picture[0], rect["height"] / picture[1]
+        left, top = rect["left"] + (box["x_min"] + 0.5) * sx, rect["top"] + (box["y_min"] + 0.5) * sy
+        right, bottom = rect["left"] + (box["x_max"] + 0.5) * sx, rect["top"] + (box["y_max"] + 0.5) * sy
+        mouse = self.page.mouse
+        mouse.move(left, top)
+        mouse.down()
+        mouse.move((left + right) / 2, (top + bottom) / 2)
+        mouse.move(right, bottom)
+        mouse.up()
+
+    def draw_on_image(self, number: int) -> dict[str, Any]:
+        """Drags the image box of a true object; the answer holds its first views."""
+        camera = self.scene.frame.camera
+        with self.page.expect_response("**/label/steps") as answer:
+            self.drag("image-editor", self.scene.image_box(number), (camera.width_px, camera.height_px))
+        return answer.value.json()
+
+    def draw_on_views(self, number: int, views: list[dict[str, Any]]) -> None:
+        """Drags the boxes of a true object on the two views that are shown."""
+        for name, view in zip(("front", "side"), views, strict=True):
+            shown = self.page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
+            shown.wait_for(state="attached")
+            self.drag(f"view-{name}", self.scene.view_box(number, view), (view["width"], view["height"]))
+
+    def draw_object(self, number: int) -> None:
+        """All five drags of a true object."""
+        first = self.draw_on_image(number)
+        with self.page.expect_response("**/label/steps") as answer:
+            self.draw_on_views(number, first["steps"][0]["views"])
+        self.draw_on_views(number, answer.value.json()["steps"][1]["views"])
+        self.saved()
+
+    def other_saves(self, box: dict[str, Any]) -> None:
+        """Another operator adds a box to the image."""
+        state = self.state
+        boxes = [*([] if state["image_boxes"] is None else state["image_boxes"]["boxes"]), box]
+        changes = [{"kind": "image_boxes", "boxes": boxes, "box_kind": "silhouette"}]
+        body = {"revision": state["frame"]["revision"], "changes": changes}
+        answer = self.live.client.post(f"/api/projects/room/frames/{FRAME}/changes", json=body)
+        assert answer.status_code == 200, answer.text
+
+
+@pytest.fixture
+def bench(open_page: Callable[..., Page], live: Live, generated: Path) -> Bench:
+    """A signed-in operator in Label on a frame without labels; `live.client` is another one."""
+    page = open_page()
+    page.add_init_script(NO_WEBGL)
+    page.request.post("/api/session", data={"operator": "Bob"}, headers={"Origin": live.url})
+    page.goto(f"/#/room/label/{FRAME}")
+    project = live.context.project("room")
+    page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+    return Bench(page, live, project, Scene.of(generated / "people", 0, ("person",)))
+
+
+def _close(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    return all(abs(a[edge] - b[edge]) < 0.5 for edge in EDGES)
+
+
+def test_an_object_from_nothing_takes_five_drags(bench: Bench) -> None:
+    bench.draw_object(0)
+    (label,) = bench.labels
+    assert label.label == "person"
+    assert label.state is ReviewState.ACCEPTED
+    assert iou_3d(label.box, bench.scene.objects[0].box) > 0.5
+    row = bench.page.get_by_test_id("object")
+    assert row.get_attribute("data-boxes") == "5"
+    assert row.get_attribute("data-uid") == label.uid
+    assert "finished" in bench.hint
+    overlay = bench.page.get_by_test_id("image-editor").get_by_test_id("editor-overlay")
+    assert overlay.get_attribute("data-id") == label.uid
+    effort = bench.live.client.get("/api/projects/room/statistics").json()["effort"]
+    assert effort["boxes"] == 1
+    assert effort["actions_a_box"] == 5
+    assert effort["seconds_a_box"] > 0
+
+
+def test_each_drag_is_kept_when_it_is_made_and_survives_a_reload(bench: Bench) -> None:
+    first = bench.draw_on_image(0)
+    bench.saved()
+    assert _close(bench.image_boxes[0], bench.scene.image_box(0))
+    front = first["steps"][0]["views"][0]
+    bench.draw_on_views(0, first["steps"][0]["views"])
+    bench.saved()
+    bench.page.reload()
+    row = bench.page.get_by_test_id("object")
+    row.wait_for()
+    assert row.get_attribute("data-boxes") == "3"
+    row.get_by_role("button").first.click()
+    bench.page.get_by_test_id("step-1").click()
+    shown = bench.page.get_by_test_id("view-front").locator(f'img.picture[src="{front["url"]}"]')
+    shown.wait_for(state="attached")
+    expect(bench.page.get_by_test_id("view-front").get_by_test_id("editor-box")).to_have_count(1)
+
+
+def test_a_single_box_on_the_side_view_comes_back_on_the_side_view(bench: Bench) -> None:
+    views = bench.draw_on_image(0)["steps"][0]["views"]
+    bench.page.get_by_test_id("view-side").locator(f'img.picture[src="{views[1]["url"]}"]').wait_for(state="attached")
+    bench.drag("view-side", bench.scene.view_box(0, views[1]), (views[1]["width"], views[1]["height"]))
+    bench.saved()
+    bench.page.reload()
+    bench.page.get_by_test_id("object").get_by_role("button").first.click()
+    bench.page.get_by_test_id("view-side").get_by_test_id("editor-box").wait_for(state="attached")
+    assert bench.page.get_by_test_id("view-front").get_by_test_id("editor-box").count() == 0
+
+
+def test_a_finished_object_follows_a_correction(bench: Bench) -> None:
+    bench.draw_object(0)
+    (before,) = bench.labels
+    bench.page.get_by_test_id("view-front").get_by_test_id("editor2d").focus()
+    bench.page.keyboard.press("Alt+Shift+ArrowRight")
+    bench.page.wait_for_timeout(700)
+    bench.saved()
+    (after,) = bench.labels
+    assert after.uid == before.uid
+    assert not np.allclose(after.box.size_m, before.box.size_m)
+
+
+def test_undo_takes_drags_back_and_redo_does_them_again(bench: Bench) -> None:
+    bench.draw_object(0)
+    row = bench.page.get_by_test_id("object")
+    bench.page.keyboard.press("Control+z")
+    bench.page.wait_for_selector('[data-testid="object"][data-boxes="4"]')
+    assert bench.labels == []
+    bench.page.get_by_test_id("undo").click()
+    bench.page.wait_for_selector('[data-testid="object"][data-boxes="3"]')
+    bench.page.keyboard.press("Control+Shift+z")
+    bench.page.wait_for_selector('[data-testid="object"][data-boxes="4"]')
+    bench.page.keyboard.press("Control+y")
+    bench.page.wait_for_selector('[data-testid="object"][data-boxes="5"]')
+    assert row.get_attribute("data-uid") == bench.labels[0].uid
+
+
+def test_delete_takes_the_label_with_its_boxes(bench: Bench) -> None:
+    bench.draw_object(0)
+    bench.page.get_by_role("button", name="Delete this person").click()
+    bench.saved()
+    assert bench.labels == []
+    assert bench.image_boxes == []
+    bench.page.keyboard.press("Control+z")
+    bench.page.get_by_test_id("object").wait_for()
+    assert len(bench.labels) == 1
+
+
+def test_a_finalised_frame_takes_no_boxes_until_it_is_reopened(bench: Bench) -> None:
+    bench.page.get_by_test_id("finalise").click()
+    bench.saved()
+    assert "finalised" in bench.hint
+    bench.drag("image-editor", bench.scene.image_box(0), (320, 240))
+    assert bench.page.get_by_test_id("object").count() == 0
+    bench.page.keyboard.press("Control+Enter")
+    bench.saved()
+    bench.draw_on_image(0)
+    bench.saved()
+    assert len(bench.image_boxes) == 1
+
+
+def test_what_boxes_mean_is_told_to_the_server(bench: Bench) -> None:
+    bench.draw_on_image(0)
+    bench.saved()
+    assert bench.state["image_boxes"]["box_kind"] == "silhouette"
+    bench.page.keyboard.press("b")
+    bench.saved()
+    assert bench.state["image_boxes"]["box_kind"] == "box"
+
+
+def test_another_operators_boxes_appear_by_themselves(bench: Bench) -> None:
+    bench.other_saves(bench.scene.image_box(1))
+    bench.page.get_by_test_id("object").wait_for(timeout=1000)
+
+
+def _save_in_between(bench: Bench, box: dict[str, Any]) -> None:
+    """Another operator is faster: saves in the moment in which this page's next drag is on its way."""
+
+    done: list[bool] = []
+
+    def meddle(route: Any) -> None:
+        if not done:
+            done.append(True)
+            bench.other_saves(box)
+        route.continue_()
+
+    bench.page.route("**/label/object", meddle)
+
+
+def test_a_stale_edit_shows_both_versions_and_mine_can_go_on_top(bench: Bench) -> None:
+    theirs, mine = bench.scene.image_box(1), bench.scene.image_box(0)
+    _save_in_between(bench, theirs)
+    bench.draw_on_image(0)
+    dialog = bench.page.get_by_test_id("stale-dialog")
+    dialog.wait_for()
+    assert dialog.get_by_role("img").count() == 2
+    bench.page.get_by_test_id("dialog-mine").click()
+    dialog.wait_for(state="detached")
+    bench.saved()
+    assert [_close(kept, drawn) for kept, drawn in zip(bench.image_boxes, (theirs, mine), strict=True)] == [True, True]
+    assert bench.page.get_by_test_id("object").count() == 2
+
+
+def test_taking_theirs_keeps_mine_in_sight_to_be_saved_after_all(bench: Bench) -> None:
+    theirs, mine = bench.scene.image_box(1), bench.scene.image_box(0)
+    _save_in_between(bench, theirs)
+    bench.draw_on_image(0)
+    bench.page.get_by_test_id("dialog-theirs").click()
+    bench.saved()
+    assert len(bench.image_boxes) == 1
+    assert bench.page.get_by_test_id("object").count() == 1
+    assert bench.page.get_by_test_id("image-editor").get_by_text("yours, not saved").count() == 1
+    bench.page.keyboard.press("Enter")
+    expect(bench.page.get_by_test_id("object")).to_have_count(2)
+    bench.saved()
+    assert _close(bench.image_boxes[1], mine)
+
+
+def test_keys_lead_from_frame_to_frame_and_the_table_lists_them(bench: Bench) -> None:
+    bench.page.get_by_test_id("order").select_option("time")
+    bench.page.keyboard.press("n")
+    bench.page.wait_for_url("**/label/2")
+    expect(bench.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    bench.page.keyboard.press("p")
+    bench.page.wait_for_url("**/label/1")
+    bench.page.keyboard.press("?")
+    table = bench.page.get_by_test_id("key-table")
+    table.wait_for()
+    assert table.get_by_text("Accept and go to the next").count() == 1
+    bench.page.keyboard.press("Escape")
+    table.wait_for(state="detached")
+
+
+def test_a_refused_save_is_told_and_can_be_tried_again(bench: Bench) -> None:
+    bench.page.route("**/label/object", lambda route: route.abort())
+    bench.draw_on_image(0)
+    problem = bench.page.get_by_test_id("save-problem")
+    problem.get_by_role("button").wait_for()
+    assert bench.image_boxes == []
+    bench.page.unroute("**/label/object")
+    problem.get_by_role("button").click()
+    expect(problem).to_have_text("")
+    bench.saved()
+    assert len(bench.image_boxes) == 1
