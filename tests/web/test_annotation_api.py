@@ -1,0 +1,285 @@
+"""The annotation API over real HTTP: frames, label mode, review, history, queue, checks, statistics."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import numpy as np
+import pytest
+from drawing import Scene, draw_object
+
+from annotator.cli.main import main
+from annotator.geometry.iou import iou_3d
+from annotator.project import Change, Project
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
+from annotator.web.wire import Box3DJson
+
+if TYPE_CHECKING:
+    from conftest import Live
+
+ROOM = "/api/projects/room"
+BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
+
+
+@pytest.fixture
+def project(live: Live) -> Project:
+    return live.context.project("room")
+
+
+def propose(project: Project, frame: int, *places: float) -> list[str]:
+    proposals = [
+        Proposal(
+            "person",
+            0.8,
+            OrientedBox.from_parts(np.array([x, 0.0, 3.0]), np.eye(3), np.array([0.8, 0.5, 1.7])),
+            Box2D("person", 1.0, 2.0, 30.0, 40.0),
+            (),
+            Quality(0.1, 0.9, 0.05, 0.8),
+        )
+        for x in places
+    ]
+    change = Change(project.frames.get(frame).revision, "rcv", Source.AUTO)
+    return [uid for uid in project.proposals.replace(frame, proposals, change).uids if uid is not None]
+
+
+def state(client: httpx.Client, frame: int = 1) -> dict[str, Any]:
+    found = client.get(f"{ROOM}/frames/{frame}")
+    assert found.status_code == 200, found.text
+    answer: dict[str, Any] = found.json()
+    return answer
+
+
+def change(client: httpx.Client, revision: int, *changes: dict[str, Any], frame: int = 1) -> httpx.Response:
+    return client.post(f"{ROOM}/frames/{frame}/changes", json={"revision": revision, "changes": list(changes)})
+
+
+def test_a_frame_tells_all_that_is_shown(live: Live, project: Project) -> None:
+    (uid,) = propose(project, 2, 0.0)
+    found = state(live.client, 2)
+    assert found["frame"] == {
+        "id": 2,
+        "recording": 1,
+        "recording_name": "people",
+        "key": "000001",
+        "index": 1,
+        "revision": 1,
+        "finalised": False,
+        "previous": 1,
+        "next": 3,
+    }
+    assert (found["image"]["width"], found["image"]["height"]) == (320, 240)
+    assert found["points"] > 10_000
+    assert found["image_boxes"] is None and found["objects"] == [] and found["open_by"] == []
+    assert found["history"] == {"undo": None, "redo": None}
+    (label,) = found["labels"]
+    assert (label["uid"], label["state"], label["source"], label["label"]) == (uid, "proposed", "auto", "person")
+    assert label["quality"]["view_disagreement"] == 0.1 and label["quality"]["image_agreement"] == 0.8
+    assert 0.3 < label["doubt"] < 0.8
+    assert 8 <= len(label["outline"]) <= 12 and len(label["outline"][0]) == 2
+    assert state(live.client, 1)["frame"]["previous"] is None
+    assert state(live.client, 5)["frame"]["next"] is None
+
+
+def test_pictures_can_be_kept_by_the_browser(live: Live) -> None:
+    found = live.client.get(state(live.client)["image"]["url"])
+    assert found.headers["content-type"] == "image/jpeg"
+    assert "immutable" in found.headers["cache-control"]
+    assert found.content.startswith(b"\xff\xd8")
+    plain = live.client.get(f"{ROOM}/frames/1/image.jpg")
+    assert plain.content == found.content
+    assert "immutable" not in plain.headers["cache-control"]
+    assert live.client.get(f"{ROOM}/views/{'0' * 64}.png").status_code == 404
+    assert live.client.get(f"{ROOM}/views/..%2Fproject.png").status_code in (404, 422)
+
+
+def test_the_list_of_frames(live: Live, project: Project) -> None:
+    propose(project, 3, 0.0, 5.0)
+    found = live.client.get(f"{ROOM}/frames", params={"offset": 1, "limit": 2}).json()
+    assert found["total"] == 5
+    assert [row["key"] for row in found["frames"]] == ["000001", "000002"]
+    assert found["frames"][1]["counts"] == {"proposed": 2}
+    assert found["frames"][1]["doubt"] > 0.3 and found["frames"][0]["doubt"] is None
+
+
+def test_changes_are_one_step_and_all_or_none(live: Live, project: Project) -> None:
+    one, two = propose(project, 1, 0.0, 5.0)
+    edit = {"kind": "edit", "uid": two, "label": "person", "box": BOX, "track_id": 4}
+    found = change(live.client, 1, {"kind": "accept", "uid": one}, edit, {"kind": "finalise"}).json()
+    assert (found["frame"]["revision"], found["frame"]["finalised"]) == (4, True)
+    assert [label["state"] for label in found["labels"]] == ["accepted", "edited"]
+    assert found["labels"][1]["track_id"] == 4
+    wanted = Box3DJson(**BOX).box()
+    got = found["labels"][1]["box"]
+    assert iou_3d(Box3DJson(**got).box(), wanted) == pytest.approx(1)
+    refused = change(live.client, 4, {"kind": "reject", "uid": one}, {"kind": "accept", "uid": "nobody"})
+    assert refused.status_code == 400 and "nobody is not in this frame" in refused.json()["error"]["message"]
+    assert state(live.client)["labels"][0]["state"] == "accepted"
+    undone = live.client.post(f"{ROOM}/undo", json={}).json()
+    assert (undone["frame"], undone["done"]) == (1, "edit 2 labels (frame 000000)")
+    assert [label["state"] for label in undone["state"]["labels"]] == ["proposed", "proposed"]
+    assert not undone["state"]["frame"]["finalised"]
+    redone = live.client.post(f"{ROOM}/redo", json={}).json()
+    assert [label["state"] for label in redone["state"]["labels"]] == ["accepted", "edited"]
+    assert live.client.post(f"{ROOM}/redo", json={}).status_code == 409
+
+
+def test_a_stale_change_shows_both_versions_and_loses_neither(live: Live, project: Project) -> None:
+    (uid,) = propose(project, 1, 0.0)
+    assert change(live.client, 1, {"kind": "accept", "uid": uid}).status_code == 200
+    refused = change(live.client, 1, {"kind": "reject", "uid": uid})
+    assert refused.status_code == 409
+    told = refused.json()
+    assert told["error"]["kind"] == "StaleRevisionError"
+    assert told["state"]["labels"][0]["state"] == "accepted"
+    assert told["changes"] == [{"kind": "reject", "uid": uid}]
+    again = change(live.client, told["state"]["frame"]["revision"], *told["changes"])
+    assert again.json()["labels"][0]["state"] == "rejected"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"revision": 0, "changes": []},
+        {"revision": -1, "changes": [{"kind": "finalise"}]},
+        {"revision": 0, "changes": [{"kind": "explode"}]},
+        {"revision": 0, "changes": [{"kind": "finalise", "extra": 1}]},
+        {"revision": 0, "changes": [{"kind": "create", "label": "person", "box": {**BOX, "size": [0, 1, 1]}}]},
+        {"revision": 0, "changes": [{"kind": "create", "label": "person", "box": {**BOX, "quaternion": None}}]},
+        {"revision": 0, "changes": [{"kind": "create", "label": "person", "box": {**BOX, "center": [1e9, 0, 0]}}]},
+        {"revision": 0, "changes": [{"kind": "create", "label": "", "box": BOX}]},
+        {"revision": 0, "changes": [{"kind": "image_boxes", "boxes": [{"label": "person"}], "box_kind": "box"}]},
+        {"revision": 0, "changes": [{"kind": "finalise"}], "effort": {"actions": -1, "seconds": 0}},
+    ],
+)
+def test_what_is_no_change_is_refused(live: Live, body: dict[str, Any]) -> None:
+    answer = live.client.post(f"{ROOM}/frames/1/changes", json=body)
+    assert answer.status_code == 422
+    assert answer.json()["error"]["kind"] == "ValidationError"
+    assert state(live.client)["frame"]["revision"] == 0
+
+
+def test_what_is_not_there(live: Live) -> None:
+    for path in ("frames/99", "frames/99/image.jpg", "checks?frame=99", "queue?recording=9"):
+        assert live.client.get(f"{ROOM}/{path}").status_code == 404, path
+    assert live.client.get("/api/projects/nobody/frames").status_code == 404
+    unknown = change(live.client, 0, {"kind": "create", "label": "horse", "box": BOX})
+    assert unknown.status_code == 400 and "'horse' is no class" in unknown.json()["error"]["message"]
+
+
+def test_an_object_from_nothing_takes_five_drags(live: Live, generated: Path, capsys: Any) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    ious = []
+    for number in range(2):
+        answer = draw_object(live.client, "room", 1, scene, number)
+        (label,) = [entry for entry in answer["state"]["labels"] if entry["uid"] == answer["uid"]]
+        ious.append(iou_3d(Box3DJson(**label["box"]).box(), scene.objects[number].box))
+    assert np.mean(ious) > 0.5
+    objects = state(live.client)["objects"]
+    assert [(entry["uid"] is not None, len(entry["views"])) for entry in objects] == [(True, 4), (True, 4)]
+    view, box = objects[0]["views"][2]
+    assert box["label"] == "person"
+    picture = live.client.get(view["url"])
+    assert picture.headers["content-type"] == "image/png"
+    told = live.client.get(f"{ROOM}/statistics").json()
+    assert told["effort"]["by_origin"]["from nothing"] == {"boxes": 2, "seconds_a_box": 12.5, "actions_a_box": 5.0}
+    assert main(["stats", "room", "--json", "--root", str(live.settings.projects_root)]) == 0
+    assert json.loads(capsys.readouterr().out) == told, "the command line tells the same numbers"
+
+
+def test_steps_are_answered_without_keeping_anything(live: Live, generated: Path) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    body = {"image_box": scene.image_box(0), "boxes": []}
+    found = live.client.post(f"{ROOM}/frames/1/label/steps", json=body).json()
+    assert found["box"] is None and found["stop"] is None and found["points"] > 100
+    (step,) = found["steps"]
+    assert step["suggested"] == [None, None]
+    assert live.client.get(step["views"][0]["url"]).status_code == 200
+    assert state(live.client)["frame"]["revision"] == 0
+    assert list((live.settings.projects_root / "room" / "views").iterdir()) == []
+    assert live.client.get(f"{ROOM}/frames/1/label/suggestions").json() == {"boxes": []}
+    five = live.client.post(f"{ROOM}/frames/1/label/steps", json={**body, "boxes": [None] * 5})
+    assert five.status_code == 422
+
+
+def test_a_stale_object_shows_both_versions(live: Live, generated: Path) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    body = {"revision": 3, "image_boxes": [scene.image_box(0)], "box_kind": "silhouette", "object": None}
+    refused = live.client.post(f"{ROOM}/frames/1/label/object", json=body)
+    assert refused.status_code == 409
+    assert refused.json()["changes"][0]["image_boxes"] == body["image_boxes"]
+    assert refused.json()["state"]["frame"]["revision"] == 0
+
+
+def test_review_tools(live: Live, project: Project) -> None:
+    found = live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 128}).json()
+    assert [view["name"] for view in found["views"]] == ["top", "front", "side"]
+    assert all((view["width"], view["height"]) == (128, 128) for view in found["views"])
+    assert live.client.get(found["views"][0]["url"]).status_code == 200
+    assert live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 10_000}).status_code == 422
+    fitted = live.client.post(f"{ROOM}/frames/1/refit", json={"box": BOX, "label": "person"}).json()
+    assert fitted["method"] == "points" and "no pseudo-view detector yet" in fitted["note"]
+    (uid,) = propose(project, 1, 0.0)
+    change(live.client, 1, {"kind": "accept", "uid": uid})
+    copied = live.client.post(f"{ROOM}/frames/2/copy", json={"revision": 0, "from": None})
+    assert len(copied.json()["labels"]) == 1
+    first = live.client.post(f"{ROOM}/frames/1/copy", json={"revision": 2, "from": None})
+    assert first.status_code == 400 and "first of its recording" in first.json()["error"]["message"]
+
+
+def test_queue_and_checks(live: Live, project: Project) -> None:
+    uids = propose(project, 1, 0.0, 0.1)
+    found = live.client.get(f"{ROOM}/queue", params={"order": "worst", "limit": 1}).json()
+    assert found["remaining"] == 2 and found["items"][0]["uid"] in uids
+    teach = live.client.get(f"{ROOM}/queue", params={"order": "teach"}).json()
+    assert teach["items"][0]["uid"] is None
+    assert live.client.get(f"{ROOM}/queue", params={"order": "worse"}).status_code == 422
+    report = live.client.get(f"{ROOM}/checks").json()
+    assert "duplicate" in {row["kind"] for row in report["warnings"]}
+    assert live.client.get(f"{ROOM}/checks", params={"frame": 2}).json()["warnings"] == []
+
+
+def test_undo_tells_who_was_faster(live: Live, project: Project) -> None:
+    (uid,) = propose(project, 1, 0.0)
+    change(live.client, 1, {"kind": "accept", "uid": uid})
+    project.labels.reject(1, uid, Change(2, "bob"))
+    refused = live.client.post(f"{ROOM}/undo", json={})
+    assert refused.status_code == 409
+    assert "was changed by bob since" in refused.json()["error"]["message"]
+    assert refused.json()["state"]["labels"][0]["author"] == "bob"
+
+
+def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
+    """Each adds its own labels; refused ones are put on top of what is there, as the page does."""
+    each, refusals = 12, []
+
+    def write(name: str) -> None:
+        with httpx.Client(base_url=live.url, headers={"Origin": live.url}, timeout=60) as client:
+            client.post("/api/session", json={"operator": name})
+            revision = state(client)["frame"]["revision"]
+            for track in range(each):
+                create = {"kind": "create", "label": "person", "box": BOX, "track_id": track}
+                answer = change(client, revision, create)
+                while answer.status_code == 409:
+                    refusals.append(name)
+                    told = answer.json()
+                    assert told["changes"][0]["track_id"] == track
+                    answer = change(client, told["state"]["frame"]["revision"], create)
+                assert answer.status_code == 200, answer.text
+                revision = answer.json()["frame"]["revision"]
+
+    writers = [threading.Thread(target=write, args=(name,)) for name in ("ann", "bob")]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    labels = state(live.client)["labels"]
+    assert sorted((label["author"], label["track_id"]) for label in labels) == [
+        (name, track) for name in ("ann", "bob") for track in range(each)
+    ]
+    assert state(live.client)["frame"]["revision"] == 2 * each
+    assert refusals, "the two got into each other's way"
