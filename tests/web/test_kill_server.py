@@ -1,0 +1,122 @@
+"""`kill -9` of the server in the middle of a scripted editing run: every acknowledged edit is there afterwards."""
+
+from __future__ import annotations
+
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from annotator.project import open_project
+from annotator.web.settings import ServerSettings
+
+ROUNDS = 3
+BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
+
+
+@contextmanager
+def server(projects: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "annotator.cli.main", "serve", "--projects", str(projects), "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        _wait_until_it_answers(url, process)
+        yield url, process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _wait_until_it_answers(url: str, process: subprocess.Popen[bytes]) -> None:
+    end = time.monotonic() + 60
+    while True:
+        assert process.poll() is None, "the server did not start"
+        try:
+            httpx.get(f"{url}/api/session", timeout=5)
+            return
+        except httpx.TransportError:
+            assert time.monotonic() < end, "the server does not answer"
+            time.sleep(0.1)
+
+
+class Editor:
+    """Edits one frame as fast as it can, and remembers what the server has acknowledged."""
+
+    def __init__(self, url: str, frame: int, seed: int) -> None:
+        self.url, self.frame = url, frame
+        self.chance = random.Random(seed)
+        self.revision = 0
+        self.labels: dict[str, tuple[str, int | None]] = {}
+        self.acknowledged = 0
+
+    def run(self) -> None:
+        try:
+            with httpx.Client(base_url=self.url, headers={"Origin": self.url}, timeout=30) as client:
+                client.post("/api/session", json={"operator": "ann"})
+                self._take(client.get(f"/api/projects/room/frames/{self.frame}").json())
+                while True:
+                    self._edit(client)
+        except httpx.TransportError:
+            return  # the server is dead
+
+    def _edit(self, client: httpx.Client) -> None:
+        what = self.chance.choice(["create", "create", "edit", "reject", "delete", "undo"])
+        if what == "undo":
+            answer = client.post("/api/projects/room/undo", json={})
+            if answer.status_code == 200:
+                self._take(answer.json()["state"])
+            return
+        change: dict[str, Any] = {"kind": "create", "label": "person", "box": BOX, "track_id": self.revision}
+        if what != "create" and self.labels:
+            uid = self.chance.choice(sorted(self.labels))
+            change = {"kind": what, "uid": uid}
+            if what == "edit":
+                change |= {"label": "person", "box": BOX, "track_id": 1000 + self.revision}
+        body = {"revision": self.revision, "changes": [change], "effort": {"actions": 1, "seconds": 0.1}}
+        answer = client.post(f"/api/projects/room/frames/{self.frame}/changes", json=body)
+        assert answer.status_code == 200, answer.text
+        self._take(answer.json())
+
+    def _take(self, state: dict[str, Any]) -> None:
+        self.revision = state["frame"]["revision"]
+        self.labels = {label["uid"]: (label["state"], label["track_id"]) for label in state["labels"]}
+        self.acknowledged += 1
+
+
+def test_every_acknowledged_edit_is_there_after_a_kill(web_settings: ServerSettings) -> None:
+    moments = random.Random(3)
+    total = 0
+    for round_ in range(ROUNDS):
+        with server(web_settings.projects_root) as (url, process):
+            editor = Editor(url, 1 + round_, round_)
+            thread = threading.Thread(target=editor.run)
+            thread.start()
+            time.sleep(1.5 + moments.uniform(0.2, 1.0))
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            thread.join(60)
+        total += editor.acknowledged
+        with open_project(web_settings.projects_root / "room") as project:
+            assert project.problems() == []
+            log = project.log.of_frame(editor.frame)
+            # the state as the last acknowledged answer told it; one more edit may have been kept but not told any more
+            last = project.frames.get(editor.frame).revision
+            assert editor.revision <= last
+            assert len(log) == last
+            if last == editor.revision:
+                labels = project.labels.of_frame(editor.frame)
+                assert {label.uid: (label.state.value, label.track_id) for label in labels} == editor.labels
+            assert project.log.rebuild() > 0
+    assert total > 5 * ROUNDS, "the kills came after some work"
