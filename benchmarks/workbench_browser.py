@@ -45,9 +45,10 @@ PROBE = """([trigger, selector, quiet_ms, longest_ms]) => {
   const seen = { picture: pictures(), view: look(), first: pictures() };
   const at = { begin: null, picture: null, view: null };
   window.measured = null;
-  addEventListener(trigger, () => (at.begin ??= performance.now()), { capture: true, once: true });
+  window.began[trigger] = null;
   const tick = () => {
     const now = performance.now();
+    at.begin = window.began[trigger];
     const [picture, view] = [pictures(), look()];
     if (at.begin !== null) {
       if (picture !== seen.picture) at.picture = now;
@@ -64,6 +65,13 @@ PROBE = """([trigger, selector, quiet_ms, longest_ms]) => {
     requestAnimationFrame(tick);
   };
   requestAnimationFrame(tick);
+}"""
+
+# When such an event was there first, before the page's own listeners, which may keep it.
+BEGINNINGS = """() => {
+  window.began = {};
+  for (const name of ["keydown", "pointerup"])
+    addEventListener(name, () => (window.began[name] ??= performance.now()), { capture: true });
 }"""
 
 # The longest time for which the page's thread did nothing else.
@@ -104,6 +112,7 @@ def chromium() -> Iterator[Browser]:
 def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
     """A page in a browser context of its own."""
     page = browser.new_context(base_url=server.url, viewport=VIEWPORT).new_page()  # type: ignore[arg-type]
+    page.add_init_script(f"({BEGINNINGS})()")
     page.request.post("/api/session", data={"operator": operator}, headers={"Origin": server.url})
     return page
 
