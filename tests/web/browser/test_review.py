@@ -202,6 +202,20 @@ def test_while_an_edge_is_dragged_nothing_is_asked_and_all_pictures_follow(desk:
     assert desk.label.state is ReviewState.PROPOSED
 
 
+def test_arrow_keys_move_the_box_of_the_focused_view_as_one_edit(desk: Desk, wait_for) -> None:
+    before, revision = desk.label.box, desk.project.frames.get(desk.frame).revision
+    with desk.page.expect_response(lambda response: response.url.endswith("/ortho")) as answer:
+        desk.page.reload()
+    desk.settled()
+    front = next(view for view in answer.value.json()["views"] if view["name"] == "front")
+    desk.page.mouse.click(*middle(desk.box("front")))
+    desk.press("ArrowRight", "ArrowRight", "ArrowRight")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    shift = np.array(front["axes"]) @ (desk.label.box.center_m - before.center_m)
+    np.testing.assert_allclose(shift, [3 * front["metres_per_px"], 0, 0], atol=1e-6)
+    assert desk.project.frames.get(desk.frame).revision == revision + 1
+
+
 def test_the_rotation_handle_turns_the_box_about_its_centre(desk: Desk, wait_for) -> None:
     before = desk.label.box
     handle = middle(desk.page.get_by_test_id("ortho-top").get_by_test_id("rotate-handle"))

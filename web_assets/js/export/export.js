@@ -11,6 +11,9 @@ const STATES = [
 ];
 const FORMATS = [["rcv", "3D_HUMAN / 3D_HAND style: images, clouds, 2D boxes and oriented 3D boxes"]];
 
+/** 3400000 -> "3.4 MB, " */
+const size = (bytes) => (bytes ? `${(bytes / 1e6).toLocaleString("en", { maximumFractionDigits: 1 })} MB, ` : "");
+
 export function mount(root, app) {
   const states = STATES.map(([state, , on]) => h("input", { type: "checkbox", checked: on, onchange: show, "data-testid": `export-state-${state}` }));
   const counts = STATES.map(() => h("span", { class: "muted number" }));
@@ -65,7 +68,7 @@ export function mount(root, app) {
     const newest = done.toSorted((a, b) => b.created_ns - a.created_ns)[0];
     if (newest) {
       const made = new Date(newest.created_ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-      result.replaceChildren(h("a", { class: "button primary-link", href: `/api/jobs/${newest.id}/download`, download: "", "data-testid": "download" }, "Download the dataset"), h("span", { class: "muted" }, `made ${made}`));
+      result.replaceChildren(h("a", { class: "button primary-link", href: `/api/jobs/${newest.id}/download`, download: "", "data-testid": "download" }, "Download the dataset"), h("span", { class: "muted number" }, `${size(newest.result?.bytes)}made ${made} by ${newest.operator}`));
     }
   }
 

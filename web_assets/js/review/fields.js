@@ -55,7 +55,11 @@ export function createFields(host, desk, { classes, up }) {
 
   const choice = h(
     "select",
-    { "aria-label": "Class", "data-testid": "field-class", onchange: () => void desk.edit({ label: choice.value }) },
+    { "aria-label": "Class", "data-testid": "field-class", onchange: () => {
+      // Space and the digits are keys of the mode again
+      choice.blur();
+      void desk.edit({ label: choice.value });
+    } },
     classes().map((name) => h("option", { value: name }, name)),
   );
   const track = h("input", {

@@ -39,6 +39,7 @@ export function mount(root, app) {
   const ortho = createOrthoViews(parts.ortho, app, desk);
   const fields = createFields(parts.fields, desk, { classes: () => app.state.project.classes, up: () => app.state.frame?.up ?? null });
   let loading = false;
+  let opened = null;
   let seen_queue = false;
   let seen = null;
 
@@ -131,9 +132,11 @@ export function mount(root, app) {
     loading = true;
     showActions();
     try {
-      if (app.state.frame?.frame.id !== id || !desk.labels().some((label) => label.uid === uid)) {
+      // what another mode has left in app.state may be old
+      if (opened !== id || !desk.stored(uid)) {
         desk.select(null);
         await app.loadFrame(id);
+        opened = id;
       }
       pick(uid);
     } catch (error) {
@@ -153,7 +156,7 @@ export function mount(root, app) {
 
   /** Opens an item of the queue, and writes it into the address. */
   async function go({ frame, uid }) {
-    if (frame === app.state.frame?.frame.id) desk.select(uid);
+    if (frame === opened && desk.stored(uid)) desk.select(uid);
     else await open(frame, uid);
     app.go(makeHash(project, "review", frame));
   }
@@ -288,7 +291,7 @@ export function mount(root, app) {
     route({ frame, query }) {
       const uid = query.get("uid");
       if (frame === null) void begin().catch(app.toast);
-      else if (frame !== app.state.frame?.frame.id) void open(frame, uid);
+      else if (frame !== opened) void open(frame, uid);
       else if (uid) desk.select(uid);
     },
     async flush() {

@@ -8,7 +8,7 @@ const POINT_LIMITS = [0.1, 10];
 export function createScene(host, app, desk) {
   const body = h("div", { class: "viewport-host" });
   const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
-  const color = h("select", { "aria-label": "Colour of the points", title: "Colour of the points", onchange: () => choose("color", color.value) }, COLORS.map(([value, text]) => h("option", { value }, text)));
+  const color = h("select", { "aria-label": "Colour of the points", title: "Colour of the points", onchange: () => color.blur() ?? choose("color", color.value) }, COLORS.map(([value, text]) => h("option", { value }, text)));
   const reset = h("button", { type: "button", class: "quiet small", title: "Back to the camera's place", "data-testid": "reset-view", onclick: () => send({ reset_view: true }) }, "Reset view");
   host.append(h("header", {}, h("h2", {}, "3D view"), note, h("span", { class: "grow" }), color, reset), body);
   const { viewport } = app;

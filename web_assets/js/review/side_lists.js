@@ -10,12 +10,12 @@ const ROWS = 120;
 export function createQueueList(host, app, queue, { open }) {
   const order = h(
     "select",
-    { "aria-label": "Order of the queue", "data-testid": "queue-order", onchange: () => queue.choose({ order: order.value }).then(openFirst, app.toast) },
+    { "aria-label": "Order of the queue", "data-testid": "queue-order", onchange: () => choose(order, { order: order.value }) },
     ORDERS.map(([value, text]) => h("option", { value }, text)),
   );
   const label = h(
     "select",
-    { "aria-label": "Class in the queue", "data-testid": "queue-class", onchange: () => queue.choose({ label: label.value }).then(openFirst, app.toast) },
+    { "aria-label": "Class in the queue", "data-testid": "queue-class", onchange: () => choose(label, { label: label.value }) },
     h("option", { value: "" }, "All classes"),
     app.state.project.classes.map((name) => h("option", { value: name }, name)),
   );
@@ -25,8 +25,10 @@ export function createQueueList(host, app, queue, { open }) {
   order.value = queue.order;
   host.replaceChildren(h("header", {}, h("h2", {}, "To review"), h("span", { class: "grow" }), left), h("div", { class: "choices" }, order, label), list);
 
-  function openFirst() {
-    if (queue.items[0]) open(queue.items[0]);
+  function choose(select, changes) {
+    // Space and the digits are keys of the mode again
+    select.blur();
+    queue.choose(changes).then(() => queue.items[0] && open(queue.items[0]), app.toast);
   }
 
   return {

@@ -8,6 +8,7 @@ import { createPropose } from "./propose.js";
 
 /** The server's own defaults, shown so that an operator knows what an empty field means. */
 const PICTURES = { image: 1600, view: 6000 };
+const SIZES_PX = { image: 256, view: 224 };
 const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
   ["view", "View detector", "finds their edges on pseudo-views"],
@@ -62,13 +63,14 @@ export function mount(root, app) {
     if (nothing) material.append(nothingYet(app));
   }
 
-  let last = "";
+  const states = () => app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
+  let last = states();
   const stop = [
     app.state.on("jobs", () => {
       show();
       // new models and new proposals change what else the page says
-      const now = app.state.jobs.map(({ id, state }) => `${id}${state}`).join();
-      if (now !== last && last !== "") {
+      const now = states();
+      if (now !== last) {
         void load();
         app.refreshProject().then(() => !ended && show(), app.toast);
       }
@@ -93,6 +95,9 @@ function createForm(app) {
   const pictures = ROLES.map(([role, label]) =>
     h("input", { type: "number", min: 16, max: 1000000, step: 1, placeholder: String(PICTURES[role]), "aria-label": `Pictures for the ${label.toLowerCase()}`, "data-testid": `train-pictures-${role}` }),
   );
+  const sizes = ROLES.map(([role, label]) =>
+    h("input", { type: "number", min: 32, max: 2048, step: 32, placeholder: String(SIZES_PX[role]), "aria-label": `Size of the pictures for the ${label.toLowerCase()}`, "data-testid": `train-size-${role}` }),
+  );
   const model = h(
     "select",
     { "data-testid": "train-model" },
@@ -108,8 +113,9 @@ function createForm(app) {
       "div",
       { class: "settings" },
       ROLES.map(([role, label], i) => h("label", { class: "field" }, h("span", {}, `${label}: pictures seen`), pictures[i])),
+      ROLES.map(([, label], i) => h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i])),
       h("label", { class: "field" }, h("span", {}, "Network"), model),
-      h("p", { class: "help" }, "Every picture is shown many times, changed a little each time. More pictures take longer and teach more."),
+      h("p", { class: "help" }, "Every picture is shown many times, changed a little each time. More of them take longer and teach more; larger ones show small objects better. What is left empty takes the number shown in grey."),
     ),
   );
   const form = h(
@@ -127,7 +133,7 @@ function createForm(app) {
     try {
       const chosen = ROLES.map(([role]) => role).filter((_, i) => roles[i].checked);
       if (chosen.length === 0) throw new Error("Choose at least one detector to train.");
-      await startJob(app, { kind: "train", roles: chosen, image_pictures: number(pictures[0]), view_pictures: number(pictures[1]), model: model.value || null });
+      await startJob(app, { kind: "train", roles: chosen, image_pictures: number(pictures[0]), view_pictures: number(pictures[1]), image_size_px: number(sizes[0]), view_size_px: number(sizes[1]), model: model.value || null });
     } catch (error) {
       problem.textContent = error.message;
       problem.hidden = false;
