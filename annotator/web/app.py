@@ -52,6 +52,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         watch = Watch(context)
         watch.start()
+        context.jobs.start()
         yield
         watch.close()
         context.close()

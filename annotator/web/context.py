@@ -19,9 +19,13 @@ from annotator.web.annotation import Annotation
 from annotator.web.errors import NotSignedInError
 from annotator.web.folders import Folders
 from annotator.web.hub import Hub
+from annotator.web.jobs.records import Job
+from annotator.web.jobs.runner import JobRunner
 from annotator.web.settings import ServerSettings
 
 OPERATOR_COOKIE = "annotator_operator"
+# Beside the projects; hidden, so that it is none.
+JOBS_FOLDER = ".jobs"
 
 
 class Context:
@@ -31,6 +35,7 @@ class Context:
         settings: what the server was told.
         folders: where recordings may be added from.
         hub: events to the open pages.
+        jobs: long work.
         annotation: open frames and pictures.
     """
 
@@ -38,6 +43,7 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
+        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._tell_job)
         self.annotation = Annotation()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
@@ -78,12 +84,17 @@ class Context:
 
     def close(self) -> None:
         """Ends everything that runs on behalf of the application."""
+        self.jobs.close()
         self.hub.close()
         self.annotation.close()
         with self._lock:
             for project in self._projects.values():
                 project.close()
             self._projects.clear()
+
+    def _tell_job(self, job: Job) -> None:
+        # the indicator of jobs is on every page, whatever project it shows
+        self.hub.send({"type": "job", "job": job.model_dump(mode="json")})
 
     def _folder(self, name: str) -> Path:
         try:

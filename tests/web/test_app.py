@@ -9,7 +9,7 @@ import pytest
 from annotator import __version__
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
 
 
 def test_sign_in_and_out(live: Live) -> None:

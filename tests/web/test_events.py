@@ -18,7 +18,7 @@ from annotator.types import Source
 from annotator.web.hub import QUEUE, Client, Hub
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
 
 WaitFor = Callable[[Callable[[], Any], float], None]
 

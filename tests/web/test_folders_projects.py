@@ -12,7 +12,7 @@ from annotator.types.errors import NotFoundError
 from annotator.web.folders import Folders
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from annotator.web.security import BODY_LIMIT, check_settings, cookie_name, is_l
 from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
 
 TOKEN = "a-token-for-the-tests"
 

@@ -1,0 +1,52 @@
+"""What a restarted server still knows of its jobs."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from annotator.files import write_atomic
+from annotator.web.jobs.records import Job, JobState
+
+LOG = logging.getLogger("annotator.web")
+
+FILE = "journal.json"
+SERVER_STOPPED = "the server was stopped"
+
+
+class _Journal(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    jobs: tuple[Job, ...]
+
+
+def read_journal(folder: Path) -> list[Job]:
+    """The jobs of former servers, oldest first; those that had not ended have failed. Empty where nothing is known."""
+    path = folder / FILE
+    try:
+        jobs = _Journal.model_validate_json(path.read_bytes()).jobs
+    except FileNotFoundError:
+        return []
+    except (OSError, ValidationError) as error:
+        # former jobs are a convenience: the server starts without them, and says so
+        LOG.warning("%s: cannot be read, former jobs are not listed: %s", path, error)
+        return []
+    return [_ended(job) for job in jobs]
+
+
+def write_journal(folder: Path, jobs: Iterable[Job]) -> None:
+    """Keeps the jobs."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(folder / FILE, _Journal(jobs=tuple(jobs)).model_dump_json().encode())
+    except OSError as error:
+        LOG.warning("%s: the list of jobs cannot be kept: %s", folder, error)
+
+
+def _ended(job: Job) -> Job:
+    if job.state.ended:
+        return job
+    return job.model_copy(update={"state": JobState.FAILED, "message": SERVER_STOPPED, "eta_s": None})

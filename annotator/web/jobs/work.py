@@ -1,0 +1,142 @@
+"""The work of the jobs, around one workflow each. Runs in a worker process."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from annotator.detection.config import TrainingConfig
+from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.project import Role
+from annotator.web.jobs.desk import Desk, JobStoppedError, Outcome
+from annotator.web.jobs.records import CurvePoint, ExportRequest, ProposeRequest, TrainRequest
+from annotator.workflows.annotate import annotate
+from annotator.workflows.detectors import active_detectors
+from annotator.workflows.export import ExportFilter, export_dataset
+from annotator.workflows.rcv_settings import rcv_config
+from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
+
+FAILURES_TOLD = 20
+RESUMES = "stopped; training the same boxes again goes on from here"
+
+
+def train_work(desk: Desk, request: TrainRequest) -> Outcome:
+    """Trains detectors; each proposes as soon as it is done."""
+    plan = TrainPlan(
+        image=_with(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
+        view=_with(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),
+    )
+    roles = tuple(dict.fromkeys(request.roles))
+    telling = _Telling(desk, plan, roles)
+    desk.progress(f"draw training pictures for the {roles[0]} detector")
+    try:
+        trained = train(desk.project, plan, roles=roles, progress=telling.step, stop=desk.stopped)
+    except TrainingStoppedError as error:
+        raise JobStoppedError(RESUMES) from error
+    figures = ", ".join(f"{t.role} detector mAP50 {t.result.metrics.map50:.2f}" for t in trained)
+    left_out = [line for t in trained for line in t.left_out]
+    return Outcome(f"trained: {figures}", {"models": [t.model.id for t in trained], "left_out": left_out})
+
+
+def _with(config: TrainingConfig, pictures: int | None, size_px: int | None, model: str | None) -> TrainingConfig:
+    given = {"pictures_seen": pictures, "image_size_px": size_px, "model": model}
+    return config.model_copy(update={name: value for name, value in given.items() if value is not None})
+
+
+@dataclass(eq=False)
+class _Telling:
+    """Turns the progress of two trainings into that of one job, counted in pictures shown."""
+
+    desk: Desk
+    plan: TrainPlan
+    roles: tuple[Role, ...]
+    told: dict[Role, int] = field(default_factory=dict)
+    measured: dict[Role, float | None] = field(default_factory=dict)
+
+    def step(self, role: Role, step: TrainingProgress) -> None:
+        """One batch or epoch of one training."""
+        if step.batch == 0 and step.epoch > self.told.get(role, 0):
+            self.told[role] = step.epoch
+            self._measured(role, step)
+        if self.desk.stopped():  # the training asks by itself, and ends in good order
+            return
+        before = sum(map(self._pictures, self.roles[: self.roles.index(role)]))
+        total = sum(map(self._pictures, self.roles))
+        own = self._pictures(role) * step.epochs_done / step.epochs
+        epoch = min(step.epoch + 1, step.epochs)
+        stage = f"train the {role} detector, epoch {epoch} of {step.epochs}"
+        self.desk.progress(stage, before + own, total, self._seconds_left(step, before + own, own, total))
+
+    def _seconds_left(self, step: TrainingProgress, done: float, own: float, total: float) -> float | None:
+        """The rest of this training as it says, and of the next one at the same pace."""
+        if step.seconds_left is None or own <= 0:
+            return None
+        after = total - done - (self._pictures(Role(step.role)) - own)
+        return step.seconds_left + after * step.seconds / own
+
+    def _pictures(self, role: Role) -> float:
+        return float((self.plan.image if role is Role.IMAGE else self.plan.view).pictures_seen)
+
+    def _measured(self, role: Role, step: TrainingProgress) -> None:
+        metrics = {name.rpartition("/")[2]: value for name, value in step.losses.items()}
+        if step.map50 is not None and step.map50_95 is not None and step.map50_95 != self.measured.get(role):
+            # the trainer measures only now and then, and repeats its last figures meanwhile
+            self.measured[role] = step.map50_95
+            metrics |= {"map50": step.map50, "map50_95": step.map50_95}
+        self.desk.measured(CurvePoint(role=role, epoch=step.epoch, metrics=metrics))
+
+
+def propose_work(desk: Desk, request: ProposeRequest) -> Outcome:
+    """Proposes boxes on recordings."""
+    desk.progress("load the detectors")
+    detectors = active_detectors(desk.project)
+    config = rcv_config(desk.project).model_copy(update={"box_kind": detectors.box_kind})
+    for recording in request.recordings or ():
+        desk.project.recordings.get(recording)
+    done = annotate(
+        desk.project,
+        detectors,
+        config,
+        recordings=request.recordings,
+        limit=request.limit,
+        progress=desk.counted("propose boxes"),
+    )
+    words = f"{done.proposals} proposals in {done.done} frames"
+    if done.skipped:
+        words += f", {done.skipped} frames were done before"
+    if done.failed:
+        words += f", {len(done.failed)} frames failed"
+    failed = [{"key": key, "reason": reason} for key, reason in done.failed[:FAILURES_TOLD]]
+    result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
+    return Outcome(words, {**result, "failed": failed, "failures": len(done.failed)})
+
+
+def export_work(desk: Desk, request: ExportRequest) -> Outcome:
+    """Writes a dataset and packs it; only the packed file is left."""
+    name = f"{desk.project.path.name}-{request.format}"
+    out, packed = desk.folder / name, desk.folder / f"{name}.zip"
+    choose = ExportFilter(
+        tuple(request.states),
+        None if request.classes is None else tuple(request.classes),
+        None if request.recordings is None else tuple(request.recordings),
+    )
+    written = export_dataset(desk.project, out, choose=choose, progress=desk.counted("write the dataset"))
+    _pack(desk, out, packed)
+    shutil.rmtree(out)
+    counts = written.counts
+    result = {"file": packed.name, "bytes": packed.stat().st_size, "frames": counts.frames, "objects": counts.objects}
+    return Outcome(f"{counts.objects} boxes in {counts.frames} frames", result)
+
+
+def _pack(desk: Desk, folder: Path, packed: Path) -> None:
+    """All files of a folder, below its name, as a zip; pictures are stored as they are."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    part = packed.with_suffix(".part")
+    with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for number, path in enumerate(files, 1):
+            kind = zipfile.ZIP_STORED if path.suffix in (".png", ".jpg") else zipfile.ZIP_DEFLATED
+            archive.write(path, path.relative_to(folder.parent), kind)
+            desk.progress("pack the dataset", float(number), float(len(files)))
+    part.replace(packed)

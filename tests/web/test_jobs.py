@@ -1,0 +1,270 @@
+"""Jobs: their ends, their order, what pages are told, what outlives a server; with work made for these tests."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import fake_jobs
+import pytest
+from live_server import running
+from test_events import listen, next_of
+
+from annotator.formats.rcv import read_rcv
+from annotator.project import open_project
+from annotator.web.jobs import process
+from annotator.web.jobs.journal import FILE
+from annotator.web.jobs.runner import EXPORTS_KEPT, MOST_WAITING
+from annotator.web.jobs.table import WORK
+
+if TYPE_CHECKING:
+    from live_server import Live
+
+    from annotator.web.settings import ServerSettings
+
+WaitFor = Callable[[Callable[[], Any], float], None]
+JOBS = "/api/projects/room/jobs"
+ENDS = ("done", "failed", "cancelled")
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Proposing is replaced by the work of `fake_jobs`."""
+    monkeypatch.setitem(WORK, "propose", "fake_jobs:work")
+    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+
+
+@pytest.fixture
+def server(fake: None, live: Live) -> Iterator[Live]:
+    yield live
+
+
+def begin(live: Live, what: int) -> dict[str, Any]:
+    answer = live.client.post(JOBS, json={"kind": "propose", "limit": what})
+    assert answer.status_code == 201, answer.text
+    job: dict[str, Any] = answer.json()
+    return job
+
+
+def look(live: Live, job: dict[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = live.client.get(f"/api/jobs/{job['id']}").json()
+    return found
+
+
+def ended(live: Live, job: dict[str, Any], seconds: float = 60.0) -> dict[str, Any]:
+    end = time.monotonic() + seconds
+    while (now := look(live, job))["state"] not in ENDS:
+        assert time.monotonic() < end, now
+        time.sleep(0.05)
+    return now
+
+
+def until(live: Live, job: dict[str, Any], state: str, stage: str) -> None:
+    end = time.monotonic() + 30
+    while (now := look(live, job))["state"] != state or now["stage"] != stage:
+        assert time.monotonic() < end and now["state"] not in ENDS, now
+        time.sleep(0.05)
+
+
+def test_a_job_from_its_beginning_to_its_end(server: Live) -> None:
+    with listen(server) as socket:
+        job = begin(server, fake_jobs.QUICK)
+        assert (job["project"], job["kind"], job["operator"]) == ("room", "propose", "Ada")
+        assert job["state"] in ("queued", "running")
+        states = []
+        while not states or states[-1] != "done":
+            states.append(next_of(socket, "job", 30)["job"]["state"])
+    assert list(dict.fromkeys(states)) == ["queued", "running", "done"]
+    done = ended(server, job)
+    assert (done["message"], done["done"], done["total"]) == ("counted to 2", 2.0, 2.0)
+    assert done["curves"] == [{"role": "image", "epoch": 1, "metrics": {"map50": 0.5}}]
+    assert done["result"] == {"nice": os.nice(0) + 5, "omp": "PASSIVE"}
+    assert server.client.get("/api/jobs").json()["jobs"] == [done]
+    assert server.client.get(f"/api/jobs/{job['id']}/download").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        (fake_jobs.REFUSED, "project room has no image detector yet"),
+        (fake_jobs.BUG, "internal error, see the server's log"),
+        (fake_jobs.KILLED, "the worker ended unexpectedly (it was killed, perhaps for want of memory)"),
+    ],
+)
+def test_a_job_fails_and_the_next_one_runs(server: Live, what: int, message: str) -> None:
+    failed, next_one = begin(server, what), begin(server, fake_jobs.QUICK)
+    now = ended(server, failed)
+    assert (now["state"], now["message"], now["eta_s"]) == ("failed", message, None)
+    assert ended(server, next_one)["state"] == "done"
+
+
+def test_stopping_one_that_runs_and_one_that_waits(server: Live) -> None:
+    runs, waits, last = (begin(server, what) for what in (fake_jobs.LONG, fake_jobs.LONG, fake_jobs.QUICK))
+    until(server, runs, "running", "on and on")
+    assert look(server, waits)["state"] == "queued"
+    stopped = server.client.post(f"/api/jobs/{waits['id']}/cancel").json()
+    assert (stopped["state"], stopped["message"]) == ("cancelled", "stopped before it began")
+    assert server.client.post(f"/api/jobs/{runs['id']}/cancel").json()["stage"] == "stopping"
+    assert ended(server, runs, 10)["state"] == "cancelled"
+    assert ended(server, last)["state"] == "done"
+    again = server.client.post(f"/api/jobs/{runs['id']}/cancel").json()
+    assert again["state"] == "cancelled"
+
+
+def test_who_does_not_stop_is_killed(server: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "KILL_AFTER_S", 0.5)
+    server.context.jobs._grace_s = 0.5
+    job = begin(server, fake_jobs.DEAF)
+    until(server, job, "running", "deaf")
+    server.client.post(f"/api/jobs/{job['id']}/cancel")
+    assert ended(server, job, 10)["state"] == "cancelled"
+    with open_project(server.settings.projects_root / "room") as project:
+        assert project.problems() == []
+
+
+def test_what_a_job_changes_is_told(server: Live) -> None:
+    with listen(server) as socket:
+        next_of(socket, "presence")
+        time.sleep(1.2)
+        begin(server, fake_jobs.EDITS)
+        event = next_of(socket, "frame", 30)
+        assert (event["revision"], event["operator"]) == (1, "a job")
+
+
+def test_the_server_answers_while_a_job_runs(server: Live) -> None:
+    job = begin(server, fake_jobs.LONG)
+    until(server, job, "running", "on and on")
+    began = time.monotonic()
+    for _ in range(20):
+        assert server.client.get("/api/projects/room").status_code == 200
+    assert time.monotonic() - began < 10
+
+
+def test_too_many_wait(server: Live) -> None:
+    jobs = [begin(server, fake_jobs.LONG)]
+    until(server, jobs[0], "running", "on and on")
+    jobs += [begin(server, fake_jobs.QUICK) for _ in range(MOST_WAITING)]
+    refused = server.client.post(JOBS, json={"kind": "propose", "limit": 1})
+    assert (refused.status_code, refused.json()["error"]["kind"]) == (400, "ConfigError")
+
+
+def test_a_restarted_server_knows_former_jobs(fake: None, web_settings: ServerSettings) -> None:
+    with running(web_settings) as live:
+        done, runs, waits = (begin(live, what) for what in (fake_jobs.QUICK, fake_jobs.LONG, fake_jobs.QUICK))
+        until(live, runs, "running", "on and on")
+    with running(web_settings) as live:
+        assert ended(live, done)["message"] == "counted to 2"
+        for job in (runs, waits):
+            now = look(live, job)
+            assert (now["state"], now["message"]) == ("failed", "the server was stopped")
+
+
+def test_a_killed_server_leaves_no_worker_and_a_sound_list(fake: None, web_settings: ServerSettings) -> None:
+    folder = web_settings.projects_root / ".jobs"
+    folder.mkdir()
+    record = {"id": "0" * 32, "project": "room", "kind": "train", "state": "running", "created_ns": 1, "operator": "A"}
+    (folder / FILE).write_text(json.dumps({"jobs": [record]}))
+    (folder / ("0" * 32)).mkdir()
+    with running(web_settings) as live:
+        (job,) = live.client.get("/api/jobs").json()["jobs"]
+        assert (job["state"], job["message"]) == ("failed", "the server was stopped")
+        assert [path.name for path in folder.iterdir()] == [FILE]
+
+
+@pytest.mark.parametrize("content", ["", "{", '{"jobs": [1]}', '{"others": []}'])
+def test_a_damaged_list_is_no_reason_not_to_start(web_settings: ServerSettings, content: str) -> None:
+    (web_settings.projects_root / ".jobs").mkdir()
+    (web_settings.projects_root / ".jobs" / FILE).write_text(content)
+    with running(web_settings) as live:
+        assert live.client.get("/api/jobs").json() == {"jobs": []}
+        assert [p["name"] for p in live.client.get("/api/projects").json()["projects"]] == ["room"]
+
+
+def test_a_worker_ends_when_its_server_is_gone(fake: None, web_settings: ServerSettings, tmp_path: Path) -> None:
+    order = {
+        "target": "fake_jobs:work",
+        "project": str(web_settings.projects_root / "room"),
+        "folder": str(tmp_path),
+        "request": {"kind": "propose", "limit": fake_jobs.LONG},
+    }
+    command = [sys.executable, "-m", "annotator.web.jobs.worker"]
+    worker = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert worker.stdin is not None and worker.stdout is not None
+    worker.stdin.write(json.dumps(order) + "\n")
+    worker.stdin.flush()
+    assert "on and on" in worker.stdout.readline()
+    worker.stdin.close()
+    assert worker.wait(15) == 0
+    worker.stdout.close()
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        ({"kind": "dance"}, 422),
+        ({}, 422),
+        ({"kind": "train", "roles": []}, 422),
+        ({"kind": "train", "roles": ["both"]}, 422),
+        ({"kind": "train", "image_pictures": 0}, 422),
+        ({"kind": "train", "model": "../../evil.pt"}, 422),
+        ({"kind": "train", "epochs": 1}, 422),
+        ({"kind": "propose", "limit": 0}, 422),
+        ({"kind": "propose", "recordings": []}, 422),
+        ({"kind": "propose", "recordings": [1e99]}, 422),
+        ({"kind": "export", "format": "zip"}, 422),
+        ({"kind": "export", "states": ["new"]}, 422),
+    ],
+)
+def test_what_is_no_job(server: Live, body: object, status: int) -> None:
+    answer = server.client.post(JOBS, json=body)
+    assert answer.status_code == status
+    assert server.client.get("/api/jobs").json() == {"jobs": []}
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("POST", "/api/projects/nobody/jobs", 404),
+        ("GET", f"/api/jobs/{'0' * 32}", 404),
+        ("POST", f"/api/jobs/{'0' * 32}/cancel", 404),
+        ("GET", f"/api/jobs/{'0' * 32}/download", 404),
+        ("GET", "/api/jobs/..%2Fjournal.json/download", 404),
+        ("GET", "/api/jobs/journal.json", 422),
+    ],
+)
+def test_jobs_that_are_not_there(server: Live, method: str, path: str, status: int) -> None:
+    body = {"kind": "propose"} if method == "POST" and path.endswith("jobs") else None
+    assert server.client.request(method, path, json=body).status_code == status
+
+
+def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> None:
+    nothing = live.client.post(JOBS, json={"kind": "export"}).json()
+    assert "no labels in state" in ended(live, nothing)["message"]
+    live.client.post("/api/projects", json={"name": "full", "classes": ["person"]})
+    live.client.post("/api/projects/full/recordings", json={"path": f"{generated.name}/people"})
+    jobs = []
+    for _ in range(EXPORTS_KEPT + 1):
+        jobs.append(live.client.post("/api/projects/full/jobs", json={"kind": "export"}).json())
+        assert ended(live, jobs[-1])["message"] == "15 boxes in 5 frames"
+    answer = live.client.get(f"/api/jobs/{jobs[-1]['id']}/download")
+    assert answer.headers["content-type"] == "application/zip"
+    assert 'filename="full-rcv.zip"' in answer.headers["content-disposition"]
+    zipfile.ZipFile(BytesIO(answer.content)).extractall(tmp_path / "out")
+    dataset = read_rcv(tmp_path / "out" / "full-rcv")
+    assert sum(len(dataset.labels(index)) for index in range(len(dataset))) == 15
+    gone = live.client.get(f"/api/jobs/{jobs[0]['id']}/download")
+    assert gone.status_code == 404
+    folders = [path for path in (live.settings.projects_root / ".jobs").iterdir() if path.is_dir()]
+    assert len(folders) == EXPORTS_KEPT
+    assert all(sorted(p.name for p in folder.iterdir()) == ["full-rcv.zip", "worker.log"] for folder in folders)
