@@ -35,11 +35,9 @@ def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[
     """
     if not boxes:
         return []
-    ends = corners(
-        np.array([box.center_m for box in boxes]),
-        np.array([box.rotation for box in boxes]),
-        np.array([box.size_m for box in boxes]),
-    )[:, _ENDS].reshape(-1, 2, 3)
+    poses = np.array([box.T_camera_box.as_matrix() for box in boxes])
+    sizes = np.array([box.size_m for box in boxes])
+    ends = corners(poses[:, :3, 3], poses[:, :3, :3], sizes)[:, _ENDS].reshape(-1, 2, 3)
     cut, seen = cut_segments(ends, field_of_view(camera_key(camera)))
     owner = np.repeat(np.arange(len(boxes)), len(EDGES))[seen]
     pieces = 1 if camera.is_ideal else PIECES_DISTORTED

@@ -1,4 +1,8 @@
-"""Points sorted along one axis, so that a look into one box of a large cloud does not touch all of it."""
+"""Points sorted into slabs, so that a look into one box of a large cloud touches few of them.
+
+The slabs cut the axis in which the points spread most into parts of equal numbers of points; within each, points are
+sorted along the axis with the next largest spread. A box needs a slice of each slab that it reaches into.
+"""
 
 from __future__ import annotations
 
@@ -10,42 +14,64 @@ from jaxtyping import Float32, Int64
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.types import OrientedBox
 
+POINTS_A_SLAB = 2000
+
 
 @dataclass(frozen=True, eq=False)
 class PointIndex:
     """A cloud, sorted.
 
     Attributes:
-        xyz_m: (n, 3) the points, sorted by coordinate `axis`.
+        xyz_m: (n, 3) the points, slab by slab.
         order: (n,) the place of each in the cloud as it was.
-        axis: the coordinate in which the points spread most.
+        axes: the coordinate that the slabs cut, and the one that each is sorted by.
+        starts: (k + 1,) where each slab begins, and the end of the last.
+        lows: (k,) the lowest coordinate in each slab along the first axis.
     """
 
     xyz_m: Float32[np.ndarray, "n 3"]
     order: Int64[np.ndarray, "n"]
-    axis: int
+    axes: tuple[int, int]
+    starts: Int64[np.ndarray, "k1"]
+    lows: Float32[np.ndarray, "k"]
 
     @classmethod
     def of(cls, xyz_m: Float32[np.ndarray, "n 3"]) -> PointIndex:
         """Sorts a cloud; every point finite."""
-        axis = int(np.argmax(xyz_m.std(axis=0))) if len(xyz_m) else 0
-        order = np.argsort(xyz_m[:, axis], kind="stable").astype(np.int64)
-        return cls(xyz_m[order], order, axis)
+        n = len(xyz_m)
+        spread = np.argsort(-xyz_m.std(axis=0)) if n else np.arange(3)
+        first, second = int(spread[0]), int(spread[1])
+        order = np.argsort(xyz_m[:, first])
+        starts = np.arange(0, n + POINTS_A_SLAB, POINTS_A_SLAB).clip(max=n) if n else np.zeros(1, np.int64)
+        lows = xyz_m[order[starts[:-1]], first]
+        # one key for both: the slab before the point, the place within the slab behind it
+        along = xyz_m[order, second].astype(np.float64)
+        width = float(np.ptp(along)) * 1.001 + 1e-9 if n else 1.0
+        order = order[np.argsort(np.arange(n) // POINTS_A_SLAB + (along - along.min(initial=np.inf)) / width)]
+        return cls(xyz_m[order], order.astype(np.int64), (first, second), starts.astype(np.int64), lows)
 
     def inside(self, box: OrientedBox, margin_m: float = 0.0) -> Int64[np.ndarray, "m"]:
         """The places, in the cloud as it was, of the points in a box whose faces are moved outwards by `margin_m`."""
-        first, last = self._slice(box, margin_m)
-        return self.order[first:last][contains(box, self.xyz_m[first:last], margin_m)]
+        near = self._near(box, margin_m)
+        return self.order[near[contains(box, self.xyz_m[near], margin_m)]]
 
     def count(self, box: OrientedBox, margin_m: float = 0.0) -> int:
         """How many points lie in a box whose faces are moved outwards by `margin_m`."""
-        first, last = self._slice(box, margin_m)
-        return int(contains(box, self.xyz_m[first:last], margin_m).sum())
+        return int(contains(box, self.xyz_m[self._near(box, margin_m)], margin_m).sum())
 
-    def _slice(self, box: OrientedBox, margin_m: float) -> tuple[int, int]:
-        reach = box_corners(box)[:, self.axis]
+    def _near(self, box: OrientedBox, margin_m: float) -> Int64[np.ndarray, "m"]:
+        """Where the points lie that may be in the box: those within its extent along both axes, and a few more."""
+        reach = box_corners(box)[:, self.axes]
         # moving all faces moves a corner by at most the margin along each box axis; and float32 rounds
         slack = np.sqrt(3.0) * abs(margin_m) + 1e-5 * float(np.abs(reach).max())
-        along = self.xyz_m[:, self.axis]
-        first, last = np.searchsorted(along, np.array([reach.min() - slack, reach.max() + slack], np.float32))
-        return int(first), min(int(last) + 1, len(along))
+        (low, low_in), (high, high_in) = reach.min(axis=0) - slack, reach.max(axis=0) + slack
+        first = max(int(np.searchsorted(self.lows, low)) - 1, 0)
+        last = int(np.searchsorted(self.lows, high, side="right"))
+        parts = []
+        for slab in range(first, last):
+            begin, end = int(self.starts[slab]), int(self.starts[slab + 1])
+            along = self.xyz_m[begin:end, self.axes[1]]
+            a, b = np.searchsorted(along, np.array([low_in, high_in], np.float32))
+            # the ends are rounded, too: one point more on each side
+            parts.append(np.arange(begin + max(int(a) - 1, 0), begin + min(int(b) + 1, end - begin)))
+        return np.concatenate(parts) if parts else np.zeros(0, np.int64)

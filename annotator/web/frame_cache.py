@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +14,8 @@ from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.open_frame import OpenFrame
+
+LOG = logging.getLogger("annotator.web")
 
 # A few operators, each with the frame they look at, the one before and the next.
 FRAMES_KEPT = 8
@@ -106,10 +109,16 @@ class FrameCache:
 
     def _prepare(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
         """What will be asked for next: about this frame, and the next one."""
-        _ = found.jpeg, found.index, found.with_normals
-        # whoever opens the frame is told what is wrong with it
-        with suppress(AnnotatorError):
+        try:
+            _ = found.jpeg, found.index, found.with_normals
             _, following = neighbours(project, stored)
-            if following is not None and (project, following) not in self._frames:
+            if following is not None and self._known((project, following)) is None:
                 ready = self._open(project, project.frames.get(following))
                 _ = ready.jpeg, ready.index
+                for label in project.labels.of_frame(following):
+                    ready.points_in(label.box)
+        except AnnotatorError as error:
+            # whoever opens the frame is told what is wrong with it
+            LOG.debug("frame after %s: %s", stored.key, error)
+        except Exception:
+            LOG.exception("reading ahead of frame %s failed", stored.key)

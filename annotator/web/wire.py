@@ -111,8 +111,9 @@ class Box3DOut(Wire):
 
     @classmethod
     def of(cls, box: OrientedBox) -> Box3DOut:
+        pose = box.T_camera_box.as_matrix()
         return cls.model_construct(
-            center=box.center_m.tolist(), size=box.size_m.tolist(), rotation=box.rotation.tolist()
+            center=pose[:3, 3].tolist(), size=box.size_m.tolist(), rotation=pose[:3, :3].tolist()
         )
 
 
