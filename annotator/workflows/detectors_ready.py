@@ -58,6 +58,7 @@ class ReadyDetectors:
         self._lock = threading.Lock()
         self._use = threading.Lock()
         self._loader = ThreadPoolExecutor(1, "detectors")
+        self._warmed: set[Path] = set()
         self._loading: dict[tuple[Path, Role], tuple[str, Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: Role, wait_s: float | None = None) -> ReadyDetector | None:
@@ -80,7 +81,11 @@ class ReadyDetectors:
             return None
 
     def warm(self, project: Project) -> None:
-        """Begins to load what the project's pages will ask for."""
+        """Begins to load what the project's pages will ask for; once a project is enough."""
+        with self._lock:
+            if project.path in self._warmed:
+                return
+            self._warmed.add(project.path)
         for role in Role:
             self.get(project, role, wait_s=0)
 

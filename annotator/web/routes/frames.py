@@ -37,7 +37,9 @@ def frames(
 @router.get("/api/projects/{name}/frames/{frame_id}")
 def frame(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> FrameStateJson:
     """All that a page shows of a frame."""
-    return frame_state(ctx, name, frame_id, who)
+    state = frame_state(ctx, name, frame_id, who)
+    ctx.annotation.detectors.warm(ctx.project(name))
+    return state
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
@@ -54,13 +54,17 @@ class StepJson(Wire):
 
 
 class StepsOut(Wire):
-    """What the drags have led to: the cross-view box so far, how many points it holds, why it goes no further."""
+    """What the drags have led to: the cross-view box so far, how many points it holds, why it goes no further.
+
+    While `detector` is loading, the same question brings suggestions a little later.
+    """
 
     steps: list[StepJson]
     box: Box3DOut | None
     outline: Outline | None
     points: int
     stop: str | None
+    detector: Literal["none", "loading", "ready"]
 
 
 class ObjectIn(Wire):
@@ -116,6 +120,7 @@ def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) ->
         outline=None if found.box is None else found.outline.round(2).tolist(),
         points=found.points,
         stop=found.stop,
+        detector="ready" if detector else "loading" if project.models.active(Role.VIEW) else "none",
     )
 
 
