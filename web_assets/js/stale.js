@@ -1,7 +1,7 @@
 /** Two versions of a frame: what somebody else has saved, and what was to be saved here. The operator decides; nothing is lost. */
 
 import { openDialog } from "./dialogs.js";
-import { h, s } from "./dom.js";
+import { count, h, s } from "./dom.js";
 
 const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#7c8494" };
 const MINE = "#ff5d8f";
@@ -15,7 +15,7 @@ const MINE = "#ff5d8f";
  */
 export function askVersion({ theirs, mine }) {
   const authors = [...new Set(theirs.labels.map(({ author }) => author))].filter(Boolean);
-  const counts = `${theirs.image_boxes?.boxes.length ?? 0} boxes on the image, ${theirs.labels.length} boxes in 3D${authors.length ? ` (by ${authors.join(", ")})` : ""}`;
+  const counts = `${count(theirs.image_boxes?.boxes.length ?? 0, "box", "boxes")} on the image, ${count(theirs.labels.length, "box", "boxes")} in 3D${authors.length ? ` (by ${authors.join(", ")})` : ""}`;
   return openDialog({
     title: "Somebody changed this frame first",
     testid: "stale-dialog",

@@ -44,7 +44,7 @@ function drawBox(box, index, scene) {
 }
 
 function drawCaption(text, rect, color) {
-  const width = 6.3 * text.length + 8;
+  const width = 7.1 * text.length + 8;
   const y = rect.y >= 17 ? rect.y - 16 : rect.y;
   const x = Math.max(rect.x, 0);
   return [s("rect", { class: "caption", x, y, width, height: 16, fill: color }), s("text", { class: "caption", x: x + 4, y: y + 12 }, text)];

@@ -1,7 +1,8 @@
 /**
  * The objects of a frame as Label mode works on them: an image box with up to four boxes on its pseudo-views.
  *
- * An item is {image_box, boxes: [Box2D | null] x 4, uid, views: [View | null] x 4}: front and side of step 1, then of step 2.
+ * An item is {image_box, boxes: [Box2D | null] x 4, uid, views: [View | null] x 4, stored}: front and side of step 1, then of
+ * step 2. `stored` is the image box that the server was told last, null before the first time.
  */
 
 export const VIEWS = 4;
@@ -24,7 +25,7 @@ export function sameBox(a, b) {
 export function itemsOf(state) {
   return (state.image_boxes?.boxes ?? []).map((image_box) => {
     const object = state.objects.find((known) => sameBox(known.image_box, image_box));
-    return makeItem(plainBox(image_box), object?.views ?? [], object?.uid ?? null);
+    return { ...makeItem(plainBox(image_box), object?.views ?? [], object?.uid ?? null), stored: plainBox(image_box) };
   });
 }
 
@@ -36,7 +37,7 @@ export function makeItem(image_box, views = [], uid = null) {
   const whole = views.slice(0, views.length - (views.length % 2));
   const padded = Array.from({ length: VIEWS }, (_, i) => whole[i] ?? [null, null]);
   const boxes = padded.map(([, box]) => box && plainBox(box));
-  return { image_box, uid, views: padded.map(([view]) => view), boxes, loose: views[whole.length] ?? null };
+  return { image_box, uid, views: padded.map(([view]) => view), boxes, loose: views[whole.length] ?? null, stored: null };
 }
 
 /** How many of its five drags an item has. */

@@ -24,6 +24,8 @@ const WIDE_ASPECT = 1.9;
 /** A box that the detector found is a drawn one already where they overlap by this much (IoU). */
 const SAME_OBJECT = 0.4;
 const POINT_LIMITS = [0.1, 10];
+const SUGGESTION_TRIES = 4;
+const SUGGESTION_WAIT_MS = 1500;
 
 export function mount(root, app) {
   const { classes } = app.state.project;
@@ -44,6 +46,10 @@ export function mount(root, app) {
   let point_size = 1;
   let frame_shown = null;
   let selected = null;
+  let scene_shown = "";
+  let loaded = Promise.resolve();
+  // The server answers without suggestions while it still loads the detector; asked again, it has them.
+  let tries = app.state.project.detectors.view ? SUGGESTION_TRIES : 0;
 
   // -- the page
 
@@ -113,7 +119,16 @@ export function mount(root, app) {
     bar.show(state);
     hint.textContent = hintFor({ draft, step, is_readonly: readonly, label, has_items: items.length > 0, guesses: guesses.length, not_saved: not_saved.length });
     views.show(draft, step, viewsMessage(draft, step));
-    app.viewport.show({ frame: state.frame.id, selected: draft?.item.uid ?? null, gizmo: "off", labels: "all", draft: sceneDraft(), point_size });
+    showScene(state);
+  }
+
+  /** The 3D view follows when the views are there: they come first, and it would draw them once more at the same time. */
+  function showScene(state) {
+    if (draft?.is_loading) return;
+    const scene = { frame: state.frame.id, selected: draft?.item.uid ?? null, gizmo: "off", labels: "all", draft: sceneDraft(), point_size };
+    const key = JSON.stringify([scene, state.frame.revision]);
+    if (key !== scene_shown) app.viewport.show(scene);
+    scene_shown = key;
   }
 
   /** Dashed boxes on the image: what was drawn here and not saved, and what the detector found where nothing is drawn. */
@@ -200,7 +215,7 @@ export function mount(root, app) {
     items = itemsOf(state);
     if (draft) {
       const known = draft.item;
-      const index = items.findIndex((item) => sameBox(item.image_box, known.image_box) || (item.uid && item.uid === known.uid));
+      const index = items.findIndex((item) => sameBox(item.image_box, known.stored) || (item.uid && item.uid === known.uid));
       if (index < 0) draft = null;
       else if (sameItem(items[index], known)) keepCurrent(index);
       else open(items[index]);
@@ -216,7 +231,7 @@ export function mount(root, app) {
   function onSaved(state) {
     const fresh = itemsOf(state);
     // What is drawn here is newer than any answer; the server adds uids and other people's boxes.
-    items = fresh.map((item) => items.find((known) => sameBox(known.image_box, item.image_box)) ?? item);
+    items = fresh.map((item) => items.find((known) => sameBox(known.stored, item.image_box)) ?? item);
     items.forEach((item, i) => (item.uid = fresh[i].uid ?? null));
     if (draft && !items.includes(draft.item)) draft = null;
     show();
@@ -232,7 +247,7 @@ export function mount(root, app) {
     const id = app.state.frame?.frame.id;
     if (id === undefined || saver.isBusy) return;
     const state = await app.api.get(app.path("frames", id));
-    if (editors.some((editor) => editor.isDragging)) {
+    if (draft?.is_loading || editors.some((editor) => editor.isDragging)) {
       setTimeout(refresh, 300);
       return;
     }
@@ -258,7 +273,7 @@ export function mount(root, app) {
     draft = makeDraft(item);
     step = openStep(item);
     label = item.image_box.label;
-    void loadSteps();
+    loaded = loadSteps();
     show();
   }
 
@@ -270,16 +285,26 @@ export function mount(root, app) {
   /** @param {Function} [then] what to do with the views at hand, before they are shown. */
   async function loadSteps(then) {
     const loading = draft;
-    const had = loading.item.boxes.slice();
     try {
       const is_newest = await loader.load(loading);
       if (!is_newest || draft !== loading) return;
-      then?.(loading.item.boxes.some((box, i) => box !== had[i]));
+      then?.();
       if (loading.item.boxes.every(Boolean)) loading.outline = null;
+      else askAgain(loading);
     } catch (error) {
-      if (draft === loading) loading.stop = error.message;
+      if (draft !== loading) return;
+      // What was drawn is saved all the same; the views can be asked for again.
+      loading.stop = error.message;
+      then?.();
     }
     show();
+  }
+
+  function askAgain(loading) {
+    if (loading.suggestions.some(Boolean)) tries = 0;
+    if (tries <= 0) return;
+    tries -= 1;
+    setTimeout(() => draft === loading && !loading.is_loading && page.isConnected && void loadSteps(), SUGGESTION_WAIT_MS);
   }
 
   function showStep(wanted) {
@@ -306,23 +331,22 @@ export function mount(root, app) {
     items = [...items, item];
     selected = item;
     open(item);
-    saveObject(item, null);
+    saveObject(item);
   }
 
   function changeImageBox(item, image_box) {
-    const before = item.image_box;
     item.image_box = image_box;
     const is_drawn = item.boxes.some(Boolean) || item.uid;
     if (draft?.item !== item) {
       draft = makeDraft(item);
       step = openStep(item);
     }
-    if (!is_drawn) saveObject(item, before);
     // Boxes on the views are carried to the new ones first, and saved with them.
-    void loadSteps(() => {
-      if (is_drawn) saveObject(item, before);
+    loaded = loadSteps(() => {
+      if (is_drawn) saveObject(item);
       step = openStep(item);
     });
+    if (!is_drawn) saveObject(item);
     show();
   }
 
@@ -335,9 +359,9 @@ export function mount(root, app) {
     if (index < 2 && is_whole_step) {
       // The second step's views follow from these; what was drawn on the old ones becomes a guess on the new.
       demoteSecondStep(draft);
-      void loadSteps(() => (step = 1));
+      loaded = loadSteps(() => (step = 1));
     }
-    saveObject(item, item.image_box);
+    saveObject(item);
     if (index >= 2 && is_whole_step) image.select(-1);
     show();
   }
@@ -346,7 +370,7 @@ export function mount(root, app) {
     app.effort.action(actions);
     draft.item.boxes[index] = null;
     if (index < 2) demoteSecondStep(draft);
-    saveObject(draft.item, draft.item.image_box);
+    saveObject(draft.item);
     step = openStep(draft.item);
     show();
   }
@@ -356,10 +380,9 @@ export function mount(root, app) {
     const item = draft?.item;
     if (item && !isReadonly() && (selected === item || !isFinished(item)) && item.image_box.label !== name) {
       app.effort.action();
-      const before = item.image_box;
-      item.image_box = { ...before, label: name };
+      item.image_box = { ...item.image_box, label: name };
       item.boxes = item.boxes.map((box) => box && { ...box, label: name });
-      saveObject(item, before);
+      saveObject(item);
     }
     show();
   }
@@ -375,14 +398,14 @@ export function mount(root, app) {
       loader.stop();
       draft = null;
     }
-    const { image_box, uid } = item;
+    const { image_box, uid, stored } = item;
     saver.save({
       path: ["changes"],
       body: (state) => ({
         subject: uid,
         changes: [
           ...(state.labels.some((known) => known.uid === uid) ? [{ kind: "delete", uid }] : []),
-          { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], image_box, null), box_kind: kind() },
+          { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], stored, null), box_kind: kind() },
         ],
       }),
       mine: () => ({ text: [`Deletes the ${image_box.label} in this place`], boxes: [image_box], outlines: [] }),
@@ -390,13 +413,16 @@ export function mount(root, app) {
     show();
   }
 
-  function saveObject(item, before) {
+  function saveObject(item) {
     const image_box = plainBox(item.image_box);
+    const before = item.stored;
+    item.stored = image_box;
     const boxes = item.boxes.map((box) => box && plainBox(box));
     while (boxes.length && !boxes.at(-1)) boxes.pop();
     const outline = draft?.item === item ? draft.outline : null;
     saver.save({
       path: ["label", "object"],
+      after: loaded,
       item: { ...makeItem(image_box), boxes: item.boxes.slice(), views: item.views.slice() },
       body: (state) => ({
         image_boxes: exchanged(state.image_boxes?.boxes ?? [], before, image_box),
@@ -410,18 +436,25 @@ export function mount(root, app) {
 
   /** The others' version was taken: what was drawn here stays in sight, and a click (or Enter) saves it after all. */
   function onDropped({ item }) {
-    if (!item || items.some((known) => sameBox(known.image_box, item.image_box))) return;
+    if (!item) return;
+    const theirs = items.find((known) => sameBox(known.image_box, item.image_box));
+    if (theirs) {
+      if (draft?.item !== theirs) open(theirs);
+      draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (item.boxes[i] ?? guess)));
+      show();
+      return;
+    }
     not_saved = [...not_saved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
     show();
   }
 
   function takeGuess(item, image_box) {
     not_saved = not_saved.filter((known) => known !== item);
-    const restored = { ...item, uid: null, image_box: { ...plainBox(image_box), score: 1 } };
+    const restored = { ...item, uid: null, stored: null, image_box: { ...plainBox(image_box), score: 1 } };
     items = [...items, restored];
     selected = restored;
     open(restored);
-    saveObject(restored, null);
+    saveObject(restored);
   }
 
   function onBusy(is_saving, error) {

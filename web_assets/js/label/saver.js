@@ -1,8 +1,9 @@
 /**
  * Saves one change after the other, each on the revision that the one before has led to.
  *
- * A change is {path, body(state) -> request without revision and effort, mine(state) -> what stale.js shows}: its body is made
- * when it is sent, from what the server has then, so it can be put on top of somebody else's.
+ * A change is {path, body(state) -> request without revision and effort, mine(state) -> what stale.js shows, done(answer),
+ * after}: its body is made when it is sent, from what the server has then, so it can be put on top of somebody else's. It
+ * waits for the promise `after`: the views that a drag leads to are shown first, and the server then has them at hand.
  */
 
 import { askVersion } from "../stale.js";
@@ -26,6 +27,7 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   }
 
   async function send(change) {
+    await change.after;
     const state = app.state.frame;
     try {
       const answer = await app.api.change(app.path("frames", change.frame, ...change.path), { revision: state.frame.revision, ...change.body(state) });

@@ -110,12 +110,12 @@ export function createFrameBar(app, order, { onPrevious, onNext, onFinalise, onO
   const root = h(
     "footer",
     { class: "panel frame-bar" },
-    h("div", { class: "row" }, h("label", { class: "row grow" }, h("span", {}, "Order"), select), note),
+    h("div", { class: "row" }, h("label", { class: "row" }, h("span", {}, "Order"), select), note),
     h(
       "div",
       { class: "row" },
       h("button", { type: "button", title: "Previous frame", onclick: onPrevious, "data-testid": "previous-frame" }, glyph("previous"), h("kbd", {}, "P"), h("span", { class: "visually-hidden" }, "Previous frame")),
-      h("button", { type: "button", class: "primary", onclick: onNext, "data-testid": "next-frame" }, "Next frame ", h("kbd", {}, "N"), glyph("next")),
+      h("button", { type: "button", class: "primary", title: "Next frame", onclick: onNext, "data-testid": "next-frame" }, "Next ", h("kbd", {}, "N"), glyph("next")),
       h("span", { class: "grow" }),
       finalise,
     ),

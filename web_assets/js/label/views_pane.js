@@ -57,13 +57,15 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
     message.textContent = text ?? "";
     message.hidden = !text;
     root.classList.toggle("has-views", Boolean(views));
+    const isOpen = (side) => !draft?.item.boxes[2 * step + side] && draft?.suggestions[2 * step + side];
+    const first_open = [0, 1].find(isOpen);
     panes.forEach(({ editor, caption, name }, side) => {
       const index = 2 * step + side;
       const view = views?.[side] ?? null;
       void editor.setPicture(view?.url ?? null, view?.width, view?.height);
       const box = draft?.item.boxes[index] ?? null;
       const suggested = box ? null : (draft?.suggestions[index] ?? null);
-      const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: "Enter" }] : [];
+      const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: side === first_open ? "Enter" : "" }] : [];
       if (!editor.isDragging) editor.setBoxes(view ? list : [], 0);
       caption.textContent = box ? `${name} ✓` : name;
     });
