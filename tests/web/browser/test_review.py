@@ -61,6 +61,7 @@ class Desk:
     def settled(self) -> None:
         """All is saved, and the three views show the box as it is."""
         expect(self.page.get_by_test_id("saving")).to_have_text("")
+        expect(self.page.locator('[data-testid="orthos"][data-shown]:not([data-shown=""])')).to_be_visible()
         for view in ("top", "front", "side"):
             self.box(view).wait_for()
 

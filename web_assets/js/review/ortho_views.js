@@ -31,11 +31,13 @@ export function createOrthoViews(host, app, desk) {
     request?.abort();
     request = new AbortController();
     const mine = { frame, box: copyBox(box) };
+    host.dataset.shown = "";
     fetched = mine;
     try {
       const { views } = await app.api.post(app.path("frames", frame, "ortho"), { box, size_px: SIZE_PX }, { signal: request.signal });
       if (fetched !== mine) return;
       await Promise.all(panels.map((panel) => panel.setView(views.find(({ name }) => name === panel.name))));
+      host.dataset.shown = desk.uid ?? "";
     } catch (error) {
       if (fetched === mine) fetched = null;
       if (error.name === "AbortError") return;

@@ -70,6 +70,17 @@ export function mount(root, app) {
     actions.show({ label: desk.shown, frame: app.state.frame, gizmo_mode: scene.gizmo, busy: loading });
   }
 
+  function showBusy() {
+    parts.saving.textContent = desk.isSaving ? "saving …" : loading ? "opening …" : "";
+  }
+
+  /** While the next frame is on its way, no key decides about a box that nobody has seen. */
+  function setLoading(value) {
+    loading = value;
+    showBusy();
+    showActions();
+  }
+
   function showAll() {
     const picture = app.state.frame?.image;
     parts.root.classList.toggle("wide", Boolean(picture) && picture.width > WIDE_ASPECT * picture.height);
@@ -85,7 +96,7 @@ export function mount(root, app) {
   const stop = [
     desk.on((what) => {
       if (what === "saving") {
-        parts.saving.textContent = desk.isSaving ? "saving …" : "";
+        showBusy();
       } else if (what === "draft") {
         image.show();
         ortho.follow();
@@ -128,10 +139,9 @@ export function mount(root, app) {
   // -- where one is
 
   async function open(id, uid) {
-    await desk.flush();
-    loading = true;
-    showActions();
+    setLoading(true);
     try {
+      await desk.flush();
       // what another mode has left in app.state may be old
       if (opened !== id || !desk.stored(uid)) {
         desk.select(null);
@@ -142,7 +152,7 @@ export function mount(root, app) {
     } catch (error) {
       if (error.name !== "AbortError") app.toast(error);
     } finally {
-      loading = false;
+      setLoading(false);
       showAll();
     }
   }
@@ -185,7 +195,9 @@ export function mount(root, app) {
     const next = queue.after(label.uid);
     // a box on the same picture is there at once; another frame only after this one is safe
     if (next?.frame === frame) desk.select(next.uid);
+    else if (next) setLoading(true);
     if (!(await saved)) {
+      setLoading(false);
       if (app.state.frame?.frame.id === frame) desk.select(label.uid);
       return;
     }
@@ -319,7 +331,7 @@ function layout() {
   const boxes = part("section", "frame-boxes", "Boxes of this frame");
   const image_panel = part("section", "image", "Camera image");
   const scene = part("section", "scene", "3D view");
-  const ortho = h("div", { class: "orthos" });
+  const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
   const fields = part("section", "fields", "Selected box");
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
