@@ -87,7 +87,7 @@ class ReadyDetectors:
                 return
             self._warmed.add(project.path)
         for role in Role:
-            self.get(project, role, wait_s=0)
+            self.get(project, role, wait_s=0.0)
 
     def close(self) -> None:
         """Lets nothing more be loaded."""
