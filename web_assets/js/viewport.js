@@ -11,6 +11,8 @@ import { h } from "./dom.js";
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
+// Drawn at most without a graphics card: a frame takes a processor some 5 us a point.
+const SOFTWARE_POINTS = 40000;
 const NO_WEBGL = "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it; for the 3D view turn on hardware acceleration, or use another browser.";
 // viser's own panel and notes; nothing in them is for an operator.
 const STYLE = ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } canvas { cursor: default !important; outline: none; }";
@@ -58,7 +60,8 @@ export function createViewport(app) {
     () => clearTimeout(retry),
     () => observer.disconnect(),
   ];
-  if (!hasWebGL()) say("unsupported", NO_WEBGL);
+  const graphics = lookAtGraphics();
+  if (graphics === "none") say("unsupported", NO_WEBGL);
 
   function emit(event, value) {
     for (const fn of [...(listeners.get(event) ?? [])]) fn(value);
@@ -128,7 +131,8 @@ export function createViewport(app) {
       return;
     }
     const newest = wanted;
-    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, scene);
+    const detail = graphics === "software" ? { most_points: SOFTWARE_POINTS } : {};
+    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail, ...scene });
     // "back to the first view" is done once
     last = { project, scene: { ...scene, reset_view: false } };
     if (wanted === newest) wanted = null;
@@ -243,8 +247,12 @@ function listen(target, name, fn, options) {
   return () => target.removeEventListener(name, fn, options);
 }
 
-function hasWebGL() {
+/** "card", "software" (a processor draws, so each point counts), or "none". */
+function lookAtGraphics() {
   const context = document.createElement("canvas").getContext("webgl2");
-  context?.getExtension("WEBGL_lose_context")?.loseContext();
-  return context !== null;
+  if (context === null) return "none";
+  const names = context.getExtension("WEBGL_debug_renderer_info");
+  const name = String(context.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER));
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name) ? "software" : "card";
 }

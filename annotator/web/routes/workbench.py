@@ -16,7 +16,7 @@ from annotator.project import Project
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.web.context import Ctx, Operator
 from annotator.web.hub import Hub
-from annotator.web.viewport.content import Draft, Gizmo, PointColor, SceneContent, ShownBox
+from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
 from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.web.viewport.workbench import Workbench
 from annotator.web.viewport.workbenches import Workbenches
@@ -94,6 +94,7 @@ class SceneRequest(Wire):
     preview: PreviewJson | None = None
     point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] | None = None
     color: PointColor = PointColor.RGB
+    most_points: Annotated[int, Field(ge=1000, le=MOST_POINTS)] = MOST_POINTS
     reset_view: bool = False
 
 
@@ -163,6 +164,7 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
         color=body.color,
+        most_points=body.most_points,
         point_size=1.0 if body.point_size is None else body.point_size,
         reset_view=body.reset_view,
     )

@@ -10,6 +10,9 @@ from jaxtyping import Float64
 
 from annotator.types import Box2D, Frame, OrientedBox, PseudoView, ReviewState
 
+# Shown at most: what a graphics card turns without effort, and a network carries at once.
+MOST_POINTS = 150_000
+
 
 class Gizmo(StrEnum):
     """What can be done with the selected box in the viewport."""
@@ -67,6 +70,7 @@ class SceneContent:
         frame: None shows nothing.
         selected: uid of the selected box.
         draft: the object that is being labelled, if any.
+        most_points: shown of the cloud; the full cloud stays on the server.
         point_size: 1 is what suits the recording's distances; a factor of that.
         reset_view: go back to the first view.
     """
@@ -78,6 +82,7 @@ class SceneContent:
     gizmo: Gizmo = Gizmo.OFF
     draft: Draft | None = None
     color: PointColor = PointColor.RGB
+    most_points: int = MOST_POINTS
     point_size: float = 1.0
     reset_view: bool = False
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64, UInt8
@@ -9,14 +11,14 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from annotator.types import Frame, PointCloud
 from annotator.web.viewport.content import FirstView, PointColor
 
-# Shown at most; the full cloud stays on the server. Software WebGL still turns as many without a pause.
-MAX_SHOWN = 150_000
 # Which point of a run is shown; any number does, always the same one keeps a frame looking the same.
 SEED = 20231
 # Depth and height colours run over what lies between these percentiles, so that a far outlier does not flatten them.
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
 # A point's size as a share of the cloud's median distance: about the spacing of an RGB-D camera's points, thinned.
 POINT_SHARE = 0.0035
+# Below so many points they are drawn larger, up to so much.
+FULL_DETAIL, LARGEST_GROWTH = 150_000, 2.0
 # Enough points to know how far away a scene is.
 SAMPLE = 5_000
 # The first view stands behind the camera and above it, as shares of the scene's distance.
@@ -27,7 +29,7 @@ EMPTY_DISTANCE_M = 3.0
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 
-def thin(n_points: int, most: int = MAX_SHOWN) -> Int64[np.ndarray, "m"] | None:
+def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
     """Numbers of the points that are shown, ascending; None = all of them.
 
     One point at random of each of `most` equal runs. Points that follow each other in a scan or an image lie next to
@@ -40,7 +42,7 @@ def thin(n_points: int, most: int = MAX_SHOWN) -> Int64[np.ndarray, "m"] | None:
     return edges[:-1] + (inside * np.diff(edges)).astype(np.int64)
 
 
-def shown_points(frame: Frame, most: int = MAX_SHOWN) -> PointCloud:
+def shown_points(frame: Frame, most: int) -> PointCloud:
     """The part of a frame's cloud that is shown, with what it can be coloured by."""
     cloud = frame.cloud
     keep = thin(len(cloud), most)
@@ -76,9 +78,14 @@ def typical_distance_m(cloud: PointCloud) -> float:
     return max(float(np.median(np.linalg.norm(some, axis=1))), 0.05)
 
 
-def point_size_m(cloud: PointCloud) -> float:
-    """How large a point is drawn that nobody has changed the size of, metres."""
-    return POINT_SHARE * typical_distance_m(cloud)
+def point_size_m(shown: PointCloud) -> float:
+    """How large a point is drawn that nobody has changed the size of, metres.
+
+    Args:
+        shown: the points that are drawn; where they are fewer, each is larger, so that surfaces stay closed.
+    """
+    fewer = max(FULL_DETAIL / max(len(shown), 1), 1.0)
+    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(fewer), LARGEST_GROWTH)
 
 
 def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:

@@ -56,13 +56,14 @@ class _Cloud:
     """The points of one frame as shown."""
 
     frame: Frame
+    most_points: int
     points: PointCloud
     point_size_m: float
 
 
-def _cloud(frame: Frame) -> _Cloud:
-    points = shown_points(frame)
-    return _Cloud(frame, points, point_size_m(points))
+def _cloud(frame: Frame, most_points: int) -> _Cloud:
+    points = shown_points(frame, most_points)
+    return _Cloud(frame, most_points, points, point_size_m(points))
 
 
 class Scene:
@@ -123,14 +124,14 @@ class Scene:
     # --- the cloud -------------------------------------------------------------------------------------------------
 
     def _show_cloud(self, before: SceneContent) -> Shown:
-        frame = self.content.frame
+        frame, most_points = self.content.frame, self.content.most_points
         if frame is None:
             self._cloud = None
             self._remove(CLOUD)
             return Shown(0, 0)
         known = self._cloud
-        if known is None or known.frame is not frame:
-            known = self._cloud = _cloud(frame)
+        if known is None or known.frame is not frame or known.most_points != most_points:
+            known = self._cloud = _cloud(frame, most_points)
             self._send_cloud(known)
         elif self.content.color is not before.color:
             self._api_cloud().colors = self._colors(known)

@@ -17,8 +17,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
-from annotator.web.viewport.content import Draft, Gizmo, PointColor, SceneContent, ShownBox
-from annotator.web.viewport.display import MAX_SHOWN
+from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
 from annotator.web.viewport.workbench import Workbench
 from annotator.workflows.labelling import label_steps
 from annotator.workflows.open_frame import OpenFrame
@@ -75,10 +74,14 @@ def test_the_cloud_is_shown_in_metres_of_the_camera_frame(bench: Workbench, fram
 
 
 def test_a_large_cloud_is_thinned_for_display(bench: Workbench, frames: list[Frame]) -> None:
-    xyz = np.random.default_rng(0).normal(0, 1, (MAX_SHOWN + 50_000, 3)).astype(np.float32)
+    xyz = np.random.default_rng(0).normal(0, 1, (MOST_POINTS + 50_000, 3)).astype(np.float32)
     shown = bench.show(SceneContent(("room", 1), replace(frames[0], cloud=PointCloud(xyz))))
-    assert (shown.shown_points, shown.points) == (MAX_SHOWN, MAX_SHOWN + 50_000)
-    assert len(node(bench, "/cloud").points) == MAX_SHOWN
+    assert (shown.shown_points, shown.points) == (MOST_POINTS, MOST_POINTS + 50_000)
+    assert len(node(bench, "/cloud").points) == MOST_POINTS
+    size = node(bench, "/cloud").point_size
+    content = replace(bench._scene.content, most_points=40_000)
+    assert bench.show(content).shown_points == 40_000
+    assert node(bench, "/cloud").point_size > 1.5 * size
 
 
 def test_boxes_are_lines_in_the_colour_of_their_state(
