@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +13,17 @@ import pytest
 from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Project
-from annotator.types import Label, ReviewState
+from annotator.project import Project, Role
+from annotator.types import BoxKind, Label, ReviewState
+from annotator.workflows.detectors_ready import ReadyDetector
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
     from conftest import Live
     from playwright.sync_api import Page
+
+    from annotator.workflows.detectors import Detectors
 
 FRAME = 1
 # Label works without the 3D view, and far faster where software draws that: it has tests of its own.
@@ -301,3 +305,31 @@ def test_a_refused_save_is_told_and_can_be_tried_again(bench: Bench) -> None:
     expect(problem).to_have_text("")
     bench.saved()
     assert len(bench.image_boxes) == 1
+
+
+def test_suggestions_are_accepted_with_enter(
+    bench: Bench, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    perfect = knowing("people", kind=BoxKind.SILHOUETTE)
+    ready = {
+        Role.IMAGE: ReadyDetector(perfect.image, BoxKind.SILHOUETTE, Lock()),
+        Role.VIEW: ReadyDetector(perfect.view, BoxKind.SILHOUETTE, Lock()),
+    }
+    monkeypatch.setattr(bench.live.context.annotation.detectors, "get", lambda project, role, wait_s=None: ready[role])
+    info = bench.live.client.get("/api/projects/room").json()
+    bench.page.route(
+        "**/api/projects/room",
+        lambda route: route.fulfill(json={**info, "detectors": {"image": {"id": 1}, "view": {"id": 2}}}),
+    )
+    bench.page.reload()
+    expect(bench.page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3, timeout=15_000)
+    for accepted in range(1, 6):
+        where = bench.page.get_by_test_id("image-editor") if accepted == 1 else bench.page.locator(".views")
+        expect(where.locator(".box.suggested").first).to_be_attached(timeout=15_000)
+        bench.page.keyboard.press("Enter")
+        expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", str(accepted))
+        bench.saved()
+    (label,) = bench.labels
+    assert max(iou_3d(label.box, item.box) for item in bench.scene.objects) > 0.5
+    effort = bench.live.client.get("/api/projects/room/statistics").json()["effort"]
+    assert effort["actions_a_box"] == 5

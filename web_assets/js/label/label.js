@@ -489,8 +489,9 @@ export function mount(root, app) {
   }
 
   function acceptNext() {
-    const order_of_views = [focused(), ...views.editors, image];
-    return order_of_views.some((editor) => editor.acceptSuggestion());
+    // The object at hand first, whatever has the focus; then the next one on the image.
+    const turn = [...views.editors.filter((editor) => editor === focused()), ...views.editors, image];
+    return turn.some((editor) => editor.acceptSuggestion());
   }
 
   function deleteFocused() {
