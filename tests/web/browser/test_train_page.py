@@ -45,10 +45,10 @@ def test_train_watch_propose_and_go_on_to_review(signed_in: Page, live: Live, ge
     page = signed_in
     count = label_truth(live.context.project("room"), generated / "people", 4)
     page.goto("/#/room/train")
-    expect(page.get_by_test_id("material-image")).to_contain_text(f"{count} boxes")
+    expect(page.get_by_test_id("material-image")).to_contain_text(f"{count} reviewed 3D boxes")
     page.get_by_text("Settings").click()
     for role in ("image", "view"):
-        page.get_by_test_id(f"train-pictures-{role}").fill("64")
+        page.get_by_test_id(f"train-pictures-{role}").fill("16")
         page.get_by_test_id(f"train-size-{role}").fill("64")
     page.get_by_test_id("train-start").click()
     expect(page.get_by_test_id("stop-train")).to_be_visible(timeout=30_000)

@@ -30,7 +30,7 @@ export function createModelList(host, app, reload) {
       { "data-testid": "model-row", "data-id": model.id, "data-active": String(model.active), class: model.active ? "active" : "" },
       h("td", {}, ROLES[model.role] ?? model.role),
       h("td", { class: "number" }, made.toLocaleString([], { dateStyle: "medium", timeStyle: "short" })),
-      h("td", { class: "number" }, count(model.boxes, "box", "boxes")),
+      h("td", { class: "number" }, model.boxes === null ? "–" : count(model.boxes, "box", "boxes")),
       COLUMNS.map(([name]) => h("td", { class: "number" }, model.metrics[name] === undefined || model.metrics[name] === null ? "–" : model.metrics[name].toFixed(3))),
       h("td", {}, model.box_kind === "box" ? "whole boxes" : "what is seen"),
       h("td", {}, model.active ? h("span", { class: "chip state-accepted" }, "in use") : h("button", { type: "button", "data-testid": "use-model", onclick: () => use(model) }, "Use this one")),

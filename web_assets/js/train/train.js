@@ -58,7 +58,7 @@ export function mount(root, app) {
     if (!known) return;
     material.replaceChildren(...ROLES.map((role) => materialCard(role, known)));
     models.show(known.models);
-    const nothing = known.material.image === 0 && known.material.view === 0;
+    const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
     if (nothing) material.append(nothingYet(app));
   }
@@ -145,14 +145,21 @@ function createForm(app) {
 
 function materialCard([role, label, what], { models, material }) {
   const active = models.find((model) => model.role === role && model.active);
-  const fresh = active ? material[role] - active.boxes : material[role];
+  const learned = active ? (active.boxes === null ? "not known" : count(active.boxes, "box", "boxes")) : "nothing yet";
   return h(
     "div",
     { class: "card", "data-testid": `material-${role}` },
     h("h3", {}, label),
     h("p", { class: "muted" }, what),
-    h("dl", { class: "figures" }, h("dt", {}, "has learned from"), h("dd", { class: "number" }, active ? count(active.boxes, "box", "boxes") : "nothing yet"), h("dt", {}, "can learn from now"), h("dd", { class: "number" }, count(material[role], "box", "boxes"))),
-    fresh > 0 && active ? h("p", { class: "good" }, `${count(fresh, "box", "boxes")} it has not seen yet`) : null,
+    h(
+      "dl",
+      { class: "figures" },
+      h("dt", {}, "has learned from"),
+      h("dd", { class: "number" }, learned),
+      h("dt", {}, "can learn from now"),
+      h("dd", { class: "number" }, `${count(material[role], "drawn box", "drawn boxes")} and ${count(material.labels, "reviewed 3D box", "reviewed 3D boxes")}`),
+    ),
+    role === "view" ? h("p", { class: "help" }, "Each 3D box teaches several views, from directions of its own.") : null,
   );
 }
 
