@@ -3,8 +3,10 @@
 import { createChart } from "../charts.js";
 import { h } from "../dom.js";
 
-const QUALITY = /^(map50|map50_95|precision|recall)$/;
-const NAMES = { map50: "mAP 50", map50_95: "mAP 50–95", precision: "precision", recall: "recall", box: "box loss", box_loss: "box loss", cls: "class loss", cls_loss: "class loss", dfl: "edge loss", dfl_loss: "edge loss" };
+// precision and recall are in the table of models; four more lines would hide these
+const QUALITY = /^map50(_95)?$/;
+const LOSS = /loss$/;
+const NAMES = { map50: "mAP 50", map50_95: "mAP 50–95", box_loss: "box loss", cls_loss: "class loss", dfl_loss: "edge loss" };
 const ROLES = { image: "image", view: "view" };
 
 export function createCurves(host) {
@@ -15,7 +17,7 @@ export function createCurves(host) {
   let points = [];
   const charts = [
     createChart(quality, (colors) => ({ traces: traces(points, colors, (name) => QUALITY.test(name)), layout: { yaxis: { range: [0, 1.02] }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
-    createChart(losses, (colors) => ({ traces: traces(points, colors, (name) => !QUALITY.test(name)), layout: { yaxis: { rangemode: "tozero" }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
+    createChart(losses, (colors) => ({ traces: traces(points, colors, (name) => LOSS.test(name)), layout: { yaxis: { rangemode: "tozero" }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
   ];
   let drawn = "";
 
