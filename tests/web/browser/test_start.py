@@ -35,7 +35,7 @@ def test_a_new_project_gets_a_recording_and_opens(start: Page, live: Live) -> No
     start.get_by_test_id("project-classes").fill("hand, cup ,")
     start.get_by_test_id("rotation-free").check()
     start.get_by_test_id("dialog-create").click()
-    start.get_by_test_id("folder-generated0").click()
+    start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
     start.get_by_test_id("add-hands").click()
     expect(start.get_by_test_id("added-recording")).to_contain_text("5 frames", timeout=15_000)
     start.get_by_test_id("dialog-done").click()
