@@ -8,7 +8,10 @@ import numpy as np
 from store_samples import box_at, by_hand, by_machine, proposal_at
 
 from annotator.project import Change, NewLabel, Project, RunShare, StoredRecording
+from annotator.project.effort_statistics import ORIGINS
 from annotator.types import Box2D, BoxKind, Source
+
+NOTHING = {"boxes": 0, "seconds_a_box": None, "actions_a_box": None}
 
 
 def test_an_empty_project_counts_nothing(project: Project) -> None:
@@ -18,6 +21,7 @@ def test_an_empty_project_counts_nothing(project: Project) -> None:
         "total": 0,
         "by_state": {"proposed": 0, "accepted": 0, "edited": 0, "rejected": 0},
         "by_class": {},
+        "by_class_and_state": {},
         "by_source": {"manual": 0, "auto": 0, "imported": 0},
     }
     assert numbers["image_boxes"] == {
@@ -55,6 +59,10 @@ def test_everything_is_counted(project: Project, recording: StoredRecording) -> 
             "total": 3,
             "by_state": {"proposed": 1, "accepted": 2, "edited": 0, "rejected": 0},
             "by_class": {"hand": 2, "person": 1},
+            "by_class_and_state": {
+                "hand": {"proposed": 1, "accepted": 1, "edited": 0, "rejected": 0},
+                "person": {"proposed": 0, "accepted": 1, "edited": 0, "rejected": 0},
+            },
             "by_source": {"manual": 0, "auto": 2, "imported": 1},
         },
         "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},
@@ -62,4 +70,7 @@ def test_everything_is_counted(project: Project, recording: StoredRecording) -> 
         "events": 7,
         "runs": 1,
         "models": 0,
+        "effort": {**NOTHING, "by_origin": dict.fromkeys(ORIGINS, NOTHING)},
+        "accepted_untouched": 1.0,
+        "iou_proposal_to_final": 1.0,
     }
