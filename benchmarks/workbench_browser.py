@@ -30,8 +30,9 @@ OPENS_WITHIN_S = 90.0
 WATCH_S, QUIET_S = 8.0, 0.6
 
 # Begins to watch at the next `trigger` event: pictures by selector, and the 3D view where there is one.
-PROBE = """([trigger, selector, quiet_ms, longest_ms]) => {
-  const frame = document.querySelector("[data-testid=viewport-frame]");
+PROBE = """([trigger, selector, is_view_watched, quiet_ms, longest_ms]) => {
+  const place = is_view_watched ? "[data-testid=viewport-frame]" : "no-such-thing";
+  const frame = document.querySelector(place);
   const canvas = [...(frame?.contentDocument?.querySelectorAll("canvas") ?? [])].find((c) => c.dataset.engine);
   const small = Object.assign(document.createElement("canvas"), { width: 64, height: 48 });
   const context = small.getContext("2d", { willReadFrequently: true });
@@ -139,9 +140,9 @@ def until(page: Page, expression: str, seconds: float) -> None:
         page.wait_for_timeout(50)
 
 
-def watch(page: Page, trigger: str, selector: str) -> None:
-    """Begins to watch from the next such event on."""
-    page.evaluate(PROBE, [trigger, selector, QUIET_S * 1000, WATCH_S * 1000])
+def watch(page: Page, trigger: str, selector: str, with_view: bool) -> None:
+    """Begins to watch from the next such event on; the 3D view only where asked: reading its pixels takes time."""
+    page.evaluate(PROBE, [trigger, selector, with_view, QUIET_S * 1000, WATCH_S * 1000])
 
 
 def measured(page: Page) -> dict[str, float]:
@@ -165,7 +166,7 @@ def switch(browser: Browser, server: Server, project: str, frames: Sequence[int]
     times: list[dict[str, float]] = []
     keys = ["n"] * (len(frames) - 1) + ["p"] * (len(frames) - 1)
     for number in range(rounds):
-        watch(page, "keydown", "[data-testid=image-editor] img.picture, img.picture[src*='image.jpg']")
+        watch(page, "keydown", "[data-testid=image-editor] img.picture, img.picture[src*='image.jpg']", True)
         page.keyboard.press(keys[number % len(keys)])
         times.append(measured(page))
     page.context.close()
@@ -198,7 +199,7 @@ def views(
         page.mouse.move(*corners[0])
         page.mouse.down()
         page.mouse.move(*corners[1], steps=4)
-        watch(page, "pointerup", ".views img.picture")
+        watch(page, "pointerup", ".views img.picture", False)
         page.mouse.up()
         times.append(measured(page)["picture"])
         page.wait_for_timeout(300)
