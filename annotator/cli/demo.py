@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -11,7 +13,7 @@ from annotator.cli.generate import Preset
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
 from annotator.types.errors import ConfigError
-from annotator.workflows.demo import DemoPlan, DemoResult, run_demo
+from annotator.workflows.demo import PROJECT, DemoPlan, DemoResult, run_demo
 
 
 def run(
@@ -23,8 +25,11 @@ def run(
     seed: int = 0,
     image_pictures: int = DemoPlan.image_pictures,
     view_pictures: int = DemoPlan.view_pictures,
+    serve: bool = True,
 ) -> None:
     """Run the whole loop on a generated recording: draw boxes, train, propose, score, write the dataset.
+
+    At a terminal it ends with the workbench, open for the review of the proposals.
 
     Args:
         out: a new folder for all of it; default: one below ./out.
@@ -33,6 +38,7 @@ def run(
         seed: another number, another room.
         image_pictures: how many pictures the image detector is shown in training, repeats counted.
         view_pictures: the same of the pseudo-view detector.
+        serve: leave the workbench out at the end.
     """
     _require_counts(2, frames=frames)
     _require_counts(1, image_pictures=image_pictures, view_pictures=view_pictures)
@@ -52,6 +58,23 @@ def run(
         result = run_demo(root, plan, tell)
     for line in _told(root, result):
         print_line(line)
+    if serve and _somebody_watches():
+        _review(root)
+
+
+def _somebody_watches() -> bool:
+    """True at a terminal; continuous integration may have one too, but nobody sits there."""
+    return sys.stdin is not None and sys.stdin.isatty() and not os.environ.get("CI")
+
+
+def _review(root: Path) -> None:
+    """The workbench on a free port, with the demo's proposals."""
+    from annotator.cli.serve import first_page
+    from annotator.web.serve import serve
+    from annotator.web.settings import ServerSettings
+
+    print_line("")
+    serve(ServerSettings(root.resolve(), (root,), port=0), first_page(PROJECT, root), open_browser=True, window=False)
 
 
 def _require_counts(least: int, **given: int) -> None:
@@ -91,6 +114,6 @@ def _told(root: Path, result: DemoResult) -> list[str]:
         + ", ".join(f"{name} {seconds:.0f}" for name, seconds in result.seconds.items()),
         "",
         f"recording  {root / 'recording'}",
-        f"project    {root / 'demo'} (annotator stats demo --root {root})",
+        f"project    {root / 'demo'} (annotator serve demo --projects {root})",
         f"dataset    {next(root.glob('3D_*'))}",
     ]

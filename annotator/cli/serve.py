@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from annotator.cli.projects import open_named, projects_root
+from annotator.types.errors import ConfigError
 
 
 def run(
@@ -38,7 +39,18 @@ def run(
     from annotator.web.settings import ServerSettings
 
     root = projects_root(projects)
-    if project is not None:
-        open_named(project, root).close()
-    settings = ServerSettings(root, folder, host, port, token)
-    serve(settings, project, open_browser=open, window=window)
+    missing = [str(path) for path in folder if not path.is_dir()]
+    if missing:
+        raise ConfigError(f"--folder {' '.join(missing)}: no such folder")
+    settings = ServerSettings(root.resolve(), folder, host, port, token)
+    serve(settings, None if project is None else first_page(project, root), open_browser=open, window=window)
+
+
+def first_page(name: str, root: Path) -> str:
+    """Where to begin with a project: at its proposals, or with drawing boxes where there are none.
+
+    Raises:
+        ConfigError, ProjectError: as `open_named`.
+    """
+    with open_named(name, root) as project:
+        return f"{name}/review" if project.statistics().frames_with_proposals else f"{name}/label"

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import secrets
 import socket
-from contextlib import closing
+import sys
+import threading
+import time
+import webbrowser
+from contextlib import closing, suppress
+from dataclasses import replace
 
 import uvicorn
 
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
+from annotator.web.security import is_loopback, link
 from annotator.web.settings import ServerSettings
+from annotator.web.window import check_window, has_display, in_window
 
 # The largest message that a browser sends, bytes.
 WS_LIMIT = 1 << 22
@@ -66,11 +74,41 @@ def bind(host: str, port: int) -> socket.socket:
     return bound
 
 
-def serve(settings: ServerSettings, project: str | None, *, open_browser: bool, window: bool) -> None:
-    """Serves until interrupted, or until the window is closed.
+def serve(settings: ServerSettings, place: str | None = None, *, open_browser: bool, window: bool) -> None:
+    """Serves until interrupted, or until the window is closed; says where on standard output.
+
+    Another address than this computer's own gets a token where the settings have none.
+
+    Args:
+        place: where on the page to begin, such as `room/review`.
 
     Raises:
-        ConfigError: the address cannot be used.
+        ConfigError: the address cannot be used, or there is no display for a window.
+        MissingExtraError: a window needs pywebview.
     """
+    if settings.token is None and not is_loopback(settings.host):
+        settings = replace(settings, token=secrets.token_urlsafe(32))
+    if window:
+        check_window()
     server = Running(settings)
-    server.serve_until_stopped()
+    address = link(server.address, settings.token, place)
+    sys.stdout.write(f"the workbench is at {address}\n")
+    if not window:
+        sys.stdout.write("stop it with Ctrl-C\n")
+    sys.stdout.flush()
+    # the last Ctrl-C is how a server ends, and no accident
+    with suppress(KeyboardInterrupt):
+        if window:
+            in_window(server, address)
+            return
+        if open_browser:
+            threading.Thread(target=_open, args=(server, address), daemon=True).start()
+        server.serve_until_stopped()
+
+
+def _open(server: Running, address: str) -> None:
+    while not server.started:
+        time.sleep(0.05)
+    if not has_display() or not webbrowser.open(address):
+        sys.stdout.write("no browser could be opened here: open the link in one\n")
+        sys.stdout.flush()

@@ -23,6 +23,7 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.samples import Material, SampleConfig, gather, image_samples, view_samples
+from annotator.workflows.validation_pictures import write_validation_pictures
 
 DATASET = "dataset"
 # A camera image shows its objects small, and there are fewer of them than of pseudo-views.
@@ -139,13 +140,16 @@ def _train_one(
     kept = out / MANIFEST_NAME
     # The pictures can be made again from the recordings; which labels they showed is kept with the model.
     shutil.copyfile(folder / DATASET / MANIFEST_NAME, kept)
-    model = _registered(project, role, result, kind, kept)
+    detector = load_detector(result.weights)
+    write_validation_pictures(folder / DATASET, manifest, detector, out)
+    model = _registered(project, role, result, kind, kept, detector.fingerprint)
     return Trained(role, model, result, manifest, time.perf_counter() - begin, tuple(left_out))
 
 
-def _registered(project: Project, role: Role, result: TrainedModel, kind: BoxKind, manifest: Path) -> StoredModel:
+def _registered(
+    project: Project, role: Role, result: TrainedModel, kind: BoxKind, manifest: Path, fingerprint: str
+) -> StoredModel:
     """The model in the project's registry, active; training the same again is no second model."""
-    fingerprint = load_detector(result.weights).fingerprint
     for known in project.models.all(role):
         if known.fingerprint == fingerprint and known.path.resolve() == result.weights.resolve():
             return project.models.activate(known.id)

@@ -1,0 +1,94 @@
+"""Trained detectors: what there is, what each is worth, which one proposes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+from fastapi.responses import FileResponse
+from pydantic import BaseModel
+
+from annotator.project import Project
+from annotator.types import BoxKind, ReviewState
+from annotator.types.errors import NotFoundError
+from annotator.web.context import Ctx, Operator
+from annotator.web.jobs.records import CurvePoint
+from annotator.web.projects import ModelInfo, model_info
+from annotator.workflows.model_facts import model_facts
+
+router = APIRouter(prefix="/api/projects/{project}/models", tags=["models"])
+
+ModelId = Annotated[int, Path(ge=0, le=2**53)]
+PictureNumber = Annotated[int, Path(ge=0, le=1000)]
+
+
+class ModelDetails(ModelInfo):
+    """A trained detector.
+
+    Attributes:
+        boxes: how many it learned from; null where that is not known.
+        pictures: addresses of pictures that it has not learned from, with the boxes that it finds.
+    """
+
+    box_kind: BoxKind
+    boxes: int | None
+    pictures: list[str]
+    curves: list[CurvePoint]
+
+
+class TeachingMaterial(BaseModel):
+    """What there is to learn from now: 2D boxes on camera images and on pseudo-views, and reviewed 3D labels."""
+
+    image: int
+    view: int
+    labels: int
+
+
+class ModelList(BaseModel):
+    """All models, the oldest first, and what the next one would learn from."""
+
+    models: list[ModelDetails]
+    material: TeachingMaterial
+
+
+@router.get("")
+def models(project: str, ctx: Ctx, who: Operator) -> ModelList:
+    """All detectors of a project."""
+    opened = ctx.project(project)
+    details = [_details(project, opened, model.id) for model in opened.models.all()]
+    return ModelList(models=details, material=_material(opened))
+
+
+@router.post("/{model}/activate")
+def activate(project: str, model: ModelId, ctx: Ctx, who: Operator) -> ModelDetails:
+    """Let a detector propose from now on, in place of its role's present one."""
+    opened = ctx.project(project)
+    opened.models.activate(model)
+    return _details(project, opened, model)
+
+
+@router.get("/{model}/pictures/{number}.jpg", response_class=FileResponse)
+def picture(project: str, model: ModelId, number: PictureNumber, ctx: Ctx, who: Operator) -> FileResponse:
+    """A picture with the boxes that a detector finds on it."""
+    pictures = model_facts(ctx.project(project).models.get(model)).pictures
+    if number >= len(pictures):
+        raise NotFoundError(f"model {model} has no picture {number}")
+    return FileResponse(pictures[number], media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+
+
+def _details(name: str, project: Project, model_id: int) -> ModelDetails:
+    model = project.models.get(model_id)
+    facts = model_facts(model)
+    return ModelDetails(
+        **model_info(model).model_dump(),
+        box_kind=model.box_kind,
+        boxes=facts.boxes,
+        pictures=[f"/api/projects/{name}/models/{model.id}/pictures/{n}.jpg" for n in range(len(facts.pictures))],
+        curves=[CurvePoint(role=model.role, epoch=point.epoch, metrics=point.metrics) for point in facts.curves],
+    )
+
+
+def _material(project: Project) -> TeachingMaterial:
+    counts = project.statistics()
+    labels = counts.labels.by_state[ReviewState.ACCEPTED] + counts.labels.by_state[ReviewState.EDITED]
+    return TeachingMaterial(image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels)

@@ -1,0 +1,147 @@
+"""`annotator serve` as a program: what it says, how it refuses, how it ends; and the end of the demo."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from annotator.cli import demo as demo_command
+from annotator.cli.main import main
+from annotator.project import create_project
+from annotator.types.errors import MissingExtraError
+from annotator.web import window
+from annotator.web.serve import serve
+from annotator.web.settings import ServerSettings
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    create_project(tmp_path / "projects", "room", ("person",)).close()
+    return tmp_path / "projects"
+
+
+@contextmanager
+def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The program, and the link that it prints."""
+    command = [sys.executable, "-m", "annotator.cli.main", "serve", "--port", "0", *words]
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+    assert process.stdout is not None
+    try:
+        first = process.stdout.readline()
+        found = re.search(r"http://\S+", first)
+        assert found is not None, first + process.stdout.read()
+        yield process, found.group()
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+        process.stdout.close()
+
+
+def test_it_serves_the_page_and_ends_with_an_interrupt(root: Path) -> None:
+    with serving("room", "--projects", str(root), "--open") as (process, address):
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/#/room/label", address)
+        answer = httpx.get(address, timeout=30)
+        assert answer.status_code == 200
+        assert "<html" in answer.text
+        assert process.stdout is not None
+        assert "Ctrl-C" in process.stdout.readline()
+        assert "open the link" in process.stdout.readline()
+    assert process.returncode == 0
+
+
+def test_another_address_prints_a_link_with_a_token(root: Path) -> None:
+    with serving("--projects", str(root), "--host", "0.0.0.0") as (_, address):
+        token = re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=([\w-]{43})", address)
+        assert token is not None
+        bare = address.partition("?")[0]
+        assert httpx.get(bare, timeout=30).status_code == 401
+        with httpx.Client(timeout=30) as client:
+            assert client.get(address).status_code == 200
+            assert client.get(bare).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nobody"], "has no project 'nobody'"),
+        (["--folder", "/no/such"], "--folder /no/such: no such folder"),
+        (["--host", "999.1.1.1", "--token", "x" * 20], "cannot listen on 999.1.1.1"),
+        (["--port", "99999"], "cannot listen on 127.0.0.1 port 99999"),
+        (["--token", "short"], "a token has 16"),
+    ],
+)
+def test_how_it_refuses(root: Path, capsys: Capture, words: list[str], said: str) -> None:
+    assert main(["serve", *words, "--projects", str(root)]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_window_needs_pywebview_and_a_display(root: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setitem(sys.modules, "webview", None)
+    with pytest.raises(MissingExtraError, match="scripts/setup desktop"):
+        window.check_window()
+    monkeypatch.setitem(sys.modules, "webview", object())
+    assert main(["serve", "--window", "--projects", str(root)]) == 2
+    assert "no display for a window" in capsys.readouterr().err
+
+
+def test_the_demo_ends_with_the_workbench_at_a_terminal_only(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served: list[Path] = []
+
+    class Terminal:
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(demo_command, "run_demo", lambda *_: None)
+    monkeypatch.setattr(demo_command, "_told", lambda *_: [])
+    monkeypatch.setattr(demo_command, "_review", served.append)
+    monkeypatch.delenv("CI", raising=False)
+    assert main(["demo", str(tmp_path / "a")]) == 0
+    assert served == []
+    monkeypatch.setattr(sys, "stdin", Terminal())
+    assert main(["demo", str(tmp_path / "a"), "--no-serve"]) == 0
+    assert served == []
+    assert main(["demo", str(tmp_path / "a")]) == 0
+    assert served == [tmp_path / "a"]
+    monkeypatch.setenv("CI", "true")
+    assert main(["demo", str(tmp_path / "a")]) == 0
+    assert len(served) == 1
+
+
+def test_nothing_is_served_elsewhere_without_a_token(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    seen: list[Any] = []
+
+    class Server:
+        def __init__(self, settings: ServerSettings) -> None:
+            seen.append(settings)
+            self.address = "http://h/"
+
+        def serve_until_stopped(self) -> None:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("annotator.web.serve.Running", Server)
+    for host in ("127.0.0.1", "192.168.0.9", "192.168.0.9"):
+        serve(ServerSettings(tmp_path, host=host), open_browser=False, window=False)
+    assert seen[0].token is None
+    assert len(seen[1].token) == 43
+    assert seen[1].token != seen[2].token
+    assert seen[2].token in capsys.readouterr().out
