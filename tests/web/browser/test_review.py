@@ -393,9 +393,15 @@ def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) ->
     desk.settled()
     page.keyboard.press("Escape")
     expect(page.locator('[data-testid="frame-box"][aria-current="true"]')).to_have_count(0)
-    lines = page.locator(f'[data-testid="editor-overlay"][data-id="{uid}"]').bounding_box()
-    assert lines is not None
-    page.mouse.click(lines["x"] + lines["width"] / 2, lines["y"] + lines["height"] * 0.8)
+    # pictures are drawn anew with the next frame of the screen, so what is found now may be gone in a moment
+    x, y = page.evaluate(
+        """uid => new Promise((tell) => requestAnimationFrame(() => requestAnimationFrame(() => {
+            const box = document.querySelector(`[data-testid=editor-overlay][data-id="${uid}"]`).getBoundingClientRect();
+            tell([box.x + box.width / 2, box.y + 0.8 * box.height]);
+        })))""",
+        uid,
+    )
+    page.mouse.click(x, y)
     page.locator('[data-testid="frame-box"][aria-current="true"]').wait_for()
 
 
