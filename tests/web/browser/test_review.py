@@ -396,7 +396,8 @@ def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) ->
     # pictures are drawn anew with the next frame of the screen, so what is found now may be gone in a moment
     x, y = page.evaluate(
         """uid => new Promise((tell) => requestAnimationFrame(() => requestAnimationFrame(() => {
-            const box = document.querySelector(`[data-testid=editor-overlay][data-id="${uid}"]`).getBoundingClientRect();
+            const lines = document.querySelector(`[data-testid=editor-overlay][data-id="${uid}"]`);
+            const box = lines.getBoundingClientRect();
             tell([box.x + box.width / 2, box.y + 0.8 * box.height]);
         })))""",
         uid,
