@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import import_module
-from importlib.util import find_spec
 
 from fastapi import FastAPI
 
@@ -69,8 +68,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
     app.state.context = context
     add_error_handlers(app)
     for name in ROUTES:
-        if find_spec(f"annotator.web.routes.{name}") is not None:
-            app.include_router(import_module(f"annotator.web.routes.{name}").router)
+        app.include_router(import_module(f"annotator.web.routes.{name}").router)
     add_static(app)
     app.add_middleware(Guard, settings=settings)
     return app

@@ -8,6 +8,11 @@ import pytest
 from test_events import listen, next_of
 from test_jobs import JOBS, ended
 
+from annotator.project import Change, NewLabel, open_project
+from annotator.recordings import open_recording
+from annotator.types import Source
+from annotator.workflows.truth import load_truth
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -41,8 +46,12 @@ def test_nothing_to_learn_from_is_told(live: Live) -> None:
 @pytest.mark.slow
 def test_train_propose_export(live: Live, generated: Path) -> None:
     """A training so short that nothing is learned: what it leaves behind is what counts here."""
-    live.client.post("/api/projects/room/recordings", json={"path": f"{generated.name}/people"})
-    assert live.client.get(MODELS).json()["material"]["labels"] == 15
+    recording = open_recording(generated / "people")
+    with open_project(live.settings.projects_root / "room") as project:
+        for index, frame in enumerate(project.frames.of()[:2]):  # of one object in two frames come few pictures
+            truth = load_truth(recording, index, recording.frame(index))[0]
+            project.labels.create(frame.id, [NewLabel("person", truth.box)], Change(0, "a test", Source.MANUAL))
+    assert live.client.get(MODELS).json()["material"] == {"image": 0, "view": 0, "labels": 2}
     wanted = {"kind": "train", "image_pictures": 20, "view_pictures": 20, "image_size_px": 64, "view_size_px": 64}
     with listen(live) as socket:
         job = live.client.post(JOBS, json=wanted).json()
