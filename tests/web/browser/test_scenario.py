@@ -1,0 +1,255 @@
+"""A day at the workbench, without a terminal: from an empty folder of projects to a downloaded dataset.
+
+Everything is done with the mouse and the keys, in one browser with its 3D view, on a generated recording; the truth is
+used to know where to drag and what to accept, and at the end to say how good the downloaded boxes are.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from drawing import Scene
+
+from annotator.formats.rcv import read_rcv
+from annotator.geometry.iou import iou_3d
+from annotator.project import Project
+from annotator.types import ReviewState, Truth
+from annotator.web.settings import ServerSettings
+
+if TYPE_CHECKING:
+    from conftest import Live
+    from playwright.sync_api import Page
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; run scripts/setup test")
+expect = playwright.expect
+
+LABELLED = (0, 2, 4)
+# Small pictures, shown often: on five frames of one room the detectors shall learn that room, and quickly.
+TRAINING = {"pictures-image": 240, "pictures-view": 1200, "size-image": 160, "size-view": 96}
+TRAINED_WITHIN_MS = 540_000.0
+RIGHT = 0.5
+# Software draws the 3D view, beside a training, on whatever cores there are.
+PATIENCE_MS = 90_000.0
+
+
+@pytest.fixture
+def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
+    """A server that has no project yet, and may show the generated recordings."""
+    return ServerSettings(tmp_path / "projects", (generated,), port=0)
+
+
+@dataclass(eq=False)
+class Operator:
+    """Somebody at the page who knows where things truly are."""
+
+    page: Page
+    live: Live
+    scenes: list[Scene]
+
+    @property
+    def project(self) -> Project:
+        return self.live.context.project("crowd")
+
+    def click(self, test_id: str) -> None:
+        self.page.get_by_test_id(test_id).click()
+
+    def sign_in(self, name: str) -> None:
+        self.page.goto("/")
+        self.page.get_by_test_id("operator-name").fill(name)
+        self.page.keyboard.press("Enter")
+        self.page.get_by_test_id("no-projects").wait_for()
+
+    def make_project(self, folder: str) -> None:
+        self.page.get_by_test_id("new-project").first.click()
+        self.page.get_by_test_id("project-name").fill("crowd")
+        self.page.get_by_test_id("project-classes").fill("person")
+        self.click("dialog-create")
+        self.click(f"folder-{folder}")
+        self.page.get_by_test_id("own-labels").uncheck()
+        self.click("add-people")
+        expect(self.page.get_by_test_id("added-recording")).to_contain_text("5 frames")
+        self.page.keyboard.press("Escape")
+        self.click("open-crowd")
+
+    def drag(self, editor: str, box: dict[str, Any], width: int, height: int) -> None:
+        """Drags a box out on the picture of an editor; pixels of the picture, the centre of the first is (0, 0)."""
+        rect = self.page.get_by_test_id(editor).locator("img.picture").bounding_box()
+        assert rect is not None
+        scale = np.array([rect["width"] / width, rect["height"] / height])
+        corner = np.array([rect["x"], rect["y"]])
+        start = corner + (np.array([box["x_min"], box["y_min"]]) + 0.5) * scale
+        end = corner + (np.array([box["x_max"], box["y_max"]]) + 0.5) * scale
+        self.page.mouse.move(*start)
+        self.page.mouse.down()
+        self.page.mouse.move(*((start + end) / 2))
+        self.page.mouse.move(*end)
+        self.page.mouse.up()
+
+    def draw_object(self, scene: Scene, number: int) -> None:
+        """Five drags."""
+        camera = scene.frame.camera
+        with self.page.expect_response("**/label/steps") as answer:
+            # with Shift a drag begins a box wherever it starts, here often on the edge of the person beside
+            self.page.keyboard.down("Shift")
+            self.drag("image-editor", scene.image_box(number), camera.width_px, camera.height_px)
+            self.page.keyboard.up("Shift")
+        first = answer.value.json()["steps"][0]["views"]
+        with self.page.expect_response("**/label/steps") as answer:
+            self.draw_on_views(scene, number, first)
+        self.draw_on_views(scene, number, answer.value.json()["steps"][1]["views"])
+        self.page.wait_for_selector(".label-mode:not([data-saving])")
+
+    def draw_on_views(self, scene: Scene, number: int, views: list[dict[str, Any]]) -> None:
+        for name, view in zip(("front", "side"), views, strict=True):
+            shown = self.page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
+            shown.wait_for(state="attached")
+            self.drag(f"view-{name}", scene.view_box(number, view), view["width"], view["height"])
+
+    def label_frames(self) -> int:
+        """Every visible object of the frames to label; how many there were."""
+        self.page.get_by_test_id("order").select_option("time")
+        drawn = 0
+        for index in LABELLED:
+            self.go_to_frame(index)
+            for number in range(len(self.scenes[index].objects)):
+                self.draw_object(self.scenes[index], number)
+                drawn += 1
+            expect(self.page.get_by_test_id("object")).to_have_count(len(self.scenes[index].objects))
+        return drawn
+
+    def go_to_frame(self, index: int) -> None:
+        position = self.page.get_by_test_id("frame-position")
+        expect(position).to_contain_text("/")
+        for _ in self.scenes:
+            shown = int(position.inner_text().split("/")[0])
+            if shown == index + 1:
+                break
+            self.page.keyboard.press("n" if shown <= index else "p")
+            expect(position).not_to_have_text(f"{shown} / {len(self.scenes)}")
+        expect(position).to_have_text(f"{index + 1} / {len(self.scenes)}")
+        self.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+
+    def train(self) -> None:
+        self.click("mode-train")
+        self.page.get_by_text("Settings", exact=True).click()
+        for name, number in TRAINING.items():
+            self.page.get_by_test_id(f"train-{name}").fill(str(number))
+        self.click("train-start")
+        self.page.get_by_test_id("curves-quality").locator(".main-svg").first.wait_for(timeout=TRAINED_WITHIN_MS)
+        self.finish_job("train")
+
+    def propose(self) -> None:
+        self.click("propose-start")
+        self.finish_job("propose")
+        self.click("review-proposals")
+
+    def finish_job(self, kind: str) -> None:
+        line = self.page.get_by_test_id(f"job-{kind}")
+        self.page.locator(
+            f'[data-testid="job-{kind}"]:is([data-state="done"], [data-state="failed"], [data-state="cancelled"])'
+        ).wait_for(timeout=TRAINED_WITHIN_MS)
+        assert line.get_attribute("data-state") == "done", line.inner_text()
+
+    def review(self) -> dict[str, int]:
+        """Goes through the queue: Space for what is right, X for what is nothing, a mended box for what is between."""
+        done = {"accepted": 0, "mended": 0, "rejected": 0}
+        while int(self.page.get_by_test_id("queue-remaining").inner_text().split()[0]):
+            uid = self.selected()
+            stored = self.project.labels.get(uid)
+            truth, overlap = self.nearest(stored.frame_id, uid)
+            if overlap >= RIGHT:
+                self.page.keyboard.press("Space")
+                done["accepted"] += 1
+            elif overlap < 0.05:
+                self.page.keyboard.press("x")
+                done["rejected"] += 1
+            else:
+                self.mend(truth)
+                self.page.keyboard.press("Space")
+                done["mended"] += 1
+            self.wait_until_decided(uid)
+        return done
+
+    def selected(self) -> str:
+        row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
+        row.wait_for()
+        uid = row.get_attribute("data-uid")
+        assert uid is not None
+        return uid
+
+    def nearest(self, frame_id: int, uid: str) -> tuple[Truth, float]:
+        box = self.project.labels.get(uid).label.box
+        index = self.project.frames.get(frame_id).index
+        assert index is not None
+        truths = [Truth(item.label, item.box) for item in self.scenes[index].objects]
+        overlaps = [iou_3d(box, truth.box) for truth in truths]
+        best = int(np.argmax(overlaps))
+        return truths[best], overlaps[best]
+
+    def mend(self, truth: Truth) -> None:
+        """Types in where the object truly is and how large."""
+        for name, value in zip(("x", "y", "z"), truth.box.center_m, strict=True):
+            self.page.get_by_test_id(f"field-center-{name}").fill(f"{value:.3f}")
+        for name, value in zip(("length", "width", "height"), truth.box.size_m, strict=True):
+            self.page.get_by_test_id(f"field-size-{name}").fill(f"{value:.3f}")
+        self.page.keyboard.press("Enter")
+        self.page.get_by_test_id("field-size-height").blur()
+        expect(self.page.get_by_test_id("label-state")).to_have_text("edited")
+
+    def wait_until_decided(self, uid: str) -> None:
+        for _ in range(200):
+            if self.project.labels.get(uid).label.state is not ReviewState.PROPOSED:
+                break
+            self.page.wait_for_timeout(50)
+        expect(self.page.locator(f'[data-testid="queue-item"][data-uid="{uid}"]')).to_have_count(0)
+        expect(self.page.get_by_test_id("saving")).to_have_text("")
+
+    def export(self, out: Path) -> Path:
+        self.click("mode-export")
+        self.click("export-start")
+        self.finish_job("export")
+        with self.page.expect_download() as download:
+            self.click("download")
+        archive = out / "dataset.zip"
+        download.value.save_as(archive)
+        with zipfile.ZipFile(archive) as opened:
+            opened.extractall(out / "dataset")
+        return next((out / "dataset").rglob("dataset.json")).parent
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_from_an_empty_folder_to_a_downloaded_dataset(page: Page, live: Live, generated: Path, tmp_path: Path) -> None:
+    scenes = [Scene.of(generated / "people", index, ("person",)) for index in range(5)]
+    page.set_default_timeout(PATIENCE_MS)
+    expect.set_options(timeout=PATIENCE_MS)
+    operator = Operator(page, live, scenes)
+    operator.sign_in("Ada")
+    operator.make_project(generated.name)
+    drawn = operator.label_frames()
+    operator.train()
+    operator.propose()
+    decided = operator.review()
+    assert decided["accepted"] + decided["mended"] > 0, decided
+    dataset = read_rcv(operator.export(tmp_path))
+
+    ious: list[float] = []
+    for number in range(len(dataset)):
+        exported = dataset.frame(number)
+        scene = scenes[exported.frame.index]
+        boxes = [label.box for label in exported.labels]
+        assert {label.author for label in exported.labels} == {"Ada"}
+        ious += [max(iou_3d(box, item.box) for item in scene.objects) for box in boxes]
+    assert len(ious) == drawn + decided["accepted"] + decided["mended"]
+    assert np.mean(ious) > 0.6, sorted(ious)
+    assert min(ious) > 0.25, sorted(ious)
+
+    effort = live.client.get("/api/projects/crowd/statistics").json()["effort"]["by_origin"]
+    assert effort["from nothing"]["actions_a_box"] == 5
+    if decided["accepted"]:
+        assert effort["proposal accepted untouched"]["actions_a_box"] == 1
