@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYetError
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -44,6 +45,21 @@ class ReadyDetector:
             return self.detector.detect(images)
 
 
+@dataclass(frozen=True, eq=False)
+class Readiness:
+    """How far a role's detector is.
+
+    Attributes:
+        state: none = there is no active model.
+        detector: where it is ready.
+        problem: why it failed, for who reads the page.
+    """
+
+    state: Literal["none", "loading", "ready", "failed"]
+    detector: ReadyDetector | None = None
+    problem: str | None = None
+
+
 @dataclass(frozen=True)
 class _Blank:
     """A picture to wake a detector with: its first call is slow."""
@@ -62,23 +78,29 @@ class ReadyDetectors:
         self._loading: dict[tuple[Path, Role], tuple[str, Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: Role, wait_s: float | None = None) -> ReadyDetector | None:
-        """The active detector of a role; None where there is none, or where it is not loaded yet.
-
-        One that cannot be loaded is told in the log, and is as if it were not there: a label can be drawn without.
+        """The active detector of a role; None where there is none, where it cannot be loaded, or is not loaded yet.
 
         Args:
             wait_s: how long to wait for one that is being loaded, seconds; None = until it is.
         """
+        return self.look(project, role, wait_s).detector
+
+    def look(self, project: Project, role: Role, wait_s: float | None = None) -> Readiness:
+        """As `get`, with the reason where there is no detector. One that failed stays so until another is active.
+
+        A failure is no error here: a label can be drawn without a detector.
+        """
         model = project.models.active(role)
         if model is None:
-            return None
+            return Readiness("none")
         try:
-            return self._future(project, model).result(wait_s)
+            return Readiness("ready", self._future(project, model).result(wait_s))
         except NotYetError:
-            return None
+            return Readiness("loading")
         except AnnotatorError as error:
-            LOG.warning("project %s: %s", project.path.name, error)
-            return None
+            return Readiness("failed", problem=str(error))
+        except Exception:
+            return Readiness("failed", problem="internal error, see the server's log")
 
     def warm(self, project: Project) -> None:
         """Begins to load what the project's pages will ask for; once a project is enough."""
@@ -104,6 +126,13 @@ class ReadyDetectors:
             return known[1]
 
     def _load(self, model: StoredModel) -> ReadyDetector:
-        ready = ReadyDetector(load_detector(model.path), model.box_kind, self._use)
-        ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
+        try:
+            ready = ReadyDetector(load_detector(model.path), model.box_kind, self._use)
+            ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
+        except AnnotatorError as error:
+            LOG.warning("the %s detector %s cannot be loaded: %s", model.role.value, model.path, error)
+            raise
+        except Exception:
+            LOG.exception("the %s detector %s cannot be loaded", model.role.value, model.path)
+            raise
         return ready

@@ -45,7 +45,8 @@ class Step:
 
     Attributes:
         views: front and side.
-        suggested: what the view detector found on each, to be corrected; None where it has nothing to say.
+        suggested: what the view detector found on each, to be corrected; None where it has nothing to say, and on both
+            where both boxes are drawn.
     """
 
     views: Views
@@ -107,7 +108,8 @@ def label_steps(
     first = opened.views((image_box.xyxy, config), lambda frame: first_views(frame, image_box, config))
     if first is None:
         return _stopped(opened, (), None, f"fewer than {config.min_points} points lie in this box's frustum")
-    steps = [Step(first, _suggest(opened, detector, first, image_box, None, config))]
+    is_open = drawn[0] is None or drawn[1] is None
+    steps = [Step(first, _suggest(opened, detector if is_open else None, first, image_box, None, config))]
     if drawn[0] is None or drawn[1] is None:
         return _stopped(opened, tuple(steps), None, None)
     box = cross_box(first, (drawn[0], drawn[1]), held_direction(opened.frame.up, config))
@@ -116,7 +118,8 @@ def label_steps(
     second = opened.views(key, lambda frame: next_views(frame, image_box, spans, config))
     if second is None:
         return _stopped(opened, tuple(steps), box, f"fewer than {config.min_points} points lie in both boxes")
-    steps.append(Step(second, _suggest(opened, detector, second, image_box, box, config)))
+    is_open = drawn[2] is None or drawn[3] is None
+    steps.append(Step(second, _suggest(opened, detector if is_open else None, second, image_box, box, config)))
     if drawn[2] is not None and drawn[3] is not None:
         four = (drawn[0], drawn[1], drawn[2], drawn[3])
         box = final_box((*first, *second), four, held_direction(opened.frame.up, config), kind, config)

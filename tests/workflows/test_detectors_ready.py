@@ -99,6 +99,33 @@ def test_one_that_cannot_be_loaded_is_as_if_it_were_not_there(
     ready.close()
 
 
+def test_how_far_it_is_and_why_it_failed(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    go = threading.Event()
+
+    def load(weights: Path) -> Blank:
+        go.wait(10)
+        if weights.name.startswith("odd"):
+            raise ValueError("secret")
+        if weights.name.startswith("bad"):
+            raise DetectionError("no weights")
+        return Blank()
+
+    monkeypatch.setattr(detectors_ready, "load_detector", load)
+    ready = ReadyDetectors()
+    assert ready.look(people, Role.VIEW).state == "none"
+    register(people, Role.VIEW, "bad")
+    assert ready.look(people, Role.VIEW, wait_s=0.0).state == "loading"
+    go.set()
+    failed = ready.look(people, Role.VIEW)
+    assert (failed.state, failed.detector, failed.problem) == ("failed", None, "no weights")
+    register(people, Role.VIEW, "odd")
+    problem = ready.look(people, Role.VIEW).problem
+    assert problem is not None and "secret" not in problem and "log" in problem
+    register(people, Role.VIEW, "good")
+    assert ready.look(people, Role.VIEW).state == "ready"
+    ready.close()
+
+
 def test_calls_wait_for_each_other(people: Project, loads: list[Path], knowing: Callable[..., Detectors]) -> None:
     register(people, Role.VIEW, "a")
     ready = ReadyDetectors()

@@ -39,11 +39,12 @@ ViewBoxesIn = Annotated[list[Box2DJson | None], Field(max_length=4)]
 
 
 class StepsIn(Wire):
-    """An object as far as it is drawn."""
+    """An object as far as it is drawn. Without `suggest` the answer waits for no detector."""
 
     image_box: Box2DJson
     boxes: ViewBoxesIn
     box_kind: BoxKind = BoxKind.SILHOUETTE
+    suggest: bool = True
 
 
 class StepJson(Wire):
@@ -56,7 +57,7 @@ class StepJson(Wire):
 class StepsOut(Wire):
     """What the drags have led to: the cross-view box so far, how many points it holds, why it goes no further.
 
-    While `detector` is loading, the same question brings suggestions a little later.
+    While `detector` is loading, the same question brings suggestions a little later; `problem` says why it failed.
     """
 
     steps: list[StepJson]
@@ -64,7 +65,8 @@ class StepsOut(Wire):
     outline: Outline | None
     points: int
     stop: str | None
-    detector: Literal["none", "loading", "ready"]
+    detector: Literal["none", "loading", "ready", "failed"]
+    problem: str | None
 
 
 class ObjectIn(Wire):
@@ -94,9 +96,10 @@ class SaveOut(Wire):
 
 
 class SuggestionsOut(Wire):
-    """What the image detector finds, best first; none where there is no detector yet."""
+    """What the image detector finds, best first; none where there is no detector yet, or (`problem`) it failed."""
 
     boxes: list[Box2DOut]
+    problem: str | None = None
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/steps")
@@ -104,7 +107,8 @@ def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) ->
     """The views that an object's drags lead to, with suggestions, and its box so far. Nothing is kept."""
     project = ctx.project(name)
     opened = ctx.annotation.frames.open(project, frame_id)
-    detector = ctx.annotation.detectors.get(project, Role.VIEW, LOADING_WAIT_S)
+    ready = ctx.annotation.detectors.look(project, Role.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
+    detector = ready.detector if body.suggest else None
     boxes = [None if box is None else box.box() for box in body.boxes]
     config = frame_config(project, opened.frame)
     found = label_steps(opened, body.image_box.box(), boxes, config, body.box_kind, detector)
@@ -120,20 +124,21 @@ def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) ->
         outline=None if found.box is None else found.outline.round(2).tolist(),
         points=found.points,
         stop=found.stop,
-        detector="ready" if detector else "loading" if project.models.active(Role.VIEW) else "none",
+        detector=ready.state,
+        problem=ready.problem,
     )
 
 
-@router.get("/api/projects/{name}/frames/{frame_id}/label/suggestions")
+@router.get("/api/projects/{name}/frames/{frame_id}/label/suggestions", response_model_exclude_none=True)
 def suggestions(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> SuggestionsOut:
     """Boxes that the image detector suggests."""
     project = ctx.project(name)
-    detector = ctx.annotation.detectors.get(project, Role.IMAGE)
-    if detector is None:
-        return SuggestionsOut(boxes=[])
+    ready = ctx.annotation.detectors.look(project, Role.IMAGE)
+    if ready.detector is None:
+        return SuggestionsOut(boxes=[], problem=ready.problem)
     opened = ctx.annotation.frames.open(project, frame_id)
     least = frame_config(project, opened.frame).min_image_score
-    found = suggested_image_boxes(opened, detector, least, project.config.classes)
+    found = suggested_image_boxes(opened, ready.detector, least, project.config.classes)
     return SuggestionsOut(boxes=[Box2DOut.of(box) for box in found])
 
 
