@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,13 +15,13 @@ from drawing import Scene
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, Role
 from annotator.types import BoxKind, Label, ReviewState
-from annotator.workflows.detectors_ready import ReadyDetector
+from annotator.workflows.detectors_ready import Readiness, ReadyDetector
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
     from conftest import Live
-    from playwright.sync_api import Page
+    from playwright.sync_api import Page, Request, Response
 
     from annotator.workflows.detectors import Detectors
 
@@ -79,7 +79,7 @@ class Bench:
     def draw_on_image(self, number: int) -> dict[str, Any]:
         """Drags the image box of a true object; the answer holds its first views."""
         camera = self.scene.frame.camera
-        with self.page.expect_response("**/label/steps") as answer:
+        with self.page.expect_response(_brings_views) as answer:
             self.drag("image-editor", self.scene.image_box(number), (camera.width_px, camera.height_px))
         return answer.value.json()
 
@@ -93,7 +93,7 @@ class Bench:
     def draw_object(self, number: int) -> None:
         """All five drags of a true object."""
         first = self.draw_on_image(number)
-        with self.page.expect_response("**/label/steps") as answer:
+        with self.page.expect_response(_brings_views) as answer:
             self.draw_on_views(number, first["steps"][0]["views"])
         self.draw_on_views(number, answer.value.json()["steps"][1]["views"])
         self.saved()
@@ -118,6 +118,10 @@ def bench(open_page: Callable[..., Page], live: Live, generated: Path) -> Bench:
     project = live.context.project("room")
     page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
     return Bench(page, live, project, Scene.of(generated / "people", 0, ("person",)))
+
+
+def _brings_views(response: Response) -> bool:
+    return response.url.endswith("/label/steps") and not response.request.post_data_json["suggest"]
 
 
 def _close(a: dict[str, Any], b: dict[str, Any]) -> bool:
@@ -307,21 +311,31 @@ def test_a_refused_save_is_told_and_can_be_tried_again(bench: Bench) -> None:
     assert len(bench.image_boxes) == 1
 
 
+@pytest.fixture
+def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """`teach(image=..., view=...)`: gives the project detectors, and opens the page anew."""
+
+    def taught(**detectors: Any) -> None:
+        ready = {
+            Role(role): Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
+            for role, detector in detectors.items()
+        }
+        look = lambda project, role, wait_s=None: ready.get(role, Readiness("none"))  # noqa: E731
+        monkeypatch.setattr(bench.live.context.annotation.detectors, "look", look)
+        info = bench.live.client.get("/api/projects/room").json()
+        models = {role: {"id": 1} if role in detectors else None for role in ("image", "view")}
+        bench.page.route("**/api/projects/room", lambda route: route.fulfill(json={**info, "detectors": models}))
+        bench.page.reload()
+        bench.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+
+    return taught
+
+
 def test_suggestions_are_accepted_with_enter(
-    bench: Bench, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
     perfect = knowing("people", kind=BoxKind.SILHOUETTE)
-    ready = {
-        Role.IMAGE: ReadyDetector(perfect.image, BoxKind.SILHOUETTE, Lock()),
-        Role.VIEW: ReadyDetector(perfect.view, BoxKind.SILHOUETTE, Lock()),
-    }
-    monkeypatch.setattr(bench.live.context.annotation.detectors, "get", lambda project, role, wait_s=None: ready[role])
-    info = bench.live.client.get("/api/projects/room").json()
-    bench.page.route(
-        "**/api/projects/room",
-        lambda route: route.fulfill(json={**info, "detectors": {"image": {"id": 1}, "view": {"id": 2}}}),
-    )
-    bench.page.reload()
+    teach(image=perfect.image, view=perfect.view)
     expect(bench.page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3, timeout=15_000)
     for accepted in range(1, 6):
         where = bench.page.get_by_test_id("image-editor") if accepted == 1 else bench.page.locator(".views")
@@ -333,3 +347,97 @@ def test_suggestions_are_accepted_with_enter(
     assert max(iou_3d(label.box, item.box) for item in bench.scene.objects) > 0.5
     effort = bench.live.client.get("/api/projects/room/statistics").json()["effort"]
     assert effort["actions_a_box"] == 5
+
+
+class Slow:
+    """A detector that answers when it may."""
+
+    labels = ("person",)
+    fingerprint = "slow"
+
+    def __init__(self, detector: Any) -> None:
+        self.detector = detector
+        self.may_answer = Event()
+
+    def detect(self, images: Any) -> Any:
+        assert self.may_answer.wait(60)
+        return self.detector.detect(images)
+
+
+def test_views_wait_for_no_detector_and_its_boxes_take_no_drawn_ones_place(
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
+) -> None:
+    slow = Slow(knowing("people", kind=BoxKind.SILHOUETTE).view)
+    teach(view=slow)
+    try:
+        views = bench.draw_on_image(0)["steps"][0]["views"]
+        front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
+        side.locator(f'img.picture[src="{views[1]["url"]}"]').wait_for(state="attached")
+        true = bench.scene.view_box(0, views[0])
+        mine = {**true, "x_max": (true["x_min"] + true["x_max"]) / 2}
+        bench.drag("view-front", mine, (views[0]["width"], views[0]["height"]))
+        bench.saved()
+        assert side.locator(".box.suggested").count() == 0
+    finally:
+        slow.may_answer.set()
+    expect(side.locator(".box.suggested")).to_have_count(1)
+    expect(front.locator(".box.suggested")).to_have_count(0)
+    (kept,) = [box for _, box in bench.state["objects"][0]["views"] if box]
+    assert abs(kept["x_max"] - mine["x_max"]) < 1
+
+
+def test_a_box_drawn_and_deleted_meanwhile_is_not_suggested_again(
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
+) -> None:
+    slow = Slow(knowing("people", kind=BoxKind.SILHOUETTE).view)
+    teach(view=slow)
+    try:
+        views = bench.draw_on_image(0)["steps"][0]["views"]
+        front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
+        front.locator(f'img.picture[src="{views[0]["url"]}"]').wait_for(state="attached")
+        bench.drag("view-front", bench.scene.view_box(0, views[0]), (views[0]["width"], views[0]["height"]))
+        front.get_by_test_id("editor2d").focus()
+        bench.page.keyboard.press("Delete")
+        expect(front.get_by_test_id("editor-box")).to_have_count(0)
+        bench.saved()
+    finally:
+        slow.may_answer.set()
+    expect(side.locator(".box.suggested")).to_have_count(1)
+    expect(front.locator(".box.suggested")).to_have_count(0)
+
+
+def test_a_detector_that_cannot_be_loaded_is_told_once(bench: Bench, tmp_path: Path) -> None:
+    weights = tmp_path / "broken" / "best.pt"
+    weights.parent.mkdir()
+    weights.write_bytes(b"no weights")
+    bench.project.models.register(
+        Role.VIEW, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint="broken"
+    )
+    bench.draw_on_image(0)
+    told = bench.page.get_by_test_id("toast-warn").filter(has_text="the view detector cannot be loaded")
+    expect(told).to_have_count(1)
+    told.get_by_role("button").click()
+    views = bench.draw_on_image(1)["steps"][0]["views"]
+    bench.page.get_by_test_id("view-side").locator(f'img.picture[src="{views[1]["url"]}"]').wait_for(state="attached")
+    bench.saved()
+    expect(told).to_have_count(0)
+
+
+def test_the_next_frame_is_read_ahead_and_navigation_gives_that_up(bench: Bench) -> None:
+    page = bench.page
+    page.add_init_script("localStorage.setItem('label-order', 'time')")
+    with page.expect_request("**/frames/2/image.jpg*"):
+        page.reload()
+    assert page.url.endswith("/label/1")
+    with page.expect_request("**/frames/5") as asked, page.expect_event("requestfailed", _asks_for_frame(5)):
+        page.route("**/frames/5", lambda route: None)
+        page.evaluate("location.hash = '#/room/label/4'")
+        page.get_by_test_id("image-editor").locator("img.picture[src*='frames/4/']").wait_for()
+        page.wait_for_timeout(1500)
+        page.keyboard.press("p")
+    assert asked.value.failure is not None
+    page.wait_for_url("**/label/3")
+
+
+def _asks_for_frame(number: int) -> Callable[[Request], bool]:
+    return lambda request: request.url.endswith(f"/frames/{number}")

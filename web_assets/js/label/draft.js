@@ -1,34 +1,51 @@
 /**
  * The object that is being drawn: its item, the views of its steps as the server draws them, and what is suggested on them.
  *
- * draft = {item, steps: [{views: [View, View]}], suggestions: [Box2D | null] x 4, outline, points, stop, is_loading}
+ * draft = {item, steps: [{views: [View, View]}], suggestions: [Box2D | null] x 4, edits: [int] x 4, outline, points, stop,
+ * is_loading, detector, problem}: `edits` counts what the operator did on each view, `detector` and `problem` say how far the
+ * view detector is.
  */
 
 import { carryBox } from "./carry.js";
 import { plainBox, VIEWS } from "./items.js";
 
 export function makeDraft(item) {
-  return { item, steps: [], suggestions: Array(VIEWS).fill(null), outline: null, points: null, stop: null, is_loading: false };
+  return {
+    item,
+    steps: [],
+    suggestions: Array(VIEWS).fill(null),
+    edits: Array(VIEWS).fill(0),
+    outline: null,
+    points: null,
+    stop: null,
+    is_loading: false,
+    detector: "none",
+    problem: null,
+  };
 }
 
 /** How many boxes the server needs to draw what comes next: those of whole steps. */
-function wholeSteps(boxes) {
+export function wholeSteps(boxes) {
   if (!boxes[0] || !boxes[1]) return [];
   return boxes[2] && boxes[3] ? boxes.map(plainBox) : boxes.slice(0, 2).map(plainBox);
 }
 
 /**
- * `load(draft)` brings a draft's views up to date with its boxes; boxes of views that changed are carried over. It resolves to
- * false where a newer call came in between.
+ * Asks what an object's boxes lead to; with `suggest` also the view detector, which takes its time.
  *
  * @param {() => string} kind what the boxes measure.
  */
-export function createStepLoader(app, kind) {
-  let request = null;
+export function createAsk(app, kind) {
+  return ({ item }, boxes, suggest, signal) =>
+    app.api.post(app.path("frames", app.state.frame.frame.id, "label", "steps"), { image_box: plainBox(item.image_box), boxes, box_kind: kind(), suggest }, { signal });
+}
 
-  async function ask(item, boxes, signal) {
-    return app.api.post(app.path("frames", app.state.frame.frame.id, "label", "steps"), { image_box: plainBox(item.image_box), boxes, box_kind: kind() }, { signal });
-  }
+/**
+ * `load(draft)` brings a draft's views up to date with its boxes; boxes of views that changed are carried over. It resolves to
+ * false where a newer call came in between.
+ */
+export function createStepLoader(ask) {
+  let request = null;
 
   async function load(draft) {
     request?.abort();
@@ -38,7 +55,7 @@ export function createStepLoader(app, kind) {
       // A changed first step changes the second one's views, so two rounds settle everything.
       for (let round = 0; round < VIEWS; round++) {
         const sent = wholeSteps(draft.item.boxes);
-        const answer = await ask(draft.item, sent, own.signal);
+        const answer = await ask(draft, sent, false, own.signal);
         if (!takeSteps(draft, answer) || sent.length === wholeSteps(draft.item.boxes).length) break;
       }
       return true;
@@ -60,7 +77,7 @@ export function createStepLoader(app, kind) {
 function takeSteps(draft, answer) {
   const { item } = draft;
   let carried = false;
-  answer.steps.forEach(({ views, suggested }, step) => {
+  answer.steps.forEach(({ views }, step) => {
     views.forEach((view, side) => {
       const index = 2 * step + side;
       const old = item.views[index];
@@ -73,7 +90,6 @@ function takeSteps(draft, answer) {
         item.boxes[index] ??= item.loose[1] && plainBox(item.loose[1]);
         item.loose = null;
       }
-      if (!item.boxes[index]) draft.suggestions[index] ??= suggested?.[side] ?? null;
     });
   });
   if (!item.boxes[0] || !item.boxes[1]) demoteSecondStep(draft);
@@ -81,6 +97,8 @@ function takeSteps(draft, answer) {
   draft.outline = answer.outline;
   draft.points = answer.points;
   draft.stop = answer.stop;
+  draft.detector = answer.detector;
+  draft.problem = answer.problem;
   return carried;
 }
 

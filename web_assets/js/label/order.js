@@ -7,9 +7,9 @@ export function createOrder(app) {
   let remaining = null;
   let by = localStorage.getItem(KEPT) === "time" ? "time" : "teach";
 
-  async function teaching() {
+  async function teaching(options) {
     const current = app.state.frame?.frame.id ?? null;
-    const { items, remaining: count } = await app.api.get(`${app.path("queue")}?order=teach`);
+    const { items, remaining: count } = await app.api.get(`${app.path("queue")}?order=teach`, options);
     remaining = count;
     const others = items.map(({ frame }) => frame).filter((frame) => frame !== current);
     return others.find((frame) => !visited.includes(frame)) ?? others.find((frame) => frame !== visited.at(-1)) ?? null;
@@ -32,10 +32,10 @@ export function createOrder(app) {
     get remaining() {
       return remaining;
     },
-    /** The frame to begin with, or to go to next; null where there is none. */
-    async next() {
+    /** The frame to begin with, or to go to next; null where there is none. To ask is not to go. */
+    async next(options) {
       if (by === "time" && app.state.frame) return app.state.frame.frame.next;
-      return (by === "teach" ? await teaching() : null) ?? (app.state.frame ? app.state.frame.frame.next : firstFrame());
+      return (by === "teach" ? await teaching(options) : null) ?? (app.state.frame ? app.state.frame.frame.next : firstFrame());
     },
     /** Back in time, or to where one came from. */
     previous() {

@@ -39,7 +39,7 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
       },
     });
     host.append(caption);
-    return { editor, element: host, caption, name };
+    return { editor, element: host, caption, name, url: null, shown: Promise.resolve() };
   }
 
   /**
@@ -59,10 +59,11 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
     root.classList.toggle("has-views", Boolean(views));
     const isOpen = (side) => !draft?.item.boxes[2 * step + side] && draft?.suggestions[2 * step + side];
     const first_open = [0, 1].find(isOpen);
-    panes.forEach(({ editor, caption, name }, side) => {
+    panes.forEach((pane, side) => {
+      const { editor, caption, name } = pane;
       const index = 2 * step + side;
       const view = views?.[side] ?? null;
-      void editor.setPicture(view?.url ?? null, view?.width, view?.height);
+      showPicture(pane, view);
       const box = draft?.item.boxes[index] ?? null;
       const suggested = box ? null : (draft?.suggestions[index] ?? null);
       const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: side === first_open ? "Enter" : "" }] : [];
@@ -71,11 +72,21 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
     });
   }
 
+  function showPicture(pane, view) {
+    const url = view?.url ?? null;
+    const shown = pane.editor.setPicture(url, view?.width, view?.height);
+    // Asked for the same picture again, the editor has nothing to wait for, though it may still be on its way.
+    if (url !== pane.url) pane.shown = shown;
+    pane.url = url;
+  }
+
   const editors = panes.map(({ editor }) => editor);
   return {
     root,
     show,
     editors,
+    /** Resolves when the pictures are on the screen. */
+    shown: () => Promise.all(panes.map((pane) => pane.shown)),
     setReadonly: (value) => editors.forEach((editor) => editor.setReadonly(value)),
     destroy: () => editors.forEach((editor) => editor.destroy()),
   };

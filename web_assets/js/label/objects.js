@@ -1,0 +1,204 @@
+/** What a drag means for the object that is drawn: its views, its boxes, its class, and what of it is saved. */
+
+import { objectChange, removal } from "./changes.js";
+import { isFinished } from "./display.js";
+import { demoteSecondStep, makeDraft } from "./draft.js";
+import { makeItem, openStep, plainBox, sameBox } from "./items.js";
+import { openGuesses } from "./work.js";
+
+/** A picture that does not come holds up neither what is saved nor what is suggested. */
+const PICTURES_WAIT_MS = 1000;
+
+/** @param {object} parts {saver, loader, suggester, prefetch, image, views, show}. */
+export function createObjects(app, work, parts) {
+  const { saver, loader, suggester, prefetch, image, views, show } = parts;
+  const kind = () => work.kind;
+
+  /** Makes an object the current one and fetches its views. */
+  function open(item) {
+    begin(item);
+    work.label = item.image_box.label;
+    work.loaded = loadSteps();
+    show();
+  }
+
+  function begin(item) {
+    work.draft = makeDraft(item);
+    work.step = openStep(item);
+  }
+
+  function openLabel(uid) {
+    const item = work.items.find((known) => known.uid === uid);
+    if (item) open(item);
+  }
+
+  /** No object is the current one. */
+  function close() {
+    loader.stop();
+    suggester.stop();
+    work.draft = null;
+  }
+
+  /**
+   * The current object's views, then all that can wait for them: saving, the 3D view, suggestions, reading ahead.
+   *
+   * @param {Function} [then] what to do with the views at hand, before they are shown.
+   */
+  async function loadSteps(then) {
+    const loading = work.draft;
+    const own = (work.coming = {});
+    suggester.stop();
+    prefetch.stop();
+    try {
+      const is_newest = await loader.load(loading);
+      if (!is_newest || work.draft !== loading) return;
+      then?.();
+      if (loading.item.boxes.every(Boolean)) loading.outline = null;
+    } catch (error) {
+      if (work.draft !== loading) return;
+      // What was drawn is saved all the same; the views can be asked for again.
+      loading.stop = error.message;
+      then?.();
+    }
+    show();
+    await Promise.race([views.shown(), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
+    if (work.coming !== own || work.draft !== loading) return;
+    work.coming = null;
+    show();
+    void suggester.suggest(loading);
+    prefetch.start();
+  }
+
+  function showStep(wanted) {
+    work.step = wanted;
+    show();
+  }
+
+  // -- boxes on the image
+
+  function onImageSelect(index) {
+    const item = work.items[index];
+    work.selected = item ?? null;
+    if (item && item !== work.draft?.item) open(item);
+  }
+
+  function onImageChange(boxes, why, index, actions) {
+    app.effort.action(actions);
+    if (index >= work.items.length && why !== "draw") takeGuess(openGuesses(work)[index - work.items.length].item, boxes[index]);
+    else if (why === "draw") add(makeItem(plainBox(boxes[index])));
+    else if (why === "delete") removeItem(work.items[index]);
+    else changeImageBox(work.items[index], plainBox(boxes[index]));
+  }
+
+  function add(item) {
+    work.items = [...work.items, item];
+    work.selected = item;
+    open(item);
+    save(item);
+  }
+
+  function takeGuess(item, image_box) {
+    work.not_saved = work.not_saved.filter((known) => known !== item);
+    add({ ...item, uid: null, stored: null, image_box: { ...plainBox(image_box), score: 1 } });
+  }
+
+  function changeImageBox(item, image_box) {
+    item.image_box = image_box;
+    const is_drawn = item.boxes.some(Boolean) || item.uid;
+    if (work.draft?.item !== item) begin(item);
+    // Boxes on the views are carried to the new ones first, and saved with them.
+    work.loaded = loadSteps(() => {
+      if (is_drawn) save(item);
+      work.step = openStep(item);
+    });
+    if (!is_drawn) save(item);
+    show();
+  }
+
+  // -- boxes on the views
+
+  function setViewBox(index, box, why, actions) {
+    app.effort.action(actions);
+    const { draft } = work;
+    const { item } = draft;
+    item.boxes[index] = { ...plainBox(box), label: item.image_box.label, score: 1 };
+    draft.suggestions[index] = null;
+    draft.edits[index] += 1;
+    const is_whole_step = item.boxes[index - (index % 2)] && item.boxes[index - (index % 2) + 1];
+    if (index < 2 && is_whole_step) {
+      // The second step's views follow from these; what was drawn on the old ones becomes a guess on the new.
+      demoteSecondStep(draft);
+      work.loaded = loadSteps(() => (work.step = 1));
+    }
+    save(item);
+    if (index >= 2 && is_whole_step) image.select(-1);
+    show();
+  }
+
+  function clearViewBox(index, actions) {
+    app.effort.action(actions);
+    const { draft } = work;
+    draft.item.boxes[index] = null;
+    draft.edits[index] += 1;
+    if (index < 2) demoteSecondStep(draft);
+    save(draft.item);
+    work.step = openStep(draft.item);
+    show();
+  }
+
+  // -- the object as a whole
+
+  function pickClass(name) {
+    work.label = name;
+    const item = work.draft?.item;
+    if (item && !work.is_readonly && (work.selected === item || !isFinished(item)) && item.image_box.label !== name) {
+      app.effort.action();
+      item.image_box = { ...item.image_box, label: name };
+      item.boxes = item.boxes.map((box) => box && { ...box, label: name });
+      save(item);
+      // What is on its way is of the former class.
+      if (!work.coming) void suggester.suggest(work.draft);
+    }
+    show();
+  }
+
+  function remove(item) {
+    app.effort.action();
+    removeItem(item);
+  }
+
+  function removeItem(item) {
+    work.items = work.items.filter((other) => other !== item);
+    if (work.draft?.item === item) close();
+    saver.save(removal(item, kind));
+    show();
+  }
+
+  function save(item) {
+    const outline = work.draft?.item === item ? work.draft.outline : null;
+    saver.save(objectChange(item, { after: work.loaded, outline, kind }));
+  }
+
+  /** The others' version was taken: what was drawn here stays in sight, and a click (or Enter) saves it after all. */
+  function onDropped({ item }) {
+    if (!item) return;
+    const theirs = work.items.find((known) => sameBox(known.image_box, item.image_box));
+    if (theirs) {
+      if (work.draft?.item !== theirs) open(theirs);
+      const { draft } = work;
+      draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (item.boxes[i] ?? guess)));
+    } else {
+      work.not_saved = [...work.not_saved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
+    }
+    show();
+  }
+
+  function cycle(direction) {
+    if (!work.items.length) return false;
+    const index = work.draft ? work.items.indexOf(work.draft.item) + direction : direction > 0 ? 0 : -1;
+    open(work.items.at(index % work.items.length));
+    return true;
+  }
+
+  return { open, openLabel, close, showStep, onImageSelect, onImageChange, setViewBox, clearViewBox, pickClass, remove, onDropped, cycle };
+}
