@@ -46,16 +46,18 @@ class Hub:
     # --- pages come and go (from the event loop) -------------------------------------------------------------------
 
     def join(self, client: Client) -> None:
-        """Adds a page; must be called where its socket is served."""
+        """Adds a page, and tells it who has what open; must be called where its socket is served."""
         with self._lock:
             self._clients[client] = asyncio.get_running_loop()
-        self._tell_presence(client.project)
+        if client.project is not None:
+            _put(client, self._presence_event(client.project))
 
     def leave(self, client: Client) -> None:
         """Forgets a page."""
         with self._lock:
             self._clients.pop(client, None)
-        self._tell_presence(client.project)
+        if client.frame is not None:
+            self._tell_presence(client.project)
 
     def opened(self, client: Client, project: str | None, frame: int | None) -> None:
         """A page has opened a frame (None: closed it)."""
@@ -133,7 +135,10 @@ class Hub:
 
     def _tell_presence(self, project: str | None) -> None:
         if project is not None:
-            self.send({"type": "presence", "project": project, "frames": self.presence(project)})
+            self.send(self._presence_event(project))
+
+    def _presence_event(self, project: str) -> Message:
+        return {"type": "presence", "project": project, "frames": self.presence(project)}
 
 
 def _concerns(client: Client, message: Message) -> bool:
