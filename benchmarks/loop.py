@@ -23,7 +23,8 @@ from rich.console import Console
 from annotator.detection.progress import TrainingProgress
 from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project, open_project
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
-from annotator.rcv.propose import FrameProposals, propose
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.propose import propose
 from annotator.recordings import Recording, open_recording
 from annotator.types import BoxKind, Frame
 from annotator.types.errors import ConfigError, FrameError

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from annotator.evaluation.oriented import FrameResult, average_precision, mask_agreement, matched_ious
-from annotator.rcv.propose import FrameProposals
+from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording
 from annotator.types import Frame
 from annotator.workflows.truth import has_truth, load_mask, load_truth

@@ -37,7 +37,9 @@ class Instead:
 INSTEAD: dict[str, Instead] = {
     "scripts/test": Instead(None, "it runs this test"),
     "scripts/demo": Instead(None, "tests/workflows tries the demo, tests/test_scripts.py the set-up"),
-    "annotator serve --folder recordings --open": Instead(None, "it goes on until it is stopped; see test_cli_serve.py"),
+    "annotator serve --folder recordings --open": Instead(
+        None, "it goes on until it is stopped; tests/cli/test_cli_serve.py starts and stops it"
+    ),
     "annotator train hands": Instead(
         "annotator train hands --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
     ),

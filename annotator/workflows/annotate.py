@@ -15,7 +15,8 @@ from annotator.project.project import Project
 from annotator.project.proposals import RunShare
 from annotator.project.writing import Change
 from annotator.rcv.config import REVISION, Orientation, RcvConfig
-from annotator.rcv.propose import FrameProposals, propose
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.propose import propose
 from annotator.types import Frame, Source
 from annotator.types.errors import AnnotatorError, ConfigError, FinalisedFrameError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
