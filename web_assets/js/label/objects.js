@@ -7,7 +7,12 @@ import { makeItem, openStep, plainBox, sameBox } from "./items.js";
 import { openGuesses } from "./work.js";
 
 /** A picture that does not come holds up neither what is saved nor what is suggested. */
-const PICTURES_WAIT_MS = 1000;
+const PICTURES_WAIT_MS = 400;
+
+/** What is there now is on its way to the screen: a task after the next frame's callbacks runs after its painting. */
+function painted() {
+  return new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
+}
 
 /** @param {object} parts {saver, loader, suggester, prefetch, image, views, show}. */
 export function createObjects(app, work, parts) {
@@ -61,7 +66,7 @@ export function createObjects(app, work, parts) {
       then?.();
     }
     show();
-    await Promise.race([views.shown(), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
+    await Promise.race([views.shown().then(painted), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
     if (work.coming !== own || work.draft !== loading) return;
     work.coming = null;
     show();
