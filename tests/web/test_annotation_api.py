@@ -19,7 +19,7 @@ from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 from annotator.web.wire import Box3DJson
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
 
 ROOM = "/api/projects/room"
 BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}

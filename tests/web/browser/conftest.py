@@ -29,7 +29,7 @@ CHROMIUM_ARGS = (
     "--disable-background-networking",
 )
 VIEWPORT = {"width": 1366, "height": 768}
-TIMEOUT_MS = 15_000.0
+TIMEOUT_MS = 40_000.0
 
 outcome_key = pytest.StashKey[bool]()
 

@@ -17,7 +17,7 @@ from annotator.types import OrientedBox
 from annotator.workflows.truth import load_truth
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
     from playwright.sync_api import Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect

@@ -20,7 +20,7 @@ from annotator.workflows.detectors_ready import Readiness, ReadyDetector
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
     from playwright.sync_api import Page, Request, Response
 
     from annotator.workflows.detectors import Detectors
@@ -135,11 +135,11 @@ def test_an_object_from_nothing_takes_five_drags(bench: Bench) -> None:
     assert label.state is ReviewState.ACCEPTED
     assert iou_3d(label.box, bench.scene.objects[0].box) > 0.5
     row = bench.page.get_by_test_id("object")
-    assert row.get_attribute("data-boxes") == "5"
-    assert row.get_attribute("data-uid") == label.uid
-    assert "finished" in bench.hint
+    expect(row).to_have_attribute("data-boxes", "5")
+    expect(row).to_have_attribute("data-uid", label.uid)
+    expect(bench.page.get_by_test_id("hint")).to_contain_text("finished")
     overlay = bench.page.get_by_test_id("image-editor").get_by_test_id("editor-overlay")
-    assert overlay.get_attribute("data-id") == label.uid
+    expect(overlay).to_have_attribute("data-id", label.uid)
     effort = bench.live.client.get("/api/projects/room/statistics").json()["effort"]
     assert effort["boxes"] == 1
     assert effort["actions_a_box"] == 5

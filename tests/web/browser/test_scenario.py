@@ -22,8 +22,8 @@ from annotator.types import ReviewState, Truth
 from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
-    from conftest import Live
-    from playwright.sync_api import Page
+    from live_server import Live
+    from playwright.sync_api import Page, Response
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; run scripts/setup test")
 expect = playwright.expect
@@ -41,6 +41,11 @@ PATIENCE_MS = 90_000.0
 def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
     """A server that has no project yet, and may show the generated recordings."""
     return ServerSettings(tmp_path / "projects", (generated,), port=0)
+
+
+def brings_views(response: Response) -> bool:
+    """The answer with the next views, and not the one with what a detector suggests on them."""
+    return response.url.endswith("/label/steps") and response.request.post_data_json["suggest"] is False
 
 
 @dataclass(eq=False)
@@ -93,13 +98,10 @@ class Operator:
     def draw_object(self, scene: Scene, number: int) -> None:
         """Five drags."""
         camera = scene.frame.camera
-        with self.page.expect_response("**/label/steps") as answer:
-            # with Shift a drag begins a box wherever it starts, here often on the edge of the person beside
-            self.page.keyboard.down("Shift")
+        with self.page.expect_response(brings_views) as answer:
             self.drag("image-editor", scene.image_box(number), camera.width_px, camera.height_px)
-            self.page.keyboard.up("Shift")
         first = answer.value.json()["steps"][0]["views"]
-        with self.page.expect_response("**/label/steps") as answer:
+        with self.page.expect_response(brings_views) as answer:
             self.draw_on_views(scene, number, first)
         self.draw_on_views(scene, number, answer.value.json()["steps"][1]["views"])
         self.page.wait_for_selector(".label-mode:not([data-saving])")

@@ -10,7 +10,7 @@ import pytest
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
     from playwright.sync_api import Page
 
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"

@@ -10,7 +10,7 @@ import pytest
 from test_export_page import label_truth
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
     from playwright.sync_api import Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect

@@ -13,6 +13,7 @@
  *   onOverlay(id)                         a click within the outline of an overlay that has an id, and in no box
  *   classes: [names], color(box)          colours; by default the class's
  *   newLabel()                            class of a drawn box, by default the first one
+ *   selectFirst                           only the selected box can be resized: a drag from the edge of another one draws
  *   single, canDraw, canMove, canDelete   one box only: drawing replaces it · by default all true but single
  *   clip                                  boxes end at the picture's border (default true)
  *   label                                 accessible name

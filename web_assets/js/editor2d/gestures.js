@@ -30,7 +30,7 @@ export function hitTest(editor, px, pointer_type, is_forced = false) {
     if (isInside(current, px)) return options.canMove === false ? draw : { kind: "move", index: selected };
   }
   for (let index = boxes.length - 1; index >= 0; index--) {
-    if (boxes[index].readonly) continue;
+    if (boxes[index].readonly || options.selectFirst) continue;
     const near = edgeNear(boxes[index], px, reach * 0.7, handles);
     if (near) return { kind: "resize", index, ...near };
   }

@@ -67,6 +67,8 @@ export function mount(root, app) {
   const image = createEditor(image_host, {
     label: "Camera image",
     classes,
+    // objects stand close, and one box after the other is drawn
+    selectFirst: true,
     newLabel: () => work.label,
     onChange: (...change) => objects.onImageChange(...change),
     onSelect: (index) => objects.onImageSelect(index),

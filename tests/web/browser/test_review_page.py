@@ -18,7 +18,7 @@ from annotator.types import Label, OrientedBox, Proposal, Quality, ReviewState, 
 from annotator.workflows.truth import load_truth
 
 if TYPE_CHECKING:
-    from conftest import Live
+    from live_server import Live
     from playwright.sync_api import Locator, Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect

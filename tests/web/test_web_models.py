@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from test_events import listen, next_of
-from test_jobs import JOBS, ended
+from test_web_jobs import JOBS, ended
 
 from annotator.project import Change, NewLabel, open_project
 from annotator.recordings import open_recording
