@@ -21,9 +21,6 @@
  * A box is {label, x_min, y_min, x_max, y_max, …}: continuous px, the first pixel's centre is (0, 0). Further properties are
  * kept: `suggested` (dashed; a click or accept() makes it the operator's, a drag corrects it), `readonly`, `faint`, `caption`
  * (text in place of the label). An overlay is {polyline | segments, color, dash, strong, width, id}, in the same px.
- *
- * Asked of W5: nothing is known to be missing for the orthogonal views: {canDraw: false, canDelete: false, clip: false,
- * single: true} and setHandles({edges: true, corners: true, rotate: true}). Tell what is, or change it here.
  */
 
 import { classColor } from "../colors.js";
