@@ -17,6 +17,7 @@ from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
 from annotator.web.security import is_loopback, link
 from annotator.web.settings import ServerSettings
+from annotator.web.sole import sole_server
 from annotator.web.window import check_window, has_display, in_window
 
 # The largest message that a browser sends, bytes.
@@ -86,27 +87,29 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
         place: where on the page to begin, such as `room/review`.
 
     Raises:
-        ConfigError: the address cannot be used, or there is no display for a window.
+        ConfigError: the address cannot be used, another server works on these projects, or there is no display for a
+            window.
         MissingExtraError: a window needs pywebview.
     """
     if settings.token is None and not is_loopback(settings.host):
         settings = replace(settings, token=secrets.token_urlsafe(32))
     if window:
         check_window()
-    server = Running(settings)
-    address = link(server.address, settings.token, place)
-    sys.stdout.write(f"the workbench is at {address}\n")
-    if not window:
-        sys.stdout.write("stop it with Ctrl-C\n")
-    sys.stdout.flush()
-    # the last Ctrl-C is how a server ends, and no accident
-    with suppress(KeyboardInterrupt):
-        if window:
-            in_window(server, address)
-            return
-        if open_browser:
-            threading.Thread(target=_open, args=(server, address), daemon=True).start()
-        server.serve_until_stopped()
+    with sole_server(settings.projects_root):
+        server = Running(settings)
+        address = link(server.address, settings.token, place)
+        sys.stdout.write(f"the workbench is at {address}\n")
+        if not window:
+            sys.stdout.write("stop it with Ctrl-C\n")
+        sys.stdout.flush()
+        # the last Ctrl-C is how a server ends, and no accident
+        with suppress(KeyboardInterrupt):
+            if window:
+                in_window(server, address)
+                return
+            if open_browser:
+                threading.Thread(target=_open, args=(server, address), daemon=True).start()
+            server.serve_until_stopped()
 
 
 def _open(server: Running, address: str) -> None:
