@@ -160,6 +160,7 @@ class Operator:
     def review(self) -> dict[str, int]:
         """Goes through the queue: Space for what is right, X for what is nothing, a mended box for what is between."""
         done = {"accepted": 0, "mended": 0, "rejected": 0}
+        self.page.get_by_test_id("queue-item").first.wait_for()
         while int(self.page.get_by_test_id("queue-remaining").inner_text().split()[0]):
             uid = self.selected()
             stored = self.project.labels.get(uid)
@@ -180,6 +181,8 @@ class Operator:
     def selected(self) -> str:
         row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
         row.wait_for()
+        # no key decides while a frame is being opened
+        expect(self.page.get_by_test_id("saving")).to_have_text("")
         uid = row.get_attribute("data-uid")
         assert uid is not None
         return uid

@@ -24,13 +24,15 @@ export function objectChange(item, { after, outline, kind }) {
 }
 
 /** An object that goes, with its label. */
-export function removal({ image_box, uid, stored }, kind) {
+export function removal(item, kind) {
+  const { image_box, stored } = item;
   return {
     path: ["changes"],
+    // the uid may come with the answer to a change that is sent before this one
     body: (state) => ({
-      subject: uid,
+      subject: item.uid,
       changes: [
-        ...(state.labels.some((known) => known.uid === uid) ? [{ kind: "delete", uid }] : []),
+        ...(state.labels.some(({ uid }) => uid === item.uid) ? [{ kind: "delete", uid: item.uid }] : []),
         { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], stored, null), box_kind: kind() },
       ],
     }),

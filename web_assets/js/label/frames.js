@@ -10,6 +10,8 @@ const BUSY_WAIT_MS = 300;
 export function createFrames(app, work, parts) {
   const { order, saver, suggester, prefetch, objects, editors, image, page, hint, show } = parts;
 
+  let is_first = true;
+
   async function openRoute(route) {
     prefetch.stop();
     try {
@@ -23,8 +25,10 @@ export function createFrames(app, work, parts) {
         app.state.set({ route: { ...route, frame } });
       }
       await saver.idle();
-      if (app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
+      // what another mode has left in app.state may be old
+      if (is_first || app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
       else onFrame(app.state.frame);
+      is_first = false;
     } catch (error) {
       hint.textContent = error.message;
       app.toast(error);
@@ -111,6 +115,10 @@ export function createFrames(app, work, parts) {
   async function go(direction) {
     prefetch.stop();
     await flush();
+    if (saver.isBusy) {
+      app.toast("The last change is not saved yet: try that again first.", "warn");
+      return;
+    }
     const frame = direction === "next" ? await order.next() : order.previous();
     if (frame === null || frame === undefined) app.toast(direction === "next" ? "This is the last frame." : "This is the first frame.", "warn");
     else app.go(makeHash(app.state.route.project, "label", frame));
@@ -124,6 +132,8 @@ export function createFrames(app, work, parts) {
 
   async function flush() {
     editors.forEach((editor) => editor.flush());
+    // a moved image box is saved with the views that it leads to
+    await work.loaded;
     await saver.idle();
   }
 

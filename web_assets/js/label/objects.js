@@ -48,19 +48,26 @@ export function createObjects(app, work, parts) {
    * The current object's views, then all that can wait for them: saving, the 3D view, suggestions, reading ahead.
    *
    * @param {Function} [then] what to do with the views at hand, before they are shown.
+   * @param {Function} [given_up] what to do where another object, or none, has become the current one meanwhile.
    */
-  async function loadSteps(then) {
+  async function loadSteps(then, given_up) {
     const loading = work.draft;
     const own = (work.coming = {});
     suggester.stop();
     prefetch.stop();
     try {
       const is_newest = await loader.load(loading);
-      if (!is_newest || work.draft !== loading) return;
+      if (!is_newest || work.draft !== loading) {
+        given_up?.();
+        return;
+      }
       then?.();
       if (loading.item.boxes.every(Boolean)) loading.outline = null;
     } catch (error) {
-      if (work.draft !== loading) return;
+      if (work.draft !== loading) {
+        given_up?.();
+        return;
+      }
       // What was drawn is saved all the same; the views can be asked for again.
       loading.stop = error.message;
       then?.();
@@ -112,10 +119,22 @@ export function createObjects(app, work, parts) {
     const is_drawn = item.boxes.some(Boolean) || item.uid;
     if (work.draft?.item !== item) begin(item);
     // Boxes on the views are carried to the new ones first, and saved with them.
-    work.loaded = loadSteps(() => {
-      if (is_drawn) save(item);
+    let is_saved = !is_drawn;
+    const saveOnce = () => {
+      if (!is_saved) save(item);
+      is_saved = true;
+    };
+    const carried = () => {
+      saveOnce();
       work.step = openStep(item);
-    });
+    };
+    // Without the new views nobody knows where on them the boxes would lie.
+    const left = () => {
+      if (is_saved || item.image_box !== image_box) return;
+      item.boxes = item.boxes.map(() => null);
+      saveOnce();
+    };
+    work.loaded = loadSteps(carried, left);
     if (!is_drawn) save(item);
     show();
   }

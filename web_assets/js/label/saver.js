@@ -28,8 +28,8 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
 
   async function send(change) {
     await change.after;
-    const state = app.state.frame;
     try {
+      const state = await stateOf(change.frame);
       const answer = await app.api.change(app.path("frames", change.frame, ...change.path), { revision: state.frame.revision, ...change.body(state) });
       change.done?.(answer);
       take(answer.state ?? answer, change);
@@ -38,6 +38,12 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
       if (error.isStale) await settle(error, change);
       else problem = error;
     }
+  }
+
+  /** The frame that a change belongs to may have been left since. */
+  function stateOf(frame) {
+    const open = app.state.frame;
+    return open?.frame.id === frame ? open : app.api.get(app.path("frames", frame));
   }
 
   function take(state, change) {
@@ -52,11 +58,15 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     if (choice === "theirs") {
       const dropped = waiting;
       waiting = [];
-      app.state.set({ frame: error.body.state });
+      show(error.body.state);
       dropped.forEach(onDropped);
     } else {
-      app.state.set({ frame: error.body.state });
+      show(error.body.state);
     }
+  }
+
+  function show(state) {
+    if (app.state.frame?.frame.id === state.frame.id) app.state.set({ frame: state });
   }
 
   return {

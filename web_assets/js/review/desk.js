@@ -19,6 +19,8 @@ export function createDesk(app) {
   let draft = null;
   let problem = null;
   let waiting = 0;
+  let in_flight = null;
+  let leave = () => {};
   let chain = Promise.resolve();
 
   const tell = (what) => listeners.forEach((fn) => fn(what));
@@ -73,8 +75,15 @@ export function createDesk(app) {
     tell("frame");
   }
 
+  /** What is not saved yet is on its way after this, as far as it has not failed before. */
+  function keep() {
+    leave();
+    if (draft && draft !== in_flight && !problem) void commit();
+  }
+
   function select(id) {
     if (id === uid) return;
+    keep();
     uid = id;
     draft = null;
     problem = null;
@@ -93,7 +102,9 @@ export function createDesk(app) {
 
   async function save(wanted) {
     const { uid: id, label, box, track_id } = wanted;
+    in_flight = wanted;
     const saved = await send([{ kind: "edit", uid: id, label, box, track_id }], id);
+    if (in_flight === wanted) in_flight = null;
     if (saved && draft === wanted) draft = null;
     tell("draft");
     return saved;
@@ -134,6 +145,8 @@ export function createDesk(app) {
     },
 
     select,
+    /** `fn()` ends what is being done to the selected box, before another one is selected. */
+    onLeave: (fn) => (leave = fn),
     settle,
     enqueue,
 
@@ -196,6 +209,9 @@ export function createDesk(app) {
     },
 
     /** Waits until everything is saved. */
-    flush: () => chain,
+    flush() {
+      keep();
+      return chain;
+    },
   };
 }

@@ -14,6 +14,7 @@ const ANGLES = [
 export function createFields(host, desk, { classes, up }) {
   const inputs = {};
   let typed = null;
+  let shown_uid = null;
   const title = h("h2", { class: "ellipsis" });
   const chip = h("span", { class: "chip", "data-testid": "label-state" });
   const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
@@ -94,6 +95,7 @@ export function createFields(host, desk, { classes, up }) {
 
   function show() {
     const label = desk.shown;
+    if (desk.uid !== shown_uid) [shown_uid, typed] = [desk.uid, null];
     form.hidden = !label;
     chip.hidden = !label;
     nothing.hidden = Boolean(label);

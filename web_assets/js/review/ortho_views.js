@@ -36,14 +36,18 @@ export function createOrthoViews(host, app, desk) {
     try {
       const { views } = await app.api.post(app.path("frames", frame, "ortho"), { box, size_px: SIZE_PX }, { signal: request.signal });
       if (fetched !== mine) return;
-      await Promise.all(panels.map((panel) => panel.setView(views.find(({ name }) => name === panel.name))));
-      host.dataset.shown = desk.uid ?? "";
+      const shown = await Promise.all(panels.map((panel) => panel.setView(views.find(({ name }) => name === panel.name))));
+      if (fetched !== mine) return;
+      if (!shown.every(Boolean)) fetched = null;
+      else host.dataset.shown = desk.uid ?? "";
     } catch (error) {
       if (fetched === mine) fetched = null;
       if (error.name === "AbortError") return;
       panels.forEach((panel) => panel.setProblem(error.message));
     }
   }
+
+  desk.onLeave(() => panels.forEach((panel) => panel.leave()));
 
   return {
     /** The box is another one, or was saved. */
@@ -152,15 +156,34 @@ function createPanel(name, desk) {
     isDragging: () => start !== null || editor.isDragging,
     follow,
 
+    /** Presses of the arrow keys count; a drag in the middle does not. */
+    leave() {
+      if (editor.isDragging) {
+        editor.cancel();
+        desk.revert();
+      } else {
+        editor.flush();
+      }
+      end();
+    },
+
+    /** False where there was no time for it: a drag goes on, or another picture has come. */
     async setView(fresh) {
       note.hidden = true;
+      if (start || editor.isDragging) return false;
       // the picture and the box on it change together
-      await editor.setPicture(fresh.url, fresh.width, fresh.height);
-      if (start || editor.isDragging) return;
+      if (!(await editor.setPicture(fresh.url, fresh.width, fresh.height))) return false;
+      if (editor.isDragging) {
+        // begun on the picture before: its pixels are others
+        editor.cancel();
+        desk.revert();
+        end();
+      }
       view = fresh;
       scale.textContent = `${(fresh.metres_per_px * fresh.width).toFixed(2)} m wide`;
       editor.fit();
       follow();
+      return true;
     },
 
     setProblem(message) {

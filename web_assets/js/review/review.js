@@ -5,7 +5,7 @@
  * comes next, the others draw and pass on what the operator does.
  */
 
-import { headingTurned } from "../box3d.js";
+import { headingTurned, sameBox } from "../box3d.js";
 import { confirm } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { makeHash } from "../router.js";
@@ -219,6 +219,10 @@ export function mount(root, app) {
     try {
       const { box, note } = await app.api.post(app.path("frames", id, "refit"), { box: label.box, label: label.label });
       if (desk.uid !== label.uid) return;
+      if (!sameBox(desk.shown.box, label.box)) {
+        app.toast("The box was changed while it was fitted: press G again to fit it from there.", "warn");
+        return;
+      }
       await desk.edit({ box });
       if (note) app.toast(note, "info");
     } catch (error) {
