@@ -1,6 +1,7 @@
 """The whole loop with real detectors: a simulated operator labels, both detectors train, RCV proposes elsewhere.
 
-    python -m benchmarks.loop TRAIN_DIR [TEST_DIR] [--operator silhouette|box] [--upright | --free] [--json]
+    python -m benchmarks.loop TRAIN_DIR [TEST_DIR] [--operator silhouette|box] [--upright | --free]
+        [--model yolov5nu] [--json]
 
 With one folder every second frame trains and the others test. The truth is used twice only: by the simulated operator
 on the training frames, and to score the proposals on the test frames. Masks alone will do for the operator
@@ -66,6 +67,8 @@ class Arguments:
     """The class of the objects in a folder with masks but no boxes; None = "object"."""
     epochs: int | None = None
     """Of both trainings; None = as many as show the default number of pictures."""
+    model: str | None = None
+    """An ultralytics detection model for both; None = the default of each."""
     views: int = SampleConfig().views
     """About how many pseudo-views are made of what is known in 3D."""
     project: Path | None = None
@@ -207,7 +210,9 @@ def _label(project: Project, recording: Recording, step: int, operator: BoxKind,
 
 def plan(args: Arguments) -> TrainPlan:
     """The trainings that the arguments ask for."""
-    samples, chosen = SampleConfig(views=args.views), {"epochs": args.epochs}
+    samples, chosen = SampleConfig(views=args.views), dict[str, object](epochs=args.epochs)
+    if args.model is not None:
+        chosen["model"] = args.model
     return TrainPlan(
         image=IMAGE_DEFAULTS.model_copy(update=chosen), view=VIEW_DEFAULTS.model_copy(update=chosen), samples=samples
     )

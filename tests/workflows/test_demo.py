@@ -11,6 +11,7 @@ from annotator.formats.rcv import read_rcv
 from annotator.project import BoxRotation, Role, open_project
 from annotator.recordings import open_recording
 from annotator.recordings.generated import writer
+from annotator.types import Source
 from annotator.types.errors import ConfigError
 from annotator.workflows import demo
 from annotator.workflows.demo import DemoPlan, run_demo
@@ -64,7 +65,9 @@ def test_the_whole_loop(
     assert len(open_recording(tmp_path / "recording")) == 4
     dataset = read_rcv(tmp_path / f"3D_{label.upper()}")
     assert dataset.manifest == result.dataset
-    assert {detector.role for detector in dataset.manifest.detectors} == {"image", "view"}
+    # named are the detectors that made boxes; what hardly trained ones propose, if anything, is left to chance
+    proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
+    assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
     with open_project(tmp_path / "demo") as project:
         assert project.config.classes == (label,)
         assert project.config.settings.rotation is rotation

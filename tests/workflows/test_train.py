@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Change, Project, Role
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind
+from annotator.types.detector import Image
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows import train as workflow
 from annotator.workflows.samples import SampleConfig
@@ -23,6 +25,17 @@ from annotator.workflows.train import TrainPlan, run_name, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
 PLAN = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
+
+
+@dataclass(frozen=True)
+class Blind:
+    """A detector that finds nothing."""
+
+    fingerprint: str
+    labels: tuple[str, ...] = ()
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        return [[] for _ in images]
 
 
 @pytest.fixture
@@ -54,9 +67,7 @@ def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
         )
 
     monkeypatch.setattr(workflow, "train_detector", train_detector)
-    monkeypatch.setattr(
-        workflow, "load_detector", lambda weights: SimpleNamespace(fingerprint=f"f-{weights.read_text()}")
-    )
+    monkeypatch.setattr(workflow, "load_detector", lambda weights: Blind(f"f-{weights.read_text()}"))
     return calls
 
 
