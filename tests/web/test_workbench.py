@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import Mock
 
 import httpx
 import msgspec
@@ -20,6 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 from annotator.project.labels import NewLabel
 from annotator.project.writing import Change
 from annotator.types import OrientedBox, ReviewState
+from annotator.web.viewport.server import start_viser
 from annotator.web.viewport.workbenches import MOST_AN_OPERATOR, Workbenches
 
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -205,6 +207,30 @@ def test_a_socket_needs_a_name_and_a_workbench(live: Any) -> None:
     with pytest.raises(InvalidStatus) as refused, browser(live, "0" * 16):
         pass
     assert refused.value.response.status_code in (403, 404)
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example", "null", "own page", "application"])
+def test_viser_s_own_port_takes_nobody_but_the_proxy(live: Any, origin: str | None) -> None:
+    """A page of any site can reach the ports of 127.0.0.1 from the operator's browser."""
+    bench = opened(live)
+    port = bench_of(live, bench).port
+    origin = {"own page": f"http://127.0.0.1:{port}", "application": live.url}.get(origin or "", origin)
+    with (
+        pytest.raises(InvalidStatus) as refused,
+        connect(f"ws://127.0.0.1:{port}", origin=origin, subprotocols=[PROTOCOL]),
+    ):
+        pass
+    assert refused.value.response.status_code == 403
+    with browser(live, bench) as socket:
+        assert socket.recv(timeout=10)
+
+
+def test_a_viser_that_cannot_be_guarded_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    started = Mock()
+    monkeypatch.setattr(viser, "ViserServer", lambda *_, **__: started)
+    with pytest.raises(RuntimeError, match="does not know how to guard"):
+        start_viser("127.0.0.1", "secret")
+    started.stop.assert_called_once()
 
 
 def test_a_slow_browser_is_left_out_what_a_newer_scene_has_replaced(live: Any, wait_for: Callable) -> None:

@@ -12,7 +12,7 @@ from starlette.responses import Response
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 from annotator.web.viewport.workbench import HOST, Workbench
 
@@ -58,6 +58,7 @@ async def forward_socket(browser: WebSocket, bench: Workbench) -> None:
     try:
         viser = await connect(
             f"ws://{HOST}:{bench.port}",
+            origin=Origin(bench.origin),
             subprotocols=offered or None,
             compression=None,
             max_size=None,

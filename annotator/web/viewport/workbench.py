@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from annotator.types import OrientedBox
 from annotator.web.viewport.content import SceneContent
 from annotator.web.viewport.picking import picked
 from annotator.web.viewport.scene import Scene, Shown
+from annotator.web.viewport.server import start_viser
 
 if TYPE_CHECKING:
     import viser
@@ -38,6 +40,7 @@ class Workbench:
         operator: who opened it.
         project: what it shows frames of.
         port: of its viser server, on 127.0.0.1.
+        origin: a secret that its viser server asks of everybody who connects.
         sockets: browsers that are connected through the proxy.
         used_s: when it was last used, `time.monotonic`.
     """
@@ -48,16 +51,15 @@ class Workbench:
         Args:
             send: gets the events.
         """
-        import viser
-
         self.id, self.operator, self.project = id, operator, project
         self.sockets = 0
         self.used_s = time.monotonic()
         self._send = send
         self._lock = threading.Lock()
         self._dragged_s: float | None = None
+        self.origin = f"annotator://{secrets.token_hex(16)}"
         with _silence():
-            self._server = viser.ViserServer(HOST, 0, verbose=False)
+            self._server = start_viser(HOST, self.origin)
         self.port = self._server.get_port()
         self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         self._scene = Scene(self._server, self._gizmo_moved)
