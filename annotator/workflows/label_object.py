@@ -16,7 +16,6 @@ from annotator.project.payloads import (
     LabelCreated,
     LabelEdited,
     Payload,
-    ViewBoxesRemoved,
     ViewBoxesSet,
 )
 from annotator.project.records import BoxRecord
@@ -25,7 +24,7 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.detectors_ready import ReadyDetector
 from annotator.workflows.labelling import VIEWS_A_STEP, Boxes, Labelling, frame_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
-from annotator.workflows.view_pairs import views_by_object
+from annotator.workflows.view_followers import view_followers
 from annotator.workflows.views_out import geometry_of
 
 
@@ -82,19 +81,21 @@ def save_object(
         raise StaleRevisionError(where, change.revision, page.frame.revision)
     if drawn is not None and drawn.image_box not in image_boxes:
         raise ConfigError("the object's image_box is not among image_boxes; send all boxes of the image")
+    on_image = ImageBoxesSet(boxes=tuple(image_boxes), box_kind=kind)
     payloads: list[Payload] = []
-    if page.image_boxes is None or (page.image_boxes.boxes, page.image_boxes.box_kind) != (tuple(image_boxes), kind):
-        payloads.append(ImageBoxesSet(boxes=tuple(image_boxes), box_kind=kind))
+    if page.image_boxes is None or (page.image_boxes.boxes, page.image_boxes.box_kind) != (on_image.boxes, kind):
+        payloads.append(on_image)
     uid = None
     wanted: list[ViewBoxesSet] = []
     if drawn is not None:
         config = frame_config(project, opened.frame)
         labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
         wanted = _view_boxes(project, drawn, kind, labelling)
-        label = _label_change(page, drawn, labelling)
+        label = _label_change(page, drawn, labelling, wanted)
         uid = _linked(page, drawn) if label is None else label.uid
         payloads += _new_views(page, wanted) + ([] if label is None else [label])
-    payloads += _stale_views(page, image_boxes, drawn, {entry.view for entry in wanted})
+    redrawn = None if drawn is None else drawn.image_box
+    payloads += view_followers(page, on_image, redrawn=redrawn, kept={entry.view for entry in wanted})
     if not payloads:
         return Saved(None, uid)
     subject = change.subject or _subject(page, image_boxes, drawn, uid)
@@ -138,31 +139,38 @@ def _is_kept(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
     )
 
 
-def _stale_views(
-    page: FramePage, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, wanted: set[str]
-) -> list[Payload]:
-    stale = []
-    for (_, image_box), steps in views_by_object(page.view_boxes).items():
-        if image_box not in image_boxes or (drawn is not None and image_box == drawn.image_box):
-            stale += [view.view_id for views in steps.values() for view in views if view.view_id not in wanted]
-    return [ViewBoxesRemoved(view=view) for view in stale]
+def _label_change(
+    page: FramePage, drawn: ObjectDrawn, labelling: Labelling, wanted: Sequence[ViewBoxesSet]
+) -> LabelCreated | LabelEdited | None:
+    """The object's 3D label, where all four boxes are there and it is not as it should be already.
 
-
-def _label_change(page: FramePage, drawn: ObjectDrawn, labelling: Labelling) -> LabelCreated | LabelEdited | None:
-    """The object's 3D label, where all four boxes are there and it is not as it should be already."""
+    The box that the same drags have led to before may have been corrected since: only other drags lead to another.
+    """
     complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_A_STEP and None not in drawn.boxes
     if not complete or labelling.box is None:
         return None
-    name, box = drawn.image_box.label, BoxRecord.of(labelling.box)
+    name = drawn.image_box.label
     uid = _linked(page, drawn)
     if uid is None:
-        new = uuid.uuid4().hex
+        new, box = uuid.uuid4().hex, BoxRecord.of(labelling.box)
         return LabelCreated(uid=new, label=name, box=box, origin=Origin.DRAWN, image_box=drawn.image_box)
     present = _label(page, uid)
-    if present.image_box == drawn.image_box and present.label.label == name and _same(present.label.box, labelling.box):
+    to_be = present.label.box if _are_drawn(page, wanted) else labelling.box
+    if present.image_box == drawn.image_box and present.label.label == name and _same(present.label.box, to_be):
         return None
     track = present.label.track_id
-    return LabelEdited(uid=uid, label=name, box=box, track_id=track, image_box=drawn.image_box)
+    return LabelEdited(uid=uid, label=name, box=BoxRecord.of(to_be), track_id=track, image_box=drawn.image_box)
+
+
+def _are_drawn(page: FramePage, wanted: Sequence[ViewBoxesSet]) -> bool:
+    """True where the same edges are on the same views already, whatever their class."""
+    known = {view.view_id: view for view in page.view_boxes}
+    return all(
+        (view := known.get(entry.view)) is not None
+        and view.box_kind is entry.box_kind
+        and [box.xyxy for box in view.boxes] == [box.xyxy for box in entry.boxes]
+        for entry in wanted
+    )
 
 
 def _linked(page: FramePage, drawn: ObjectDrawn) -> str | None:

@@ -191,6 +191,49 @@ def test_an_object_from_nothing_takes_five_drags(live: Live, generated: Path, ca
     assert json.loads(capsys.readouterr().out) == told, "the command line tells the same numbers"
 
 
+def learned(project: Project) -> tuple[int, list[str], int]:
+    """What detectors would learn from: boxes on images, kinds of those on views, 3D labels."""
+    on_images = sum(len(boxes.boxes) for boxes in project.boxes.on_images())
+    kinds = sorted(view.box_kind.value for view in project.boxes.on_views() for _ in view.boxes)
+    return on_images, kinds, len(project.labels.select())
+
+
+def test_an_object_that_is_deleted_teaches_nothing_until_it_is_undone(
+    live: Live, project: Project, generated: Path
+) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    uids = [draw_object(live.client, "room", 1, scene, number)["uid"] for number in range(2)]
+    drawn = state(live.client)
+    assert learned(project) == (2, ["silhouette"] * 8, 2)
+    removal = [
+        {"kind": "delete", "uid": uids[0]},
+        {"kind": "image_boxes", "boxes": [scene.image_box(1)], "box_kind": "silhouette"},
+    ]
+    left = change(live.client, drawn["frame"]["revision"], *removal).json()
+    assert learned(project) == (1, ["silhouette"] * 4, 1)
+    assert left["objects"] == [drawn["objects"][1]]
+    undone = live.client.post(f"{ROOM}/undo", json={}).json()
+    assert undone["done"] == "delete person (frame 000000)"
+    assert (undone["state"]["objects"], undone["state"]["labels"]) == (drawn["objects"], drawn["labels"])
+    assert learned(project) == (2, ["silhouette"] * 8, 2)
+    live.client.post(f"{ROOM}/redo", json={})
+    assert learned(project) == (1, ["silhouette"] * 4, 1)
+
+
+def test_boxes_that_measure_something_else_do_so_on_views_too(live: Live, project: Project, generated: Path) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    revision = draw_object(live.client, "room", 1, scene, 0)["state"]["frame"]["revision"]
+    views = [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()]
+    boxes = {"kind": "image_boxes", "boxes": [scene.image_box(0)], "box_kind": "box"}
+    answer = change(live.client, revision, boxes).json()
+    assert (answer["image_boxes"]["box_kind"], len(answer["objects"][0]["views"])) == ("box", 4)
+    assert learned(project) == (1, ["box"] * 4, 1)
+    assert [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()] == views
+    live.client.post(f"{ROOM}/undo", json={})
+    assert learned(project) == (1, ["silhouette"] * 4, 1)
+    assert state(live.client)["image_boxes"]["box_kind"] == "silhouette"
+
+
 def test_steps_are_answered_without_keeping_anything(live: Live, generated: Path) -> None:
     scene = Scene.of(generated / "people", 0, ["person"])
     body = {"image_box": scene.image_box(0), "boxes": []}

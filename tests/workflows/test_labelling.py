@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,13 @@ from annotator.rcv.cross_view import box_iou
 from annotator.rcv.operator import draw_object
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Frame, PseudoView, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.label_object import ObjectDrawn, save_object
 from annotator.workflows.labelling import Labelling, frame_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
+from annotator.workflows.samples import gather
 from annotator.workflows.simulate import _draw, _image_box, visible_objects
 
 
@@ -213,6 +215,32 @@ def test_a_moved_image_box_takes_its_object_along(desk: Desk) -> None:
     assert stored.label.state is ReviewState.EDITED
 
 
+def test_another_class_leaves_a_corrected_box_as_it_is(desk: Desk) -> None:
+    desk.project.configure(classes=["person", "robot"])
+    image_box, four = desk.image_box(), desk.four()
+    uid = desk.save([image_box], ObjectDrawn(image_box, four)) or ""
+    better = OrientedBox.from_parts(np.array([0.5, 0.1, 3.0]), np.eye(3), np.array([0.7, 0.4, 1.8]))
+    desk.project.labels.edit(desk.frame_id, uid, Change(desk.revision, "bob"), label="person", box=better, track_id=7)
+
+    def present() -> tuple[str, bool, int | None, Box2D | None]:
+        stored = desk.project.labels.get(uid)
+        label = stored.label
+        return label.label, iou_3d(label.box, better) > 1 - 1e-9, label.track_id, stored.image_box
+
+    before = desk.revision
+    assert desk.save([image_box], ObjectDrawn(image_box, four, uid)) == uid
+    assert desk.revision == before, "the same again writes nothing over it, either"
+    renamed, boxes = replace(image_box, label="robot"), [replace(box, label="robot") for box in four]
+    assert desk.save([renamed], ObjectDrawn(renamed, boxes, uid)) == uid
+    assert present() == ("robot", True, 7, renamed)
+    desk.project.history.undo("ann")
+    assert present() == ("person", True, 7, image_box)
+    desk.project.history.redo("ann")
+    wider = replace(boxes[3], x_max=boxes[3].x_max + 2)
+    desk.save([renamed], ObjectDrawn(renamed, [*boxes[:3], wider], uid))
+    assert present()[1] is False, "another drag leads to another box"
+
+
 def test_effort_follows_a_begun_object_whose_image_box_is_changed(desk: Desk) -> None:
     image_box = desk.image_box()
     x_min, y_min, x_max, y_max = image_box.xyxy
@@ -222,6 +250,19 @@ def test_effort_follows_a_begun_object_whose_image_box_is_changed(desk: Desk) ->
     desk.save([image_box], ObjectDrawn(image_box, desk.four()))
     numbers = desk.project.statistics().effort
     assert (numbers.boxes, numbers.actions_a_box) == (1, 3.0)
+
+
+def test_boxes_that_measure_something_else_do_so_on_the_views_of_all_objects(desk: Desk) -> None:
+    objects = [ObjectDrawn(desk.image_box(number), desk.four(number)) for number in range(2)]
+    image_boxes = [drawn.image_box for drawn in objects]
+    for drawn in objects:
+        desk.save(image_boxes, drawn)
+    desk.kind = BoxKind.BOX
+    desk.save(image_boxes, objects[0])
+    assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.BOX] * 8
+    assert gather(desk.project).left_out == 0
+    desk.project.history.undo("ann")
+    assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.SILHOUETTE] * 8
 
 
 def test_one_undo_takes_one_drag_back(desk: Desk) -> None:
