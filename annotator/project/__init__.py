@@ -6,7 +6,7 @@ from annotator.project.events import Effort, Event
 from annotator.project.frames import StoredFrame
 from annotator.project.history import Done, History
 from annotator.project.jobs import FrameResult, Run, Status, run_key
-from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
+from annotator.project.labels import REVIEWED, LabelSignals, NewLabel, StoredLabel
 from annotator.project.models import Role, StoredModel
 from annotator.project.payloads import Origin
 from annotator.project.project import (
@@ -34,6 +34,7 @@ __all__ = [
     "FrameState",
     "History",
     "ImageBoxes",
+    "LabelSignals",
     "ListedProject",
     "NewLabel",
     "Origin",

@@ -121,6 +121,11 @@ class Boxes:
         with self.writer.store.read() as connection:
             return tuple(map(_image_boxes, connection.execute(ordered)))
 
+    def frames_with_images(self) -> frozenset[int]:
+        """Ids of the frames whose camera image somebody has labelled."""
+        with self.writer.store.read() as connection:
+            return frozenset(connection.execute(select(image_labels.c.frame_id)).scalars())
+
     def on_views_of(self, frame_id: int) -> tuple[ViewBoxes, ...]:
         """All labelled pseudo-views of one frame."""
         with self.writer.store.read() as connection:

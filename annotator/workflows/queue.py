@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections import defaultdict, deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import zip_longest
 
-from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, LabelSignals, Project, StoredFrame
 from annotator.types import ReviewState
 from annotator.workflows.doubt import doubt
 
@@ -56,12 +59,13 @@ def queue(
     if recording is not None:
         project.recordings.get(recording)
     chosen = None if recording is None else [recording]
-    frames = {frame.id: frame for frame in project.frames.of(chosen) if frame.index is not None and not frame.finalised}
+    present = [frame for frame in project.frames.of(chosen) if frame.index is not None]
+    frames = {frame.id: frame for frame in present if not frame.finalised}
     if order is Order.TEACH:
-        return tuple(_to_teach(project, frames, chosen))
+        return tuple(_to_teach(project, frames, present, chosen))
     classes = None if label is None else [label]
-    found = project.labels.select(states=[ReviewState.PROPOSED], recordings=chosen, classes=classes)
-    items = [_item(frames[stored.frame_id], stored) for stored in found if stored.frame_id in frames]
+    found = project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen, classes=classes)
+    items = [_item(frames[signals.frame_id], signals) for signals in found if signals.frame_id in frames]
     if order is Order.WORST:
         items.sort(key=_least_doubt)
     elif order is Order.CLASS:
@@ -69,23 +73,24 @@ def queue(
     return tuple(items)
 
 
-def _item(frame: StoredFrame, stored: StoredLabel) -> QueueItem:
-    return QueueItem(frame, stored.label.uid, stored.label.label, doubt(stored.quality, stored.label.score))
+def _item(frame: StoredFrame, signals: LabelSignals) -> QueueItem:
+    return QueueItem(frame, signals.uid, signals.label, doubt(signals.quality, signals.score))
 
 
 def _least_doubt(item: QueueItem) -> float:
     return -(item.doubt or 0.0)
 
 
-def _to_teach(project: Project, frames: dict[int, StoredFrame], chosen: list[int] | None) -> list[QueueItem]:
-    drawn = {boxes.frame_id for boxes in project.boxes.on_images()}
-    known = drawn | {stored.frame_id for stored in project.labels.select(states=REVIEWED, recordings=chosen)}
+def _to_teach(
+    project: Project, frames: Mapping[int, StoredFrame], present: Sequence[StoredFrame], chosen: list[int] | None
+) -> list[QueueItem]:
+    known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED, recordings=chosen)
     worst: dict[int, float] = {}
-    for stored in project.labels.select(states=[ReviewState.PROPOSED], recordings=chosen):
-        value = doubt(stored.quality, stored.label.score) or 0.0
-        worst[stored.frame_id] = max(worst.get(stored.frame_id, 0.0), value)
+    for signals in project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen):
+        value = doubt(signals.quality, signals.score) or 0.0
+        worst[signals.frame_id] = max(worst.get(signals.frame_id, 0.0), value)
     untouched = [frame for frame in frames.values() if frame.id not in known and frame.id not in worst]
-    seen = [frame for frame in project.frames.of(chosen) if frame.id in known and frame.index is not None]
+    seen = [frame for frame in present if frame.id in known]
     ordered = [QueueItem(frame, None, None, None) for frame in _spread(untouched, seen)]
     doubtful = sorted((frame_id for frame_id in worst if frame_id in frames), key=lambda frame_id: -worst[frame_id])
     proposed = [QueueItem(frames[frame_id], None, None, worst[frame_id]) for frame_id in doubtful]
@@ -99,29 +104,33 @@ def _spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[
 
     Taken recording by recording in turn.
     """
-    by_recording: dict[int, list[StoredFrame]] = {}
-    for recording in dict.fromkeys(frame.recording_id for frame in frames):
-        own = sorted((f for f in frames if f.recording_id == recording), key=lambda f: f.index or 0)
-        labelled = sorted(f.index or 0 for f in seen if f.recording_id == recording)
-        by_recording[recording] = _widest_first(own, labelled)
-    turns: list[StoredFrame] = []
-    while any(by_recording.values()):
-        turns += [own.pop(0) for own in by_recording.values() if own]
-    return turns
+    labelled: dict[int, list[int]] = defaultdict(list)
+    for frame in seen:
+        labelled[frame.recording_id].append(frame.index or 0)
+    by_recording: dict[int, list[StoredFrame]] = defaultdict(list)
+    for frame in frames:
+        by_recording[frame.recording_id].append(frame)
+    orders = [
+        _widest_first(sorted(own, key=lambda frame: frame.index or 0), sorted(labelled[recording]))
+        for recording, own in by_recording.items()
+    ]
+    return [frame for turn in zip_longest(*orders) for frame in turn if frame is not None]
 
 
-def _widest_first(frames: list[StoredFrame], labelled: list[int]) -> list[StoredFrame]:
-    places = [frame.index or 0 for frame in frames]
-    if not labelled:
-        # the first frame is where an operator begins
-        order = _halving(0, len(frames) - 1)
-        return [frames[n] for n in order]
-    distance = {
-        frame.id: min(abs(place - other) for other in labelled) for frame, place in zip(frames, places, strict=True)
-    }
-    halves = {number: rank for rank, number in enumerate(_halving(0, len(frames) - 1))}
-    ranked = sorted(range(len(frames)), key=lambda n: (-_octave(distance[frames[n].id]), halves[n]))
-    return [frames[n] for n in ranked]
+def _widest_first(frames: Sequence[StoredFrame], labelled: Sequence[int]) -> list[StoredFrame]:
+    """Both in the order of the recording; frames and places in it."""
+    halving = _halving(0, len(frames) - 1)
+    if labelled:
+        # the sort keeps the order of equals
+        halving.sort(key=lambda number: -_octave(_distance(frames[number].index or 0, labelled)))
+    # without any, the first frame is where an operator begins
+    return [frames[number] for number in halving]
+
+
+def _distance(place: int, labelled: Sequence[int]) -> int:
+    """How far the nearest one is; `labelled` is sorted and not empty."""
+    behind = bisect_left(labelled, place)
+    return min(abs(place - other) for other in labelled[max(behind - 1, 0) : behind + 1])
 
 
 def _octave(distance: int) -> int:
@@ -133,14 +142,14 @@ def _halving(first: int, last: int) -> list[int]:
     """All numbers of a range: both ends, the middle, the middles of what is left ..."""
     if last < first:
         return []
-    order, gaps = [first], [(first, last)]
+    order, gaps = [first], deque([(first, last)])
     if last > first:
         order.append(last)
     while gaps:
-        low, high = gaps.pop(0)
+        low, high = gaps.popleft()
         if high - low < 2:
             continue
         middle = (low + high) // 2
         order.append(middle)
-        gaps += [(low, middle), (middle, high)]
+        gaps.extend([(low, middle), (middle, high)])
     return order

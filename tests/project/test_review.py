@@ -9,7 +9,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
 from annotator.project import REVIEWED, Change, NewLabel, Project, StoredRecording
-from annotator.types import Label, ReviewState, Source
+from annotator.types import BoxKind, Label, ReviewState, Source
 from annotator.types.errors import ProjectError
 
 
@@ -132,3 +132,20 @@ def test_the_state_of_a_frame_is_of_one_moment(project: Project, frame: int, uid
     assert [label.uid for label in state.labels] == [uid]
     assert state.image_boxes is None
     assert state.view_boxes == ()
+
+
+def test_signals_are_the_selected_labels_without_their_boxes(project: Project, recording: StoredRecording) -> None:
+    one, two = (frame.id for frame in project.frames.of()[:2])
+    project.proposals.replace(two, [proposal_at(0.0, score=0.6), proposal_at(5.0)], by_machine())
+    project.labels.create(one, [NewLabel("person", box_at(1.0))], by_hand())
+    for options in ({}, {"states": REVIEWED}, {"classes": ["hand"]}, {"recordings": [recording.id + 1]}):
+        wanted = project.labels.select(**options)
+        found = project.labels.signals(**options)
+        assert [(s.frame_id, s.uid, s.label, s.score, repr(s.quality)) for s in found] == [
+            (w.frame_id, w.label.uid, w.label.label, w.label.score, repr(w.quality)) for w in wanted
+        ]
+    assert project.labels.frames(states=REVIEWED) == {one}
+    assert project.labels.frames() == {one, two}
+    assert project.boxes.frames_with_images() == frozenset()
+    project.boxes.set_on_image(two, [], BoxKind.BOX, by_hand(1))
+    assert project.boxes.frames_with_images() == {two}

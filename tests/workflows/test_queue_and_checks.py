@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
@@ -18,7 +21,7 @@ from annotator.workflows.checks import Kind, check, check_project
 from annotator.workflows.doubt import doubt
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.point_counts import PointCounts
-from annotator.workflows.queue import Order, queue
+from annotator.workflows.queue import Order, _spread, queue
 
 
 def box_at(x: float, yaw_rad: float = 0.0, size: Sequence[float] = (0.8, 0.5, 1.7)) -> OrientedBox:
@@ -103,6 +106,45 @@ def test_frames_that_teach_most_come_first(people: Project) -> None:
     assert shown()[0] == 2, "what the detectors are least sure of"
     assert shown()[-1] == 1, "what they know already"
     assert all(item.uid is None for item in queue(people, Order.TEACH))
+
+
+def naive_spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:
+    """The order in plain words: again and again the best frame that is left of each recording in turn."""
+    left = {frame.recording_id: [] for frame in frames}  # type: dict[int, list[StoredFrame]]
+    for recording, own in left.items():
+        here = sorted((f for f in frames if f.recording_id == recording), key=lambda f: f.index or 0)
+        labelled = [f.index or 0 for f in seen if f.recording_id == recording]
+        halves = naive_halving(len(here))
+        while halves:
+            far = [
+                min((abs((here[n].index or 0) - place).bit_length() for place in labelled), default=0) for n in halves
+            ]
+            own.append(here[halves.pop(far.index(max(far)))])
+    turns = max(map(len, left.values()), default=0)
+    return [own[turn] for turn in range(turns) for own in left.values() if turn < len(own)]
+
+
+def naive_halving(count: int) -> list[int]:
+    """Both ends, then the middles of the gaps, level by level."""
+    order, level = list(range(count))[:1] + list(range(count))[1:][-1:], [(0, count - 1)]
+    while level:
+        inner = [(low, high, (low + high) // 2) for low, high in level if high - low >= 2]
+        order += [middle for _, _, middle in inner]
+        level = [gap for low, high, middle in inner for gap in ((low, middle), (middle, high))]
+    return order
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 3), st.integers(0, 60), st.booleans()), unique_by=lambda f: f[:2], max_size=60),
+    st.randoms(use_true_random=False),
+)
+def test_the_quick_order_is_the_plain_one(places: list[tuple[int, int, bool]], random: Random) -> None:
+    frames = [StoredFrame(n, recording, str(at), at, 0, False) for n, (recording, at, _) in enumerate(places)]
+    known = [frame for frame, (_, _, is_known) in zip(frames, places, strict=True) if is_known]
+    rest = [frame for frame in frames if frame not in known]
+    assert _spread(rest, known) == naive_spread(rest, known)
+    random.shuffle(known)
+    assert _spread(rest, known) == naive_spread(rest, known)
 
 
 def label(box: OrientedBox, name: str = "person", track: int | None = None) -> NewLabel:
