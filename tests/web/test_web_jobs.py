@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -22,7 +23,7 @@ from annotator.formats.rcv import read_rcv
 from annotator.project import open_project
 from annotator.web.jobs import process
 from annotator.web.jobs.journal import FILE
-from annotator.web.jobs.runner import EXPORTS_KEPT, MOST_WAITING
+from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, MOST_WAITING
 from annotator.web.jobs.table import WORK
 
 if TYPE_CHECKING:
@@ -265,6 +266,32 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> Non
     assert sum(len(dataset.labels(index)) for index in range(len(dataset))) == 15
     gone = live.client.get(f"/api/jobs/{jobs[0]['id']}/download")
     assert gone.status_code == 404
+    assert [look(live, job)["download"] for job in (nothing, *jobs)] == [None, "gone", *["kept"] * EXPORTS_KEPT]
     folders = [path for path in (live.settings.projects_root / ".jobs").iterdir() if path.is_dir()]
     assert len(folders) == EXPORTS_KEPT
     assert all(sorted(p.name for p in folder.iterdir()) == ["full-rcv.zip", "worker.log"] for folder in folders)
+
+
+def test_exports_are_kept_for_each_project_and_say_when_they_are_gone(fake: None, web_settings: ServerSettings) -> None:
+    folder = web_settings.projects_root / ".jobs"
+    numbers = range(1, EXPORTS_KEPT + JOBS_KEPT + 10)
+    records = []
+    for number in numbers:
+        name = f"{number:032x}"
+        (folder / name).mkdir(parents=True)
+        (folder / name / "room-rcv.zip").write_bytes(b"zip")
+        project = "quiet" if number == 1 else "room"
+        record = {"id": name, "project": project, "kind": "export", "state": "done", "created_ns": number}
+        records.append({**record, "operator": "A", "result": {"file": "room-rcv.zip"}})
+    (folder / FILE).write_text(json.dumps({"jobs": records}))
+    for _ in range(2):
+        with running(web_settings) as live:
+            listed = {int(job["id"], 16): job for job in live.client.get("/api/jobs").json()["jobs"]}
+            kept = {number for number, job in listed.items() if job["download"] == "kept"}
+            assert kept == {1, *numbers[-EXPORTS_KEPT:]}, "other projects' exports push none out"
+            assert len(listed) == JOBS_KEPT + len(kept)
+            for number in kept:
+                assert live.client.get(f"/api/jobs/{number:032x}/download").content == b"zip"
+    shutil.rmtree(folder / f"{1:032x}")
+    with running(web_settings) as live:
+        assert live.client.get(f"/api/jobs/{1:032x}").json()["download"] == "gone"

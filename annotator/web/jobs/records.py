@@ -95,6 +95,7 @@ class Job(BaseModel):
         result: what it gives back at its end, by kind.
         created_ns: UTC nanoseconds since the epoch.
         curves: of a training, as far as it is.
+        download: whether the file that an export has made can still be fetched; null where there was none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -112,3 +113,4 @@ class Job(BaseModel):
     created_ns: int
     operator: str
     curves: tuple[CurvePoint, ...] = ()
+    download: Literal["kept", "gone"] | None = None

@@ -7,6 +7,7 @@ import shutil
 import threading
 import time
 import uuid
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from annotator.web.jobs.table import WORK
 
 LOG = logging.getLogger("annotator.web")
 
+# Exports are kept for each project.
 JOBS_KEPT, EXPORTS_KEPT, MOST_WAITING = 50, 3, 20
 WORK_LOG = "worker.log"
 # Somebody waits for the server to end.
@@ -111,12 +113,14 @@ class JobRunner:
         Raises:
             NotFoundError: no such job, or it has left none (any more).
         """
-        job = self.get(job_id)
-        name = (job.result or {}).get("file")
-        path = self.folder / job.id / str(name)
-        if job.state is not JobState.DONE or name is None or not path.is_file():
+        path = self._made(self.get(job_id))
+        if path is None or not path.is_file():
             raise NotFoundError("there is nothing to download (any more); export again")
         return path
+
+    def _made(self, job: Job) -> Path | None:
+        name = (job.result or {}).get("file")
+        return None if job.state is not JobState.DONE or name is None else self.folder / job.id / str(name)
 
     def close(self) -> None:
         """Ends: what runs is stopped, and what waits is not begun."""
@@ -188,6 +192,7 @@ class JobRunner:
             case Finished():
                 done = self.get(job_id).total
                 end = {"state": JobState.DONE, "message": last.message, "result": last.result, "done": done}
+                end["download"] = "kept" if "file" in last.result else None
             case _ if self._closed:
                 end = {"state": JobState.FAILED, "message": SERVER_STOPPED}
             case Failed(is_fault=True):
@@ -212,7 +217,7 @@ class JobRunner:
         # within the lock, so that what two threads say reaches the pages and the journal in its order
         with self._lock:
             job = self._jobs[job_id] = self._jobs[job_id].model_copy(update=changes)
-            self._changed(job, keep="state" in changes)
+            self._changed(job, keep=not changes.keys().isdisjoint(("state", "download")))
         return job
 
     def _changed(self, job: Job, keep: bool = True) -> None:
@@ -221,16 +226,30 @@ class JobRunner:
             write_journal(self.folder, reversed(self.all()))
 
     def _tidy(self) -> None:
-        """Forgets the oldest jobs, and removes what nobody will fetch any more."""
+        """Forgets the oldest jobs, removes what nobody will fetch any more, and says so of the jobs that made it."""
         with self._lock:
-            for job in [job for job in self.all() if job.state.ended][JOBS_KEPT:]:
-                del self._jobs[job.id]
-            exports = [job.id for job in self.all() if job.state is JobState.DONE and job.kind == "export"]
-            wanted = {*exports[:EXPORTS_KEPT], *(job.id for job in self._jobs.values() if not job.state.ended)}
+            exports = self._latest_exports()
+            old = [job.id for job in self.all() if job.state.ended and job.id not in exports][JOBS_KEPT:]
+            for job_id in old:
+                del self._jobs[job_id]
+            wanted = exports | {job.id for job in self._jobs.values() if not job.state.ended}
         if self.folder.is_dir():
             for path in self.folder.iterdir():
                 if path.is_dir() and path.name not in wanted:
                     shutil.rmtree(path, ignore_errors=True)
+        for job in self.all():
+            made = self._made(job)
+            download = None if made is None else "kept" if made.is_file() else "gone"
+            if download != job.download:
+                self._update(job.id, download=download)
+
+    def _latest_exports(self) -> set[str]:
+        """The last few of each project."""
+        by_project: dict[str, list[str]] = defaultdict(list)
+        for job in self.all():
+            if self._made(job) is not None:
+                by_project[job.project].append(job.id)
+        return {job_id for exports in by_project.values() for job_id in exports[:EXPORTS_KEPT]}
 
 
 def _estimate(message: Progress, began: float) -> float | None:

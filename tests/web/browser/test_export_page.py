@@ -65,6 +65,11 @@ def test_a_dataset_is_made_and_downloaded(signed_in: Page, live: Live, generated
     dataset = read_rcv(folder)
     assert dataset.manifest.counts.objects == count
     assert dataset.manifest.counts.frames == 2
+    (job,) = live.context.jobs.all()
+    live.context.jobs.file(job.id).unlink()
+    live.context.jobs._tidy()
+    expect(signed_in.get_by_test_id("download-gone")).to_have_text("The dataset is no longer kept; export again.")
+    expect(signed_in.get_by_test_id("download")).to_have_count(0)
 
 
 def test_statistics_say_what_the_server_says(signed_in: Page, live: Live, generated: Path) -> None:

@@ -68,8 +68,17 @@ export function mount(root, app) {
     const newest = done.toSorted((a, b) => b.created_ns - a.created_ns)[0];
     if (newest) {
       const made = new Date(newest.created_ns / 1e6).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-      result.replaceChildren(h("a", { class: "button primary-link", href: `/api/jobs/${newest.id}/download`, download: "", "data-testid": "download" }, "Download the dataset"), h("span", { class: "muted number" }, `${size(newest.result?.bytes)}made ${made} by ${newest.operator}`));
+      const told = h("span", { class: "muted number" }, `${size(newest.result?.bytes)}made ${made} by ${newest.operator}`);
+      result.replaceChildren(newest.download === "gone" ? gone() : link(newest), told);
     }
+  }
+
+  function link({ id }) {
+    return h("a", { class: "button primary-link", href: `/api/jobs/${id}/download`, download: "", "data-testid": "download" }, "Download the dataset");
+  }
+
+  function gone() {
+    return h("span", { "data-testid": "download-gone" }, "The dataset is no longer kept; export again.");
   }
 
   const stop = [app.state.on("jobs", show), app.state.on("project", show)];
