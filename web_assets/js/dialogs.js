@@ -70,6 +70,34 @@ export async function confirm(title, text, action, kind = "primary") {
   return (await openDialog({ title, content: [h("p", {}, text)], actions })) === "yes";
 }
 
+/**
+ * What cannot be saved: the operator stays with it, tries again, or gives it up.
+ *
+ * @param {{text: string, retry: () => any, discard: () => void}} unsaved
+ * @param {() => object | null} look what is unsaved by now.
+ * @returns {Promise<boolean>} true where nothing is left that could be lost.
+ */
+export async function askUnsaved(unsaved, look) {
+  const choice = await openDialog({
+    title: "Not everything is saved",
+    testid: "unsaved-dialog",
+    content: [h("p", {}, unsaved.text)],
+    actions: [
+      { label: "Discard and go on", value: "discard", kind: "danger" },
+      { label: "Stay here", value: "stay", kind: "" },
+      { label: "Try again", value: "retry" },
+    ],
+    async submit(value) {
+      if (value === "discard") unsaved.discard();
+      if (value === "retry") await unsaved.retry();
+      const left = value === "retry" ? look() : null;
+      if (left) throw new Error(left.text);
+      return value;
+    },
+  });
+  return choice === "discard" || choice === "retry";
+}
+
 /** The key table. */
 export function keyTableDialog(keys) {
   const groups = new Map();

@@ -1,8 +1,9 @@
 /**
  * The page: makes the `app` object that every mode gets, and mounts the mode that the address names.
  *
- * A mode is a module with `mount(root, app) -> {unmount(), route?(route), flush?()}`: `route` is called in place of a new
- * mount where only the frame or the query of the address changed; `flush` ends what is being saved, before an undo.
+ * A mode is a module with `mount(root, app) -> {unmount(), route?(route), flush?(), unsaved?()}`: `route` is called in place
+ * of a new mount where only the frame or the query of the address changed; `flush` ends what is being saved; `unsaved` says
+ * what would be lost, {text, retry(), discard()}, or null. A mode asks `mayLeave` before it shows another frame.
  *
  * app = {
  *   api, effort, events, keys, state, toast,
@@ -10,17 +11,21 @@
  *   go(hash),                    follows an address (router.makeHash makes one)
  *   path(...parts),              the open project's resource: app.path("frames", 3)
  *   refreshProject(),            reads the project's summary again into state.project
+ *   frames,                      js/frame_state.js: which state of the open frame is the newest
  *   loadFrame(id),               reads a frame into state.frame and tells the others that it is open here
  *   undo(), redo(),
+ *   mayLeave(),                  saves; resolves to false where something cannot be saved, and the operator stays with it
+ *   stay(frame),                 the address names again what is shown
  * }
  * state: operator, version, route, project, frame (FrameState), presence ({frame id: names}), jobs, connected.
  */
 
 import { createApi, projectPath } from "./api.js";
-import { confirm, keyTableDialog } from "./dialogs.js";
+import { askUnsaved, confirm, keyTableDialog } from "./dialogs.js";
 import { h } from "./dom.js";
 import { createEffort } from "./effort.js";
 import { createEvents } from "./events.js";
+import { createFrameState } from "./frame_state.js";
 import { createKeys } from "./keys.js";
 import { makeHash, parseHash } from "./router.js";
 import { signIn } from "./session.js";
@@ -51,11 +56,14 @@ function createApp() {
   const state = createState({ operator: null, version: "", route: parseHash(""), project: null, frame: null, presence: {}, jobs: [], connected: true });
   const made = { effort, state, toast, events: createEvents(), keys: createKeys(), viewport: null };
   made.api = createApi(effort, () => signIn(made));
+  made.frames = createFrameState(made);
   return Object.assign(made, {
     go: (hash) => (location.hash === hash ? follow() : void (location.hash = hash)),
     path: (...parts) => projectPath(state.route.project, ...parts),
     refreshProject,
     loadFrame,
+    mayLeave,
+    stay: (frame) => comeBack({ ...state.route, frame }),
     undo: () => travel("undo"),
     redo: () => travel("redo"),
   });
@@ -72,22 +80,33 @@ async function refreshProject() {
 async function loadFrame(id) {
   frame_request?.abort();
   frame_request = new AbortController();
-  const frame = await app.api.get(app.path("frames", id), { signal: frame_request.signal });
+  const frame = await app.frames.open(id, { signal: frame_request.signal });
   app.events.openFrame(id);
-  app.state.set({ frame });
   return frame;
+}
+
+/** Saves what the mode has open. Where something cannot be saved, the operator says what becomes of it. */
+async function mayLeave() {
+  await mounted?.flush?.();
+  const unsaved = mounted?.unsaved?.() ?? null;
+  return unsaved === null || askUnsaved(unsaved, () => mounted?.unsaved?.() ?? null);
+}
+
+function comeBack({ project, mode, frame }) {
+  history.replaceState(null, "", project === null ? "#/" : makeHash(project, mode, frame));
+  app.state.set({ route: parseHash(location.hash) });
 }
 
 /** Undo or redo; where somebody else has changed the same since, the operator may pass over that step. */
 async function travel(direction, skip = false) {
   if (app.state.route.project === null) return;
   try {
-    await mounted?.flush?.();
+    if (!(await mayLeave())) return;
     app.effort.action();
     const { frame, state, done } = await app.api.change(app.path(direction), { skip });
     toast(`${direction === "undo" ? "Undone" : "Done again"}: ${done}`);
     const { mode, project } = app.state.route;
-    if (app.state.frame?.frame.id === frame) app.state.set({ frame: state });
+    if (app.state.frame?.frame.id === frame) app.frames.take(state);
     else if (mode === "label" || mode === "review") app.go(makeHash(project, mode, frame));
   } catch (error) {
     if (error.status !== 409) toast(error);
@@ -98,19 +117,27 @@ async function travel(direction, skip = false) {
 
 /** Mounts what the address names. */
 async function follow() {
-  const route = parseHash(location.hash);
-  const before = app.state.route;
   const own_visit = ++visit;
+  const before = app.state.route;
+  const route = parseHash(location.hash);
+  const is_same_mode = route.project === before.project && route.mode === before.mode && Boolean(mounted?.route);
+  if (!is_same_mode && !(await mayLeave())) {
+    if (own_visit === visit) comeBack(before);
+    return;
+  }
+  if (own_visit !== visit) return;
   app.state.set({ route });
   if (route.project !== before.project) {
-    app.state.set({ project: null, frame: null, presence: {} });
+    frame_request?.abort();
+    app.frames.close(true);
+    app.state.set({ project: null, presence: {} });
     app.events.follow(route.project);
   }
-  if (route.project === before.project && route.mode === before.mode && mounted?.route) {
+  if (is_same_mode) {
     mounted.route(route);
     return;
   }
-  await leave();
+  leave();
   try {
     if (route.project !== null && app.state.project === null) await refreshProject();
     const module = await import(MODULES[route.mode]);
@@ -126,11 +153,10 @@ async function follow() {
   }
 }
 
-async function leave() {
+function leave() {
   const old = mounted;
   mounted = null;
   app.keys.setMode(null);
-  await old?.flush?.();
   old?.unmount();
   app.viewport?.detach();
   work.className = "work";
@@ -164,9 +190,17 @@ async function start() {
     },
   });
   document.addEventListener("click", releaseMouseFocus);
+  window.addEventListener("beforeunload", (event) => {
+    // what can still be sent is on its way while the browser asks
+    void mounted?.flush?.();
+    if (mounted?.unsaved?.()) event.preventDefault();
+  });
   window.addEventListener("unhandledrejection", ({ reason }) => {
     if (reason?.name !== "AbortError") toast(reason instanceof Error ? reason : new Error(String(reason)));
   });
+  // before any mode listens: it then finds what was told
+  app.events.on("frame", app.frames.hear);
+  app.events.on("reconnected", app.frames.miss);
   app.events.on("presence", ({ frames }) => app.state.set({ presence: frames }));
   app.events.on("job", ({ job }) => app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }));
   app.events.on("connection", (connected) => app.state.set({ connected }));

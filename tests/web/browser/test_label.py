@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -304,6 +305,13 @@ def test_a_refused_save_is_told_and_can_be_tried_again(bench: Bench) -> None:
     problem = bench.page.get_by_test_id("save-problem")
     problem.get_by_role("button").wait_for()
     assert bench.image_boxes == []
+    assert bench.page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
+    for leave in (lambda: bench.page.keyboard.press("n"), bench.page.get_by_test_id("mode-review").click):
+        leave()
+        bench.page.get_by_test_id("unsaved-dialog").wait_for()
+        bench.page.get_by_test_id("dialog-stay").click()
+        bench.page.get_by_test_id("unsaved-dialog").wait_for(state="detached")
+        expect(bench.page).to_have_url(re.compile(f"/label/{FRAME}$"))
     bench.page.unroute("**/label/object")
     problem.get_by_role("button").click()
     expect(problem).to_have_text("")

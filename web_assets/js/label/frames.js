@@ -1,5 +1,6 @@
 /** From frame to frame, and what others do to the one that is open. */
 
+import { count } from "../dom.js";
 import { makeHash } from "../router.js";
 import { itemsOf, sameBox, sameItem } from "./items.js";
 
@@ -23,6 +24,10 @@ export function createFrames(app, work, parts) {
       if (route.frame === null) {
         history.replaceState(null, "", makeHash(route.project, "label", frame));
         app.state.set({ route: { ...route, frame } });
+      }
+      if (work.frame_shown !== null && work.frame_shown !== frame && !(await app.mayLeave())) {
+        app.stay(work.frame_shown);
+        return;
       }
       await saver.idle();
       // what another mode has left in app.state may be old
@@ -95,30 +100,18 @@ export function createFrames(app, work, parts) {
     show();
   }
 
-  /** Others have saved: read it, unless something of one's own is under way, which brings it along. */
-  function onOthersChange({ frame, revision }) {
-    const known = app.state.frame?.frame;
-    if (known && frame === known.id && revision > known.revision) void refresh();
+  /** Others have saved: read it, but not over what is being drawn or saved; saver's end asks again (label.js). */
+  async function refresh() {
+    if (!app.frames.isBehind || saver.isBusy || !page.isConnected) return;
+    if (!isDrawing()) await app.frames.refresh(() => !saver.isBusy && !isDrawing());
+    if (app.frames.isBehind) setTimeout(refresh, BUSY_WAIT_MS);
   }
 
-  async function refresh() {
-    const id = app.state.frame?.frame.id;
-    if (id === undefined || saver.isBusy) return;
-    const state = await app.api.get(app.path("frames", id));
-    if (work.draft?.is_loading || editors.some((editor) => editor.isDragging)) {
-      setTimeout(refresh, BUSY_WAIT_MS);
-      return;
-    }
-    if (!saver.isBusy && app.state.frame?.frame.id === id && state.frame.revision >= app.state.frame.frame.revision) app.state.set({ frame: state });
-  }
+  const isDrawing = () => Boolean(work.draft?.is_loading) || editors.some((editor) => editor.isDragging);
 
   async function go(direction) {
     prefetch.stop();
-    await flush();
-    if (saver.isBusy) {
-      app.toast("The last change is not saved yet: try that again first.", "warn");
-      return;
-    }
+    if (!(await app.mayLeave())) return;
     const frame = direction === "next" ? await order.next() : order.previous();
     if (frame === null || frame === undefined) app.toast(direction === "next" ? "This is the last frame." : "This is the first frame.", "warn");
     else app.go(makeHash(app.state.route.project, "label", frame));
@@ -137,5 +130,19 @@ export function createFrames(app, work, parts) {
     await saver.idle();
   }
 
-  return { openRoute, onFrame, onSaved, onOthersChange, refresh, go, setOrder, flush };
+  /** What is lost where the frame is left now; null where all is saved. */
+  function unsaved() {
+    const is_told = work.items.every(({ stored, image_box }) => sameBox(stored, image_box));
+    if (!saver.isBusy && is_told) return null;
+    const text = `${count(saver.waiting, "change")} of this frame not saved. ${saver.problem?.message ?? ""}`.trim();
+    return { text, retry: saver.retry, discard };
+  }
+
+  function discard() {
+    saver.discard();
+    // what was drawn goes with it
+    app.frames.take(app.state.frame);
+  }
+
+  return { openRoute, onFrame, onSaved, refresh, go, setOrder, flush, unsaved };
 }

@@ -83,7 +83,7 @@ export function mount(root, app) {
 
   const stop = [
     app.state.on("frame", frames.onFrame),
-    app.events.on("frame", frames.onOthersChange),
+    app.events.on("frame", frames.refresh),
     app.events.on("reconnected", frames.refresh),
     app.viewport.on("select", ({ uid }) => objects.openLabel(uid)),
     app.keys.register({
@@ -111,6 +111,7 @@ export function mount(root, app) {
   function onBusy(is_saving, error) {
     page.toggleAttribute("data-saving", is_saving);
     problem.replaceChildren();
+    if (!is_saving && !error) void frames.refresh();
     if (!error) return;
     problem.append(`Not saved: ${error.message} `, h("button", { type: "button", onclick: () => saver.retry() }, "Try again"));
   }
@@ -158,6 +159,7 @@ export function mount(root, app) {
   return {
     route: (route) => void frames.openRoute(route),
     flush: frames.flush,
+    unsaved: frames.unsaved,
     unmount() {
       objects.close();
       prefetch.stop();

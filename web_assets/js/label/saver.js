@@ -48,25 +48,17 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
 
   function take(state, change) {
     if (app.state.frame?.frame.id !== change.frame) return;
-    app.state.set({ frame: state });
-    if (waiting.length === 1) onSaved(state);
+    app.frames.take(state);
+    if (waiting.length === 1) onSaved(app.state.frame);
   }
 
   /** Theirs: all that waits here is given up, and kept in sight. Mine: the same again, on top of theirs. */
   async function settle(error, change) {
     const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
-    if (choice === "theirs") {
-      const dropped = waiting;
-      waiting = [];
-      show(error.body.state);
-      dropped.forEach(onDropped);
-    } else {
-      show(error.body.state);
-    }
-  }
-
-  function show(state) {
-    if (app.state.frame?.frame.id === state.frame.id) app.state.set({ frame: state });
+    const dropped = choice === "theirs" ? waiting : [];
+    if (choice === "theirs") waiting = [];
+    app.frames.take(error.body.state);
+    dropped.forEach(onDropped);
   }
 
   return {
@@ -76,11 +68,23 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
       running ??= run();
     },
     /** Tries again after a failure. */
-    retry() {
-      if (waiting.length) running ??= run();
+    async retry() {
+      if (waiting.length) await (running ??= run());
+    },
+    /** Gives up what waits. */
+    discard() {
+      waiting = [];
+      problem = null;
+      onBusy(false, null);
     },
     get isBusy() {
       return waiting.length > 0;
+    },
+    get waiting() {
+      return waiting.length;
+    },
+    get problem() {
+      return problem;
     },
     /** Resolves when nothing waits any more, or a change has failed. */
     idle: async () => {

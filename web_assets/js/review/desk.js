@@ -1,13 +1,14 @@
 /**
- * What an operator does in Review, without any of its looks: which box is selected, what of it is not saved yet, and every
- * change on its way to the server, one after the other.
+ * What an operator does in Review, without any of its looks: which box is selected, what is not saved yet, and every change
+ * on its way to the server, one after the other.
  *
  * A box under the mouse is a draft: `preview` shows it everywhere without a round trip, `commit` saves it as one edit. A
- * draft that could not be saved stays until it is saved or reverted. Listeners get what has changed: "frame", "selection",
- * "draft" or "saving".
+ * draft that could not be saved stays with its box, whatever is selected next, until it is saved or reverted. Listeners get
+ * what has changed: "frame", "selection", "draft" or "saving".
  */
 
 import { copyBox, sameBox } from "../box3d.js";
+import { count } from "../dom.js";
 import { resolveStale } from "./stale.js";
 
 /** Labels that still want a decision. */
@@ -15,11 +16,11 @@ export const isOpen = (label) => label.state === "proposed";
 
 export function createDesk(app) {
   const listeners = new Set();
+  /** uid -> {wanted, sending, problem} of the boxes of the frame `home`. */
+  const drafts = new Map();
+  let home = null;
   let uid = null;
-  let draft = null;
-  let problem = null;
   let waiting = 0;
-  let in_flight = null;
   let leave = () => {};
   let chain = Promise.resolve();
 
@@ -39,18 +40,16 @@ export function createDesk(app) {
     return done;
   }
 
-  /** Sends changes of the open frame; resolves to true where they are saved. */
+  /** Sends changes of the open frame; resolves to null where they are saved, else to what was wrong. */
   function send(changes, subject) {
     const { id } = app.state.frame.frame;
     return enqueue(async () => {
       try {
         await post(id, changes, subject);
-        problem = null;
-        return true;
+        return null;
       } catch (error) {
-        problem = error.message;
         app.toast(error);
-        return false;
+        return error;
       }
     });
   }
@@ -58,84 +57,104 @@ export function createDesk(app) {
   async function post(id, changes, subject) {
     const body = { revision: app.state.frame.frame.revision, changes, subject };
     try {
-      take(await app.api.change(app.path("frames", id, "changes"), body));
+      app.frames.take(await app.api.change(app.path("frames", id, "changes"), body));
     } catch (error) {
       if (!error.isStale) throw error;
-      await resolveStale(app, error, { changes, subject, take });
+      await resolveStale(app, error, { changes, subject, take: app.frames.take });
     }
-  }
-
-  function take(frame) {
-    if (frame.frame.id === app.state.frame?.frame.id) app.state.set({ frame });
   }
 
   /** After every new state of the frame: what is selected may be gone, what was drafted may be saved. */
   function settle() {
-    if (uid !== null && !stored()) [uid, draft] = [null, null];
+    const { id } = app.state.frame.frame;
+    if (id !== home) drafts.clear();
+    home = id;
+    for (const gone of [...drafts.keys()].filter((known) => !stored(known))) {
+      // one that is being sent is told of by its own answer
+      const is_news = !drafts.get(gone).sending;
+      drafts.delete(gone);
+      if (is_news) app.toast("The box that you were changing is not there any more: somebody has deleted it.", "warn");
+    }
+    if (uid !== null && !stored()) uid = null;
     tell("frame");
   }
 
   /** What is not saved yet is on its way after this, as far as it has not failed before. */
   function keep() {
     leave();
-    if (draft && draft !== in_flight && !problem) void commit();
+    const draft = drafts.get(uid);
+    if (draft && !draft.problem && draft.sending !== draft.wanted) void commit();
   }
 
   function select(id) {
     if (id === uid) return;
     keep();
     uid = id;
-    draft = null;
-    problem = null;
     tell("selection");
   }
 
   const isChanged = (label, wanted) =>
     label.label !== wanted.label || label.track_id !== wanted.track_id || !sameBox(label.box, wanted.box);
 
-  /** Saves the draft, if there is one, as one edit that took so many actions. */
+  /** Saves the selected box's draft, if there is one, as one edit that took so many actions. */
   async function commit(actions = 1) {
-    if (!draft || !stored()) return true;
+    if (!drafts.has(uid) || !stored()) return true;
     app.effort.action(actions);
-    return save(draft);
+    return save(uid);
   }
 
-  async function save(wanted) {
-    const { uid: id, label, box, track_id } = wanted;
-    in_flight = wanted;
-    const saved = await send([{ kind: "edit", uid: id, label, box, track_id }], id);
-    if (in_flight === wanted) in_flight = null;
-    if (saved && draft === wanted) draft = null;
+  async function save(id) {
+    const draft = drafts.get(id);
+    const wanted = draft.wanted;
+    draft.sending = wanted;
+    const { label, box, track_id } = wanted;
+    const error = await send([{ kind: "edit", uid: id, label, box, track_id }], id);
+    if (draft.sending === wanted) draft.sending = null;
+    draft.problem = error?.message ?? null;
+    if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);
     tell("draft");
-    return saved;
+    return !error;
   }
 
-  function revert() {
-    draft = null;
-    problem = null;
+  function revert(id = uid) {
+    drafts.delete(id);
     tell("draft");
+  }
+
+  /** A label as the operator sees it: with its draft's box, class and track. */
+  function seen(label) {
+    const draft = label && drafts.get(label.uid);
+    return draft ? { ...label, ...draft.wanted } : label;
   }
 
   return {
     get uid() {
       return uid;
     },
-    get problem() {
-      return problem;
-    },
     get isSaving() {
       return waiting > 0;
     },
     get hasDraft() {
-      return draft !== null;
+      return drafts.has(uid);
     },
     labels,
     stored,
+    seen,
 
-    /** The selected label as the operator sees it: with the draft's box, class and track; or null. */
+    /** The selected label as the operator sees it, or null. */
     get shown() {
-      const label = stored();
-      return label && draft ? { ...label, ...draft } : label;
+      return seen(stored());
+    },
+
+    /** Whether a label has a draft, and why that could not be saved, if it was tried. */
+    isDraft: (id) => drafts.has(id),
+    problemOf: (id = uid) => drafts.get(id)?.problem ?? null,
+
+    /** What is lost where the page is left now; null where all is saved. */
+    get unsaved() {
+      if (drafts.size === 0 && waiting === 0) return null;
+      const problems = [...new Set([...drafts.values()].map(({ problem }) => problem).filter(Boolean))];
+      return { text: [drafts.size > 0 ? `${count(drafts.size, "changed box", "changed boxes")} of this frame not saved.` : "", ...problems].join(" ").trim() };
     },
 
     /** Calls `fn("frame" | "selection" | "draft" | "saving")` after changes. Returns the function that ends this. */
@@ -154,9 +173,11 @@ export function createDesk(app) {
     preview(changes) {
       const label = stored();
       if (!label) return;
-      const base = draft ?? { uid: label.uid, label: label.label, track_id: label.track_id, box: copyBox(label.box) };
-      const wanted = { ...base, ...changes };
-      draft = isChanged(label, wanted) ? wanted : null;
+      const draft = drafts.get(uid) ?? { sending: null, problem: null };
+      const base = draft.wanted ?? { label: label.label, track_id: label.track_id, box: copyBox(label.box) };
+      draft.wanted = { ...base, ...changes };
+      if (draft.sending || isChanged(label, draft.wanted)) drafts.set(uid, draft);
+      else drafts.delete(uid);
       tell("draft");
     },
     commit,
@@ -168,19 +189,29 @@ export function createDesk(app) {
       return commit();
     },
 
-    /** Tries again to save what could not be saved. */
-    retry: () => (draft ? save(draft) : Promise.resolve(true)),
+    /** Tries again to save what could not be saved: one box's draft, or all. */
+    retry: (id = uid) => (drafts.has(id) ? save(id) : Promise.resolve(true)),
+    retryAll: () => Promise.all([...drafts.keys()].map(save)),
+    discardAll() {
+      drafts.clear();
+      tell("draft");
+    },
 
     /** One of {kind: "accept" | "reject" | "delete"} for a label. */
-    decide(kind, id) {
+    async decide(kind, id) {
       app.effort.action();
-      return send([{ kind, uid: id }], id);
+      // a box that is no object, or goes, needs no mending
+      const draft = drafts.get(id);
+      if (kind !== "accept") drafts.delete(id);
+      const error = await send([{ kind, uid: id }], id);
+      if (error && draft && stored(id) && !drafts.has(id)) drafts.set(id, draft);
+      return !error;
     },
 
     /** Finalises the frame, or opens it again. */
-    finalise(on) {
+    async finalise(on) {
       app.effort.action();
-      return send([{ kind: on ? "finalise" : "reopen" }], null);
+      return !(await send([{ kind: on ? "finalise" : "reopen" }], null));
     },
 
     /** The reviewed boxes of the frame before, as far as this one lacks them; resolves to how many there were. */
@@ -191,22 +222,19 @@ export function createDesk(app) {
         const before = labels().length;
         const copy = () => app.api.change(app.path("frames", id, "copy"), { revision: app.state.frame.frame.revision, from: null });
         try {
-          take(await copy());
+          app.frames.take(await copy());
         } catch (error) {
           if (!error.isStale) throw error;
           // boxes are only added, so nothing of somebody else's can be lost
-          take(error.body.state);
-          take(await copy());
+          app.frames.take(error.body.state);
+          app.frames.take(await copy());
         }
         return labels().length - before;
       });
     },
 
-    /** Another operator's state of this frame, unless a change of ours is on its way (its answer brings the newest). */
-    refresh() {
-      const { id } = app.state.frame.frame;
-      return enqueue(async () => take(await app.api.get(app.path("frames", id))));
-    },
+    /** What others have saved of this frame; after one's own changes, whose answers may bring it along. */
+    refresh: () => (app.frames.isBehind ? enqueue(() => app.frames.refresh()) : Promise.resolve()),
 
     /** Waits until everything is saved. */
     flush() {

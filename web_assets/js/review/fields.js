@@ -85,11 +85,12 @@ export function createFields(host, desk, { classes, up }) {
   }
 
   function showProblem() {
-    problem.hidden = !desk.problem || !desk.hasDraft;
-    if (problem.hidden) return;
+    const why = desk.problemOf();
+    problem.hidden = !why;
+    if (!why) return;
     problem.replaceChildren(
-      h("p", {}, `Not saved. ${desk.problem}`),
-      h("div", { class: "row" }, h("button", { type: "button", onclick: () => void desk.retry() }, "Save again"), h("button", { type: "button", onclick: () => desk.revert() }, "Revert")),
+      h("p", {}, `Not saved. ${why}`),
+      h("div", { class: "row" }, h("button", { type: "button", onclick: () => void desk.retry(), "data-testid": "draft-retry" }, "Try again"), h("button", { type: "button", onclick: () => desk.revert(), "data-testid": "draft-discard" }, "Discard")),
     );
   }
 

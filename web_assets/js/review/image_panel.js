@@ -29,7 +29,7 @@ export function createImagePanel(host, app, desk) {
     note.textContent = frame.frame.finalised ? "finalised" : "";
     const selected = desk.shown;
     const others = frame.labels.filter((label) => label.uid !== selected?.uid && (with_rejected.checked || label.state !== "rejected"));
-    const overlays = others.flatMap((label) => imageOverlays(camera, label, { selected: false }));
+    const overlays = others.flatMap((label) => imageOverlays(camera, label, { selected: false, box: desk.isDraft(label.uid) ? desk.seen(label).box : undefined }));
     if (selected) overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box }));
     editor.setOverlays(overlays);
   }

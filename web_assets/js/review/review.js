@@ -99,6 +99,7 @@ export function mount(root, app) {
         showBusy();
       } else if (what === "draft") {
         image.show();
+        box_list.show();
         ortho.follow();
         fields.show();
         scene.preview();
@@ -116,12 +117,11 @@ export function mount(root, app) {
     }),
     app.events.on("frame", (message) => {
       queue.reloadSoon();
-      const here = app.state.frame?.frame;
-      if (here?.id === message.frame && message.revision > here.revision && !desk.isSaving) desk.refresh().catch(app.toast);
+      if (app.state.frame?.frame.id === message.frame) desk.refresh().catch(app.toast);
     }),
     app.events.on("reconnected", () => {
       queue.reloadSoon();
-      if (app.state.frame) desk.refresh().catch(app.toast);
+      desk.refresh().catch(app.toast);
     }),
     app.keys.register(keys()),
   ];
@@ -138,9 +138,11 @@ export function mount(root, app) {
 
   // -- where one is
 
+  /** Resolves to false where the operator stays at the frame before. */
   async function open(id, uid) {
     setLoading(true);
     try {
+      if (opened !== id && opened !== null && !(await app.mayLeave())) return false;
       await desk.flush();
       // what another mode has left in app.state may be old
       if (opened !== id || !desk.stored(uid)) {
@@ -155,6 +157,7 @@ export function mount(root, app) {
       setLoading(false);
       showAll();
     }
+    return true;
   }
 
   /** Selects a label of the open frame: the one that is asked for, or the first that wants a decision. */
@@ -167,7 +170,7 @@ export function mount(root, app) {
   /** Opens an item of the queue, and writes it into the address. */
   async function go({ frame, uid }) {
     if (frame === opened && desk.stored(uid)) desk.select(uid);
-    else await open(frame, uid);
+    else if (!(await open(frame, uid))) return;
     app.go(makeHash(project, "review", frame));
   }
 
@@ -307,9 +310,10 @@ export function mount(root, app) {
     route({ frame, query }) {
       const uid = query.get("uid");
       if (frame === null) void begin().catch(app.toast);
-      else if (frame !== opened) void open(frame, uid);
+      else if (frame !== opened) void open(frame, uid).then((is_open) => is_open || app.stay(opened));
       else if (uid) desk.select(uid);
     },
+    unsaved: () => desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll },
     async flush() {
       await desk.flush();
       if (app.state.frame) seen = { frame: app.state.frame.frame.id, labels: new Map(desk.labels().map((label) => [label.uid, fingerprint(label)])) };

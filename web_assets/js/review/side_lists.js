@@ -81,15 +81,17 @@ export function createBoxList(host, desk) {
 
 function boxRow(label, desk) {
   const track = label.track_id === null ? "" : ` #${label.track_id}`;
+  const problem = desk.problemOf(label.uid);
+  const state = problem ? "not saved" : label.state;
   return h(
     "li",
     {},
     h(
       "button",
-      { type: "button", class: "quiet row-button", "aria-current": label.uid === desk.uid ? "true" : null, onclick: () => desk.select(label.uid), "data-testid": "frame-box", "data-uid": label.uid, "data-state": label.state },
+      { type: "button", class: "quiet row-button", "aria-current": label.uid === desk.uid ? "true" : null, title: problem ? `Not saved. ${problem}` : null, onclick: () => desk.select(label.uid), "data-testid": "frame-box", "data-uid": label.uid, "data-state": label.state },
       h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
       h("span", { class: "ellipsis grow" }, `${label.label}${track}`),
-      h("span", { class: `state-${label.state}` }, label.state),
+      h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
     ),
   );
 }
