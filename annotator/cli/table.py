@@ -19,6 +19,7 @@ class Command(NamedTuple):
 COMMANDS: dict[str, Command] = {
     "new": Command("annotator.cli.new:run", "create a project"),
     "add": Command("annotator.cli.add:run", "put recordings into a project"),
+    "move": Command("annotator.cli.move:run", "say where a recording is now whose folder was moved"),
     "inspect": Command("annotator.cli.inspect:run", "say what a recording holds"),
     "import": Command("annotator.cli.import_boxes:run", "take over 2D boxes drawn elsewhere"),
     "simulate": Command("annotator.cli.simulate:run", "let a simulated operator draw 2D boxes from known truth"),

@@ -18,7 +18,7 @@ from annotator.project.project import (
     open_project,
 )
 from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
-from annotator.project.recordings import Rescan, StoredRecording
+from annotator.project.recordings import Move, Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
 from annotator.project.writing import Change, Receipt
@@ -36,6 +36,7 @@ __all__ = [
     "ImageBoxes",
     "LabelSignals",
     "ListedProject",
+    "Move",
     "NewLabel",
     "Origin",
     "Pass",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
-from annotator.project.schema import AnyRow, frames, recordings
+from annotator.project.schema import AnyRow, frames, moves, recordings
 from annotator.project.store import Store
 from annotator.types.errors import NotFoundError, ProjectError
+
+# Frames that a message names.
+MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,22 @@ class Rescan:
 
     added: tuple[str, ...]
     missing: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Move:
+    """A recording's folder has another place since.
+
+    Attributes:
+        before, after: absolute.
+        author: who said so.
+        time_ns: UTC nanoseconds since the epoch.
+    """
+
+    before: Path
+    after: Path
+    author: str
+    time_ns: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +128,45 @@ class Recordings:
         present = set(keys)
         return Rescan(tuple(key for _, key in new), tuple(key for key in known if key not in present))
 
+    def move(self, recording_id: int, path: Path, keys: Sequence[str], author: str) -> StoredRecording:
+        """Take over the new place of a recording; frames, labels and all that was drawn stay as they are.
+
+        Args:
+            path: where it is now; kept absolute.
+            keys: the frames' keys there, which must be those of the latest scan; frames that it missed may be back.
+            author: who says so.
+
+        Raises:
+            ProjectError: no such recording, other frames, or another recording of the project is there.
+        """
+        path = path.resolve()
+        _require_unique(path, keys)
+        with self.store.write() as connection:
+            before = _recording(connection, recording_id)
+            taken = select(recordings.c.name).where(recordings.c.path == str(path), recordings.c.id != recording_id)
+            other = connection.execute(taken).scalar()
+            if other is not None:
+                raise ProjectError(f"{path} is in the project already, as recording {other}")
+            own = frames.c.recording_id == recording_id
+            known = {row.key: row.position for row in connection.execute(select(frames).where(own))}
+            _require_same(before, path, known, keys)
+            _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
+            if path != before.path:
+                chosen = recordings.c.id == recording_id
+                connection.execute(update(recordings).where(chosen).values(path=str(path)))
+                row = {"recording_id": recording_id, "path_before": str(before.path), "path_after": str(path)}
+                connection.execute(insert(moves), row | {"author": author, "time_ns": self.store.clock()})
+            return _recording(connection, recording_id)
+
+    def moves(self, recording_id: int) -> tuple[Move, ...]:
+        """Where a recording was before, the oldest move first."""
+        query = select(moves).where(moves.c.recording_id == recording_id).order_by(moves.c.id)
+        with self.store.read() as connection:
+            return tuple(
+                Move(Path(row.path_before), Path(row.path_after), row.author, row.time_ns)
+                for row in connection.execute(query)
+            )
+
     def all(self) -> tuple[StoredRecording, ...]:
         """Every recording, in the order they were added."""
         with self.store.read() as connection:
@@ -162,6 +220,22 @@ def _require_unique(path: Path, keys: Sequence[str]) -> None:
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)
         raise ProjectError(f"{path}: frame key {twice!r} comes twice; keys must be unique within a recording")
+
+
+def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, int | None], keys: Sequence[str]) -> None:
+    missing = [key for key, position in known.items() if position is not None and key not in set(keys)]
+    foreign = [key for key in keys if key not in known]
+    problems = [f"{what} {_some(found)}" for what, found in (("lacks", missing), ("also has", foreign)) if found]
+    if problems:
+        raise ProjectError(
+            f"{path} is not {recording.name}: it {' and '.join(problems)}; "
+            f"give the folder with the same {recording.frames} frames, and nothing was changed"
+        )
+
+
+def _some(keys: Sequence[str]) -> str:
+    more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
+    return f"{'frame' if len(keys) == 1 else 'frames'} {', '.join(keys[:MOST_NAMED])}{more}"
 
 
 def _free_name(connection: Connection, name: str) -> str:

@@ -55,6 +55,17 @@ recordings = Table(
     Column("added_ns", Integer, nullable=False),
 )
 
+moves = Table(
+    "moves",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("recording_id", Integer, ForeignKey("recordings.id"), nullable=False),
+    Column("path_before", Text, nullable=False),
+    Column("path_after", Text, nullable=False),
+    Column("author", Text, nullable=False),
+    Column("time_ns", Integer, nullable=False),
+)
+
 frames = Table(
     "frames",
     METADATA,

@@ -14,7 +14,7 @@ from annotator.project.recordings import StoredRecording
 from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording
 from annotator.types import Frame
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, RecordingError
 
 
 class FrameSource:
@@ -57,7 +57,13 @@ class FrameSource:
 
     def _open(self, recording_id: int) -> tuple[Recording, dict[str, int]]:
         if recording_id not in self._opened:
-            recording = open_recording(self.stored(recording_id).path)
+            stored = self.stored(recording_id)
+            if not stored.path.exists():
+                raise RecordingError(
+                    f"{stored.path}: no such file or folder; bring {stored.name} back, or say where it is now: "
+                    f"annotator move {self._project.path.name} {stored.name} PATH, or Locate on the start page"
+                )
+            recording = open_recording(stored.path)
             self._opened[recording_id] = (recording, {key: i for i, key in enumerate(recording.keys)})
         return self._opened[recording_id]
 

@@ -68,6 +68,28 @@ def register_recording(
     return _add(project, recording, name, up).recording
 
 
+def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
+    """Points a recording whose folder was moved to its new place. Nothing that is known of its frames changes.
+
+    Args:
+        author: who says so.
+
+    Raises:
+        NotFoundError: no such recording.
+        RecordingError: `path` holds no recording, one of another format, or none of its first frames can be read.
+        ProjectError: its frames are not those of the recording (the message names what differs), or it is another
+            recording of the project.
+    """
+    known, found = project.recordings.get(recording_id), open_recording(path)
+    if found.format != known.format:
+        raise RecordingError(
+            f"{path}: is a recording of the format {found.format}, but {known.name} is of the format {known.format}; "
+            "give the folder that was moved"
+        )
+    _require_readable(found)
+    return project.recordings.move(recording_id, found.path, found.keys, author)
+
+
 def _add(project: Project, recording: Recording, name: str | None, up: Sequence[float] | None) -> Added:
     known = _known(project, recording)
     if known is None:

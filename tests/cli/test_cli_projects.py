@@ -69,6 +69,20 @@ def test_from_nothing_to_a_project_with_recordings(
     assert "recordings" in capsys.readouterr().out
 
 
+def test_a_moved_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = write_recording(tmp_path / "take")
+    assert main(["new", "hands", "--classes", "hand"]) == 0
+    assert main(["add", "hands", str(recording)]) == 0
+    recording.rename(tmp_path / "moved")
+    assert main(["move", "hands", "take", str(tmp_path / "moved")]) == 0
+    assert f"take: 3 frames, now at {tmp_path / 'moved'}" in capsys.readouterr().out
+    other = write_recording(tmp_path / "other", 2)
+    assert main(["move", "hands", "take", str(other)]) == 2
+    assert "is not take: it lacks frame 000002" in capsys.readouterr().err
+    assert main(["move", "hands", "tack", str(other)]) == 2
+    assert "it has: take" in capsys.readouterr().err
+
+
 def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """--root goes before the environment, and that before ./projects; both are read at call time."""
     assert main(["new", "a", "--classes", "x", "--root", str(tmp_path / "given")]) == 0

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from store_samples import by_hand
+from store_samples import box_at, by_hand
 
-from annotator.project import Project, StoredRecording
+from annotator.project import NewLabel, Project, StoredRecording
 from annotator.types.errors import ProjectError
 
 
@@ -92,3 +96,60 @@ def test_frames_of_some_recordings(project: Project, recording: StoredRecording,
     assert [frame.key for frame in project.frames.of([other.id])] == ["x"]
     assert project.frames.of([]) == ()
     assert len(project.frames.of([recording.id, other.id])) == 6
+
+
+def test_a_recording_at_another_place_keeps_everything(project: Project, recording: StoredRecording) -> None:
+    (uid,) = project.labels.create(project.frames.of()[1].id, [NewLabel("hand", box_at())], by_hand()).uids
+    before = (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist())
+    there, keys = recording.path.parent / "x" / ".." / "there", [str(n) for n in range(5)]
+    moved = project.recordings.move(recording.id, there, keys, "ann")
+    assert moved == replace(recording, path=recording.path.parent / "there")
+    assert (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist()) == before
+    back = project.recordings.move(recording.id, recording.path, keys, "bob")
+    assert project.recordings.move(recording.id, recording.path, keys, "bob") == back == recording
+    told = [(move.before.name, move.after.name, move.author) for move in project.recordings.moves(recording.id)]
+    assert told == [("take", "there", "ann"), ("there", "take", "bob")]
+    project.log.rebuild()
+    assert project.recordings.get(recording.id) == recording
+
+
+def test_frames_that_were_missed_may_be_back_at_another_place(project: Project, recording: StoredRecording) -> None:
+    project.recordings.rescan(recording.id, ["0", "1", "2"])
+    project.recordings.move(recording.id, recording.path / "there", ["0", "1", "2", "4"], "ann")
+    assert _keys(project) == [("0", 0), ("1", 1), ("2", 2), ("4", 3), ("3", None)]
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        (["0", "1", "2", "4"], "it lacks frame 3; give the folder with the same 5 frames, and nothing was changed"),
+        (["0", "1", "2", "3", "4", "x"], "it also has frame x;"),
+        (["a"], "it lacks frames 0, 1, 2, 3, 4 and also has frame a;"),
+        ([f"{n}" for n in range(12)], "it also has frames 5, 6, 7, 8, 9 and 2 more;"),
+        (["0", "0"], "'0' comes twice"),
+    ],
+)
+def test_another_recording_is_no_new_place(
+    project: Project, recording: StoredRecording, keys: list[str], problem: str
+) -> None:
+    before = project.frames.of()
+    with pytest.raises(ProjectError, match=re.escape(problem)):
+        project.recordings.move(recording.id, recording.path / "there", keys, "ann")
+    assert (project.recordings.get(recording.id), project.frames.of()) == (recording, before)
+    assert project.recordings.moves(recording.id) == ()
+
+
+def test_two_recordings_are_not_in_one_place(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+    keys = [str(n) for n in range(5)]
+    other = project.recordings.add(tmp_path / "other", "rgbd", "other", keys, True)
+    with pytest.raises(ProjectError, match="already, as recording other"):
+        project.recordings.move(recording.id, other.path, keys, "ann")
+
+
+@pytest.mark.parametrize("statement", ["UPDATE moves SET author = 'eve'", "DELETE FROM moves"])
+def test_moves_are_append_only(project: Project, recording: StoredRecording, statement: str) -> None:
+    project.recordings.move(recording.id, recording.path / "there", [str(n) for n in range(5)], "ann")
+    with closing(sqlite3.connect(project.path / "project.db")) as connection:
+        with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+            connection.execute(statement)
+        connection.rollback()

@@ -18,7 +18,7 @@ from annotator.types import ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.own_labels import import_own_labels
-from annotator.workflows.recordings import add_recordings
+from annotator.workflows.recordings import add_recordings, move_recording
 from annotator.workflows.truth import load_truth
 
 
@@ -86,6 +86,38 @@ def test_what_was_told_once_is_not_quietly_kept_against_what_is_told_now(
         with pytest.raises(ConfigError, match=problem):
             add_recordings(project, [generated / path], **changes)
     assert [recording.name for recording in project.recordings.all()] == ["people", "hands"]
+
+
+def test_a_folder_that_was_moved_is_pointed_to(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    (recording,), frame = project.recordings.all(), project.frames.of()[0]
+    before = FrameSource(project).read(frame)
+    there = tmp_path / "archive" / "take 7"
+    there.parent.mkdir()
+    shutil.move(folder, there)
+    with pytest.raises(RecordingError, match=rf"annotator move {project.path.name} people PATH"):
+        FrameSource(project).read(frame)
+    with pytest.raises(RecordingError, match="no known recording format"):
+        move_recording(project, recording.id, there.parent, "ann")
+    moved = move_recording(project, recording.id, there, "ann")
+    assert (moved.path, moved.name, moved.frames) == (there, "people", 5)
+    np.testing.assert_array_equal(FrameSource(project).read(frame).rgb, before.rgb)
+    remove_frame(there, "000002")
+    with pytest.raises(ProjectError, match="it lacks frame 000002"):
+        move_recording(project, recording.id, there, "ann")
+
+
+def test_a_recording_of_another_format_is_not_the_moved_one(people: Project, tmp_path: Path) -> None:
+    (recording,) = people.recordings.all()
+    kitti = tmp_path / "kitti"
+    for name in ("image_2", "velodyne", "calib"):
+        (kitti / name).mkdir(parents=True)
+    (kitti / "image_2" / "000000.png").touch()
+    with pytest.raises(RecordingError, match="of the format kitti_object, but people is of the format rgbd_folder"):
+        move_recording(people, recording.id, kitti, "ann")
 
 
 # --- labels of its own -----------------------------------------------------------------------------------------------

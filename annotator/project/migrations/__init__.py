@@ -19,6 +19,7 @@ from annotator.project.migrations import (
     m0004_packed,
     m0005_actions,
     m0006_agreement,
+    m0007_moves,
 )
 from annotator.types.errors import ProjectError
 
@@ -45,6 +46,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(4, m0004_packed.STATEMENTS),
     Migration(5, m0005_actions.STATEMENTS),
     Migration(6, m0006_agreement.STATEMENTS),
+    Migration(7, m0007_moves.STATEMENTS),
 )
 
 
