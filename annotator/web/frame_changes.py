@@ -70,12 +70,13 @@ class Edit(Wire):
 
 
 class Create(Wire):
-    """A new label, accepted."""
+    """A new label, accepted; `image_box` where it was fitted to a box that was drawn on the image."""
 
     kind: Literal["create"]
     label: ClassName
     box: Box3DJson
     track_id: TrackId | None = None
+    image_box: Box2DJson | None = None
 
     def payload(self) -> Payload:
         return LabelCreated(
@@ -83,7 +84,8 @@ class Create(Wire):
             label=self.label,
             box=BoxRecord.of(self.box.box()),
             track_id=self.track_id,
-            origin=Origin.PLACED,
+            origin=Origin.PLACED if self.image_box is None else Origin.DRAWN,
+            image_box=None if self.image_box is None else self.image_box.box(),
         )
 
 

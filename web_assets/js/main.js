@@ -8,7 +8,8 @@
  * app = {
  *   api, effort, events, keys, state, toast,
  *   viewport,                    js/viewport.js
- *   go(hash),                    follows an address (router.makeHash makes one)
+ *   go(hash, given?),            follows an address (router.makeHash makes one)
+ *   given,                       what the mode before has for the next one to begin with: {frame, image_box}, or null
  *   path(...parts),              the open project's resource: app.path("frames", 3)
  *   refreshProject(),            reads the project's summary again into state.project
  *   frames,                      js/frame_state.js: which state of the open frame is the newest
@@ -58,7 +59,12 @@ function createApp() {
   made.api = createApi(effort, () => signIn(made));
   made.frames = createFrameState(made);
   return Object.assign(made, {
-    go: (hash) => (location.hash === hash ? follow() : void (location.hash = hash)),
+    given: null,
+    go(hash, given = null) {
+      made.given = given;
+      if (location.hash === hash) void follow();
+      else location.hash = hash;
+    },
     path: (...parts) => projectPath(state.route.project, ...parts),
     refreshProject,
     loadFrame,

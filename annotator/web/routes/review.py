@@ -9,11 +9,13 @@ from fastapi.responses import JSONResponse
 from pydantic import Field
 
 from annotator.project import Change, Role
+from annotator.rcv.config import RcvConfig
 from annotator.types.errors import StaleRevisionError
-from annotator.web.context import Ctx, Operator
+from annotator.web.context import Context, Ctx, Operator
 from annotator.web.routes.frames import STALE, stale_answer
 from annotator.web.shown import drawn_view, frame_state, quality_json
 from annotator.web.wire import (
+    Box2DJson,
     Box3DJson,
     Box3DOut,
     ClassName,
@@ -26,9 +28,11 @@ from annotator.web.wire import (
     Wire,
 )
 from annotator.workflows.copying import copy_boxes
+from annotator.workflows.detectors_ready import ReadyDetector
 from annotator.workflows.labelling import frame_config
+from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.ortho import ortho_views
-from annotator.workflows.refit import refit
+from annotator.workflows.refit import find_box, refit
 
 router = APIRouter(tags=["review"])
 
@@ -69,6 +73,23 @@ class RefitOut(Wire):
     note: str | None
 
 
+class FitIn(Wire):
+    """A box that was drawn on the image."""
+
+    image_box: Box2DJson
+
+
+class FitOut(Wire):
+    """The object in it; without `box` it was not found, and `note` says why."""
+
+    box: Box3DOut | None
+    outline: Outline
+    points: int
+    score: float | None
+    quality: QualityJson | None
+    note: str | None
+
+
 class CopyIn(Wire):
     """The frame to copy from; null = the one before."""
 
@@ -89,12 +110,7 @@ def ortho(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: OrthoIn) ->
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
 def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
     """The box fitted anew from where it is. Nothing is kept."""
-    project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id)
-    detector = ctx.annotation.detectors.get(project, Role.VIEW)
-    config = frame_config(project, opened.frame)
-    if detector is not None:
-        config = config.model_copy(update={"box_kind": detector.box_kind})
+    opened, config, detector = _ready(ctx, name, frame_id)
     found = refit(opened, body.box.box(), body.label, config, detector)
     return RefitOut(
         box=Box3DOut.of(found.box),
@@ -103,6 +119,32 @@ def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn)
         method=found.method,
         note=found.note,
     )
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/fit")
+def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> FitOut:
+    """The object in a box on the image. Nothing is kept."""
+    opened, config, detector = _ready(ctx, name, frame_id)
+    found = find_box(opened, body.image_box.box(), config, detector)
+    return FitOut(
+        box=None if found.box is None else Box3DOut.of(found.box),
+        outline=found.outline.round(2).tolist(),
+        points=found.points,
+        score=found.score,
+        quality=quality_json(found.quality),
+        note=found.note,
+    )
+
+
+def _ready(ctx: Context, name: str, frame_id: int) -> tuple[OpenFrame, RcvConfig, ReadyDetector | None]:
+    """A frame, the recursion's settings for it, and the project's detector for pseudo-views."""
+    project = ctx.project(name)
+    opened = ctx.annotation.frames.open(project, frame_id)
+    detector = ctx.annotation.detectors.get(project, Role.VIEW)
+    config = frame_config(project, opened.frame)
+    if detector is not None:
+        config = config.model_copy(update={"box_kind": detector.box_kind})
+    return opened, config, detector
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)

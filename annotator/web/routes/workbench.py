@@ -175,7 +175,7 @@ def _boxes(labels: Sequence[Label], preview: tuple[str | None, OrientedBox] | No
     if preview is None:
         return tuple(boxes)
     uid, box = preview
-    state = next((label.state for label in labels if label.uid == uid), ReviewState.EDITED)
+    state = next((label.state for label in labels if label.uid == uid), ReviewState.PROPOSED)
     return (*(shown for shown in boxes if shown.uid != uid), ShownBox(uid, box, state))
 
 

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from drawing import Scene
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.outline import box_on_image
 from annotator.project import Change, Project
 from annotator.recordings import open_recording
-from annotator.types import Label, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types import BoxKind, Label, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.workflows.detectors_ready import Readiness, ReadyDetector
 from annotator.workflows.truth import load_truth
 
 if TYPE_CHECKING:
     from live_server import Live
     from playwright.sync_api import Locator, Page
+
+    from annotator.workflows.detectors import Detectors
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
@@ -416,6 +422,63 @@ def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
     row.wait_for(timeout=2000)
 
 
+def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
+    """Presses B and drags a box on the image."""
+    desk.press("b")
+    expect(desk.page.get_by_test_id("act-draw")).to_have_attribute("aria-pressed", "true")
+    rect = desk.page.get_by_test_id("review-image").locator("img.picture").bounding_box()
+    assert rect is not None
+    scale = rect["width"] / 320
+    left, top, right, bottom = ((box[edge] + 0.5) * scale for edge in ("x_min", "y_min", "x_max", "y_max"))
+    desk.drag((rect["x"] + left, rect["y"] + top), (rect["x"] + right, rect["y"] + bottom))
+
+
+def test_a_new_box_is_drawn_on_the_image(
+    desk: Desk, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, wait_for
+) -> None:
+    page, known = desk.page, {stored.label.uid for stored in desk.project.labels.select()}
+    ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
+    detectors = desk.live.context.annotation.detectors
+    monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: ready)
+    index = desk.project.frames.get(desk.frame).index
+    assert index is not None
+    scene = Scene.of(generated / "people", index, ("person",))
+    draw_on_image(desk, scene.image_box(0))
+    expect(page.get_by_test_id("label-state")).to_have_text("new")
+    desk.settled()
+    desk.press("t")  # gizmo and views work on it as on any other box
+    field = page.get_by_test_id("field-size-length")
+    field.fill("0.9")
+    field.press("Enter")
+    assert {stored.label.uid for stored in desk.project.labels.select()} == known
+    desk.press("n")  # nobody has accepted it: it is not left behind without a word
+    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box that nobody has accepted")
+    page.get_by_test_id("dialog-stay").click()
+    page.locator("dialog").wait_for(state="detached")
+    desk.press("Space")
+    wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1, 5)
+    (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
+    assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
+    assert made.label.box.size_m[0] == pytest.approx(0.9)
+    assert np.linalg.norm(made.label.box.center_m - scene.objects[0].box.center_m) < 0.1
+    statistics = desk.live.client.get("/api/projects/room/statistics").json()
+    assert statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 3  # the drag, the number, Space
+
+    # without a detector, Label goes on with it
+    monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))
+    desk.settled()
+    frame = desk.frame
+    draw_on_image(desk, scene.image_box(1))
+    expect(page).to_have_url(re.compile(f"/label/{frame}$"))
+    expect(page.get_by_test_id("toast-warn")).to_contain_text("There is no pseudo-view detector yet")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
+    page.wait_for_selector(".label-mode:not([data-saving])")
+    state = desk.live.client.get(f"/api/projects/room/frames/{frame}").json()
+    assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
+    (kept,) = state["image_boxes"]["boxes"]
+    assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
+
+
 @pytest.mark.parametrize("choice", ["theirs", "mine"])
 def test_a_stale_edit_shows_both_versions_and_loses_neither(desk: Desk, wait_for, choice: str) -> None:
     frame, uid, before = desk.frame, desk.uid, desk.label.box
@@ -453,7 +516,7 @@ def test_a_box_that_could_not_be_saved_stays_until_it_is_saved_or_discarded(desk
         desk.press(key)
         page.get_by_test_id("unsaved-dialog").wait_for()
         page.get_by_test_id("dialog-retry").click()
-        expect(page.get_by_test_id("unsaved-dialog").get_by_role("alert")).to_contain_text("not saved")
+        expect(page.get_by_test_id("unsaved-dialog").get_by_role("alert")).to_contain_text("1 changed box")
         page.get_by_test_id("dialog-stay").click()
         expect(page).to_have_url(here)
         assert desk.uid == first
@@ -482,7 +545,8 @@ OVERTAKING = """async () => {
   const load = (name) => import(`/assets/js/${name}.js`);
   const { createFrameState } = await load("frame_state");
   const { createState } = await load("state");
-  const frame = (revision, id = 1, project = "room") => ({ frame: { id, revision }, image: { url: `/${project}/${id}` } });
+  const picture = (project, id) => ({ url: `/${project}/${id}` });
+  const frame = (revision, id = 1, project = "room") => ({ frame: { id, revision }, image: picture(project, id) });
   let answer = frame(3);
   const app = { state: createState({ frame: null }), path: () => "", api: { get: async () => answer } };
   const frames = createFrameState(app);

@@ -14,7 +14,8 @@
  *   classes: [names], color(box)          colours; by default the class's
  *   newLabel()                            class of a drawn box, by default the first one
  *   selectFirst                           only the selected box can be resized: a drag from the edge of another one draws
- *   single, canDraw, canMove, canDelete   one box only: drawing replaces it · by default all true but single
+ *   single, canDraw, canMove, canDelete   one box only: drawing replaces it · by default all true but single; canDraw may be
+ *                                         a function that is asked each time
  *   clip                                  boxes end at the picture's border (default true)
  *   label                                 accessible name
  *
@@ -114,7 +115,7 @@ export function createEditor(host, options = {}) {
     redraw,
     flush,
     isReadonly: () => is_readonly,
-    canDraw: () => options.canDraw !== false && !is_readonly && picture.width > 0,
+    canDraw: () => (typeof options.canDraw === "function" ? options.canDraw() : options.canDraw !== false) && !is_readonly && picture.width > 0,
     limits: () => pictureLimits(picture, options.clip !== false),
     newBox: () => ({ label: options.newLabel?.() ?? options.classes?.[0] ?? "" }),
     select: selectBox,

@@ -34,10 +34,18 @@ export function createFrames(app, work, parts) {
       if (is_first || app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
       else onFrame(app.state.frame);
       is_first = false;
+      takeGiven(frame);
     } catch (error) {
       hint.textContent = error.message;
       app.toast(error);
     }
+  }
+
+  /** The first drag of an object was made in Review. */
+  function takeGiven(frame) {
+    const { given } = app;
+    app.given = null;
+    if (given?.frame === frame && !work.is_readonly) objects.onImageChange([given.image_box], "draw", 0, 1);
   }
 
   /** Somebody set the frame's state: a new frame, an undo, another operator. Own savings come through onSaved. */

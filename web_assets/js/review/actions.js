@@ -9,7 +9,7 @@ export function createActions(host, act) {
   const refit = button("refit", "Fit again", "G");
   const flip = button("flip", "Turn 90°", "F");
   const copy = button("copy", "Copy from previous", "C");
-  const draw = button("draw", "New box", "Ins");
+  const draw = button("draw", "New box", "B");
   const remove = iconButton("trash", "Delete the box (Del)", () => act.remove(), { "data-testid": "act-delete" });
   const finalise = h("button", { type: "button", "data-testid": "act-finalise", onclick: () => act.finalise() });
   const gizmo = h(
@@ -22,11 +22,12 @@ export function createActions(host, act) {
   host.replaceChildren(accept, reject, remove, h("span", { class: "divider" }), refit, flip, h("span", { class: "divider" }), gizmo, h("span", { class: "grow" }), draw, copy, finalise);
 
   return {
-    show({ label, frame, gizmo_mode, busy }) {
+    show({ label, frame, gizmo_mode, busy, is_drawing }) {
       for (const one of [accept, reject, refit, flip, remove]) one.disabled = !label || busy;
       accept.firstChild.textContent = label && label.state !== "proposed" && label.state !== "rejected" ? "Next" : "Accept";
       copy.disabled = !frame || frame.frame.previous === null || busy;
-      draw.disabled = !frame;
+      draw.disabled = !frame || busy || frame.frame.finalised;
+      draw.setAttribute("aria-pressed", String(is_drawing));
       finalise.disabled = !frame || busy;
       finalise.textContent = frame?.frame.finalised ? "Reopen frame" : "Finalise frame";
       finalise.title = frame?.frame.finalised ? "Let automatic passes change this frame again (Ctrl+Enter)" : "All boxes of this frame are right: automatic passes leave it alone (Ctrl+Enter)";

@@ -3,8 +3,9 @@
  * on its way to the server, one after the other.
  *
  * A box under the mouse is a draft: `preview` shows it everywhere without a round trip, `commit` saves it as one edit. A
- * draft that could not be saved stays with its box, whatever is selected next, until it is saved or reverted. Listeners get
- * what has changed: "frame", "selection", "draft" or "saving".
+ * draft that could not be saved stays with its box, whatever is selected next, until it is saved or reverted. A new box is
+ * here alone until it is accepted; what it has cost is counted then. Listeners get what has changed: "frame", "selection",
+ * "draft" or "saving".
  */
 
 import { copyBox, sameBox } from "../box3d.js";
@@ -18,6 +19,9 @@ export function createDesk(app) {
   const listeners = new Set();
   /** uid -> {wanted, sending, problem} of the boxes of the frame `home`. */
   const drafts = new Map();
+  /** uid -> {label, image_box, actions, problem} of new boxes of the same frame. */
+  const added = new Map();
+  let number = 0;
   let home = null;
   let uid = null;
   let waiting = 0;
@@ -25,7 +29,7 @@ export function createDesk(app) {
   let chain = Promise.resolve();
 
   const tell = (what) => listeners.forEach((fn) => fn(what));
-  const labels = () => app.state.frame?.labels ?? [];
+  const labels = () => [...(app.state.frame?.labels ?? []), ...[...added.values()].map(({ label }) => label)];
   const stored = (id = uid) => labels().find((label) => label.uid === id) ?? null;
 
   /** Does a task after all others; its own failure is shown and stops nothing else. */
@@ -67,7 +71,7 @@ export function createDesk(app) {
   /** After every new state of the frame: what is selected may be gone, what was drafted may be saved. */
   function settle() {
     const { id } = app.state.frame.frame;
-    if (id !== home) drafts.clear();
+    if (id !== home) forget();
     home = id;
     for (const gone of [...drafts.keys()].filter((known) => !stored(known))) {
       // one that is being sent is told of by its own answer
@@ -77,6 +81,11 @@ export function createDesk(app) {
     }
     if (uid !== null && !stored()) uid = null;
     tell("frame");
+  }
+
+  function forget() {
+    drafts.clear();
+    added.clear();
   }
 
   /** What is not saved yet is on its way after this, as far as it has not failed before. */
@@ -99,8 +108,44 @@ export function createDesk(app) {
   /** Saves the selected box's draft, if there is one, as one edit that took so many actions. */
   async function commit(actions = 1) {
     if (!drafts.has(uid) || !stored()) return true;
+    if (added.has(uid)) return change(uid, actions);
     app.effort.action(actions);
     return save(uid);
+  }
+
+  /** A new box is another one now; nobody else knows of it yet. */
+  function change(id, actions) {
+    const entry = added.get(id);
+    entry.label = seen(entry.label);
+    entry.actions += actions;
+    drafts.delete(id);
+    tell("draft");
+    return true;
+  }
+
+  /** Accepts a new box: only now it is stored. */
+  async function create(id) {
+    change(id, 1);
+    const entry = added.get(id);
+    const { label, box, track_id } = entry.label;
+    const known = new Set(labels().map((one) => one.uid));
+    app.effort.action(entry.actions);
+    const error = await send([{ kind: "create", label, box, track_id, image_box: entry.image_box }], null);
+    entry.problem = error?.message ?? null;
+    // it is tried again with what it takes then
+    if (error) entry.actions = 0;
+    else added.delete(id);
+    if (!error && uid === id) uid = labels().find((one) => !known.has(one.uid))?.uid ?? null;
+    tell(error ? "draft" : "selection");
+    return !error;
+  }
+
+  function remove(id) {
+    added.delete(id);
+    drafts.delete(id);
+    if (uid === id) uid = null;
+    tell("selection");
+    return true;
   }
 
   async function save(id) {
@@ -117,9 +162,12 @@ export function createDesk(app) {
   }
 
   function revert(id = uid) {
+    if (added.has(id) && !drafts.has(id)) remove(id);
     drafts.delete(id);
     tell("draft");
   }
+
+  const retry = (id) => (added.has(id) ? create(id) : drafts.has(id) ? save(id) : Promise.resolve(true));
 
   /** A label as the operator sees it: with its draft's box, class and track. */
   function seen(label) {
@@ -148,13 +196,24 @@ export function createDesk(app) {
 
     /** Whether a label has a draft, and why that could not be saved, if it was tried. */
     isDraft: (id) => drafts.has(id),
-    problemOf: (id = uid) => drafts.get(id)?.problem ?? null,
+    problemOf: (id = uid) => drafts.get(id)?.problem ?? added.get(id)?.problem ?? null,
+
+    /** A box that was found in what was drawn on the image: {label, box, outline, points, score, quality, image_box}. */
+    add({ image_box, ...found }) {
+      keep();
+      uid = `new-${(number += 1)}`;
+      const label = { ...found, uid, is_new: true, state: "proposed", source: "drawn", author: app.state.operator, track_id: null, doubt: null };
+      added.set(uid, { label, image_box, actions: 1, problem: null });
+      tell("selection");
+    },
 
     /** What is lost where the page is left now; null where all is saved. */
     get unsaved() {
-      if (drafts.size === 0 && waiting === 0) return null;
-      const problems = [...new Set([...drafts.values()].map(({ problem }) => problem).filter(Boolean))];
-      return { text: [drafts.size > 0 ? `${count(drafts.size, "changed box", "changed boxes")} of this frame not saved.` : "", ...problems].join(" ").trim() };
+      const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
+      if (changed === 0 && added.size === 0 && waiting === 0) return null;
+      const problems = [...drafts.values(), ...added.values()].map(({ problem }) => problem).filter(Boolean);
+      const what = [changed && count(changed, "changed box", "changed boxes"), added.size && `${count(added.size, "new box", "new boxes")} that nobody has accepted`];
+      return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
     },
 
     /** Calls `fn("frame" | "selection" | "draft" | "saving")` after changes. Returns the function that ends this. */
@@ -189,16 +248,18 @@ export function createDesk(app) {
       return commit();
     },
 
-    /** Tries again to save what could not be saved: one box's draft, or all. */
-    retry: (id = uid) => (drafts.has(id) ? save(id) : Promise.resolve(true)),
-    retryAll: () => Promise.all([...drafts.keys()].map(save)),
+    /** Saves what could not be saved, or nobody has accepted: one box, or all. */
+    retry: (id = uid) => retry(id),
+    retryAll: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
     discardAll() {
-      drafts.clear();
-      tell("draft");
+      forget();
+      if (!stored()) uid = null;
+      tell("frame");
     },
 
     /** One of {kind: "accept" | "reject" | "delete"} for a label. */
     async decide(kind, id) {
+      if (added.has(id)) return kind === "accept" ? create(id) : remove(id);
       app.effort.action();
       // a box that is no object, or goes, needs no mending
       const draft = drafts.get(id);

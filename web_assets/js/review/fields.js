@@ -103,7 +103,7 @@ export function createFields(host, desk, { classes, up }) {
     title.textContent = label ? label.label : "Box";
     showProblem();
     if (!label) return;
-    const state = desk.hasDraft ? "not saved" : label.state;
+    const state = desk.hasDraft ? "not saved" : label.is_new ? "new" : label.state;
     chip.textContent = state;
     chip.className = `chip state-${label.state}`;
     const turn = anglesDeg(label.box, up());

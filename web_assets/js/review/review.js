@@ -34,7 +34,7 @@ export function mount(root, app) {
   const queue = createQueue(app, showQueue);
   const queue_list = createQueueList(parts.queue, app, queue, { open: (item) => go(item) });
   const box_list = createBoxList(parts.boxes, desk);
-  const image = createImagePanel(parts.image, app, desk);
+  const image = createImagePanel(parts.image, app, desk, { onDrawn: fitDrawn, onMode: () => showActions() });
   const scene = createScene(parts.scene, app, desk);
   const ortho = createOrthoViews(parts.ortho, app, desk);
   const fields = createFields(parts.fields, desk, { classes: () => app.state.project.classes, up: () => app.state.frame?.up ?? null });
@@ -54,7 +54,7 @@ export function mount(root, app) {
       showActions();
     },
     copy,
-    draw: () => app.go(makeHash(project, "label", app.state.frame?.frame.id ?? null)),
+    draw: () => image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null),
     finalise,
   };
   const actions = createActions(parts.actions, act);
@@ -67,7 +67,7 @@ export function mount(root, app) {
   }
 
   function showActions() {
-    actions.show({ label: desk.shown, frame: app.state.frame, gizmo_mode: scene.gizmo, busy: loading });
+    actions.show({ label: desk.shown, frame: app.state.frame, gizmo_mode: scene.gizmo, busy: loading, is_drawing: image.drawing !== null });
   }
 
   function showBusy() {
@@ -89,7 +89,8 @@ export function mount(root, app) {
     fields.show();
     showActions();
     showQueue();
-    scene.show();
+    // not the old frame once more while the next one is on its way
+    if (!loading) scene.show();
     void ortho.show();
   }
 
@@ -233,6 +234,25 @@ export function mount(root, app) {
     }
   }
 
+  const canDraw = () => Boolean(app.state.frame) && !loading && !app.state.frame.frame.finalised;
+
+  /** A box was drawn on the image. What is not found in it is drawn on in Label, of which this is the first drag. */
+  async function fitDrawn(image_box) {
+    const { id } = app.state.frame.frame;
+    try {
+      const { note, ...found } = await app.api.post(app.path("frames", id, "fit"), { image_box });
+      if (app.state.frame?.frame.id !== id || !parts.root.isConnected) return;
+      if (found.box) {
+        desk.add({ ...found, label: image_box.label, image_box });
+      } else {
+        app.toast(`${note[0].toUpperCase()}${note.slice(1)}: go on here with four drags on its views.`, "warn");
+        app.go(makeHash(project, "label", id), { frame: id, image_box });
+      }
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
   async function copy() {
     if (app.state.frame?.frame.previous == null) return;
     try {
@@ -244,20 +264,21 @@ export function mount(root, app) {
   }
 
   async function finalise() {
-    const { frame, labels } = app.state.frame;
-    const left = labels.filter(isOpen).length;
+    const { frame } = app.state.frame;
+    const left = desk.labels().filter(isOpen).length;
     if (!frame.finalised && left > 0 && !(await confirm("Finalise the frame", `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`, "Finalise anyway"))) return;
     if (await desk.finalise(!frame.finalised)) app.toast(frame.finalised ? "The frame is open again." : "The frame is finalised.", "good");
   }
 
   function setClass(key) {
     const name = app.state.project.classes[Number(key) - 1];
-    if (name && desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
+    if (name && image.drawing !== null) image.draw(name);
+    else if (name && desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
   }
 
   /** Takes back what is going on: a drag, then an edit that is not saved, then the selection. */
   function cancel() {
-    if (ortho.cancel()) return;
+    if (ortho.cancel() || image.cancel()) return;
     if (desk.hasDraft) desk.revert();
     else desk.select(null);
   }
@@ -279,7 +300,7 @@ export function mount(root, app) {
       "previous-box": () => stepBox(-1),
       "next-frame": () => step("next"),
       "previous-frame": () => step("previous"),
-      "new-box": () => act.draw(),
+      "draw-box": once(act.draw),
       "gizmo-translate": () => act.gizmo("translate"),
       "gizmo-rotate": () => act.gizmo("rotate"),
       "gizmo-off": () => act.gizmo("off"),

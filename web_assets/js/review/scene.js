@@ -14,6 +14,7 @@ export function createScene(host, app, desk) {
   const { viewport } = app;
   const chosen = { gizmo: "off", color: "rgb", point_size: 1 };
   let is_dragging = false;
+  let sent = "";
   if (!viewport) {
     body.append(h("p", { class: "view-note" }, "The 3D view could not be loaded. Reload the page to try again."));
     return { gizmo: "off", setGizmo() {}, show() {}, preview() {}, points() {}, destroy() {} };
@@ -33,7 +34,7 @@ export function createScene(host, app, desk) {
 
   function send(more = {}) {
     const frame = app.state.frame?.frame.id ?? null;
-    const preview = desk.hasDraft ? { uid: desk.uid, box: desk.shown.box } : null;
+    const preview = desk.hasDraft || desk.shown?.is_new ? { uid: desk.uid, box: desk.shown.box } : null;
     viewport.show({ frame, selected: desk.uid, labels: "all", preview, ...chosen, ...more });
   }
 

@@ -82,7 +82,7 @@ export function createBoxList(host, desk) {
 function boxRow(label, desk) {
   const track = label.track_id === null ? "" : ` #${label.track_id}`;
   const problem = desk.problemOf(label.uid);
-  const state = problem ? "not saved" : label.state;
+  const state = problem ? "not saved" : label.is_new ? "new" : label.state;
   return h(
     "li",
     {},

@@ -1,0 +1,88 @@
+"""A box drawn on the image in Review: what the server finds in it, and what keeping that counts as."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from drawing import Scene
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import Role
+from annotator.types import BoxKind
+from annotator.web.wire import Box3DJson
+from annotator.workflows.detectors_ready import Readiness, ReadyDetector
+
+if TYPE_CHECKING:
+    from live_server import Live
+
+    from annotator.workflows.detectors import Detectors
+
+FRAME = "/api/projects/room/frames/1"
+
+
+@pytest.fixture
+def scene(generated: Path) -> Scene:
+    return Scene.of(generated / "people", 0, ("person",))
+
+
+@pytest.fixture
+def taught(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> Live:
+    """A server whose project has a view detector that knows the truth."""
+    ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
+    answer = lambda project, role, wait_s=None: ready if role is Role.VIEW else Readiness("none")  # noqa: E731
+    monkeypatch.setattr(live.context.annotation.detectors, "look", answer)
+    return live
+
+
+def fit(live: Live, image_box: dict[str, Any]) -> dict[str, Any]:
+    answer = live.client.post(f"{FRAME}/fit", json={"image_box": image_box})
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def test_a_drawn_box_leads_to_the_object_and_keeping_it_counts_as_drawn(taught: Live, scene: Scene) -> None:
+    image_box = {**scene.image_box(0), "score": 0.0}  # what a person draws needs no detector's confidence
+    found = fit(taught, image_box)
+    box = Box3DJson(**found["box"]).box()
+    assert iou_3d(box, scene.objects[0].box) > 0.8
+    assert found["note"] is None and found["points"] > 100 and len(found["outline"]) > 0
+    assert 0 < found["quality"]["image_agreement"] <= 1
+    assert taught.client.get(FRAME).json()["labels"] == []  # nothing is kept yet
+
+    created = {"kind": "create", "label": "person", "box": found["box"], "image_box": image_box}
+    body = {"revision": 0, "changes": [created], "effort": {"actions": 2, "seconds": 4.0}}
+    answer = taught.client.post(f"{FRAME}/changes", json=body)
+    assert answer.status_code == 200, answer.text
+    (label,) = answer.json()["labels"]
+    assert (label["state"], label["author"]) == ("accepted", "Ada")
+    np.testing.assert_allclose(label["box"]["center"], found["box"]["center"], atol=1e-9)
+    stored = taught.context.project("room").labels.get(label["uid"])
+    assert stored.image_box is not None and stored.image_box.xyxy == tuple(
+        image_box[edge] for edge in ("x_min", "y_min", "x_max", "y_max")
+    )
+    effort = taught.client.get("/api/projects/room/statistics").json()["effort"]["by_origin"]
+    assert effort["from nothing"] == {"boxes": 1, "seconds_a_box": 4.0, "actions_a_box": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("box", "label", "why"),
+    [
+        ((0.0, 0.0, 3.0, 3.0), "person", "points lie in this box"),
+        ((60.0, 2.0, 110.0, 40.0), "person", "does not see the object"),
+        ((60.0, 2.0, 110.0, 40.0), "chair", "has not learned chair"),
+    ],
+)
+def test_where_nothing_is_found_the_answer_says_why(taught: Live, box: tuple[float, ...], label: str, why: str) -> None:
+    found = fit(taught, {"label": label, **dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))})
+    assert found["box"] is None and found["outline"] == []
+    assert why in found["note"]
+
+
+def test_without_a_detector_the_answer_says_so(live: Live, scene: Scene) -> None:
+    assert fit(live, scene.image_box(0))["note"] == "there is no pseudo-view detector yet"
