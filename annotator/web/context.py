@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import unquote
@@ -14,9 +15,9 @@ from starlette.requests import HTTPConnection
 from annotator.project import Project, open_project
 from annotator.project.config import check_name
 from annotator.types import Frame
-from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError
 from annotator.web.annotation import Annotation
-from annotator.web.errors import NotSignedInError
+from annotator.web.errors import NotSignedInError, without_places
 from annotator.web.folders import Folders
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
@@ -43,7 +44,7 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
-        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._tell_job)
+        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._tell_job, self.told)
         self.annotation = Annotation()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
@@ -81,6 +82,21 @@ class Context:
         """Those of these projects that are open already."""
         with self._lock:
             return [(name, self._projects[name]) for name in names if name in self._projects]
+
+    def told(self, text: str) -> str:
+        """A message as a browser may read it: files are named, but not where on this computer they are."""
+        return without_places(text, self._places())
+
+    def _places(self) -> Iterator[tuple[Path, str]]:
+        yield from self.folders.places()
+        root = self.settings.projects_root.absolute()
+        yield from ((path, root.name) for path in (root, root.resolve()))
+        with self._lock:
+            projects = list(self._projects.values())
+        for project in projects:
+            # a project whose recordings cannot be read has told so already
+            with suppress(AnnotatorError):
+                yield from [(recording.path, recording.name) for recording in project.recordings.all()]
 
     def close(self) -> None:
         """Ends everything that runs on behalf of the application."""

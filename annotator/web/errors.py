@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import re
+from collections.abc import Iterable
+from pathlib import Path
 
 from fastapi import FastAPI, WebSocket
 from fastapi.exceptions import RequestValidationError
@@ -55,6 +58,29 @@ STATUS: list[tuple[type[AnnotatorError], int]] = [
     (AnnotatorError, 400),
 ]
 
+# An absolute path, as far as its first blank, and its last name.
+_ABSOLUTE = re.compile(r"""(?<![\w./:…\-])(?:/[^/\s:;,'"()\[\]]+)*/([^/\s:;,'"()\[\]]+)""")
+
+
+def without_places(text: str, places: Iterable[tuple[Path, str]]) -> str:
+    """A message without absolute paths: it still names the file, but not where on this computer it is.
+
+    Args:
+        places: folders, and what stands for each; the first that fits is taken. Of a path in none of them only the last
+            name is left.
+    """
+    for folder, name in places:
+        if not holds_absolute(text):
+            return text
+        if folder.is_absolute() and folder != Path(folder.anchor):
+            text = name.join(re.split(rf"(?<![\w.\-]){re.escape(str(folder))}(?![\w\-])", text))
+    return _ABSOLUTE.sub(r"…/\1", text)
+
+
+def holds_absolute(text: str) -> bool:
+    """True where a message names a place on this computer."""
+    return _ABSOLUTE.search(text) is not None
+
 
 def status_of(error: AnnotatorError) -> int:
     """The status code of an error."""
@@ -83,12 +109,12 @@ def add_error_handlers(app: FastAPI) -> None:
 
 async def _told(connection: HTTPConnection, error: Exception) -> Response:
     assert isinstance(error, AnnotatorError)
-    status = status_of(error)
+    status, message = status_of(error), connection.app.state.context.told(str(error))
     if isinstance(connection, WebSocket):
         # a reason has at most 123 bytes
-        await connection.close(4000 + status, str(error).encode()[:120].decode("utf-8", "ignore"))
+        await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))
         return Response()  # nobody reads it
-    return error_response(type(error).__name__, str(error), status)
+    return error_response(type(error).__name__, message, status)
 
 
 async def _invalid(connection: HTTPConnection, error: Exception) -> JSONResponse:

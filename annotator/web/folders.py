@@ -57,6 +57,11 @@ class Folders:
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
         return Listing(path, parent, tuple(e for e, is_folder in entries if is_folder or e.recording is not None))
 
+    def places(self) -> tuple[tuple[Path, str], ...]:
+        """The roots with their names, inner ones first."""
+        inner_first = sorted(self._roots.items(), key=lambda entry: -len(entry[1].parts))
+        return tuple((root, name) for name, root in inner_first)
+
     def find(self, path: str) -> Path:
         """The real path of something below a root.
 

@@ -70,10 +70,10 @@ def summary(ctx: Context, listed: ListedProject) -> ProjectSummary:
     classes = [] if listed.config is None else list(listed.config.classes)
     try:
         if listed.problem is not None:
-            return _broken(name, classes, listed.problem)
+            return _broken(name, classes, ctx.told(listed.problem))
         return summary_of(name, ctx.project(name))
     except AnnotatorError as error:
-        return _broken(name, classes, str(error))
+        return _broken(name, classes, ctx.told(str(error)))
 
 
 def summary_of(name: str, project: Project) -> ProjectSummary:

@@ -31,6 +31,9 @@ CLOSING_GRACE_S = 3.0
 Tell = Callable[[Job], None]
 """Told of every change of a job, from any thread."""
 
+Words = Callable[[str], str]
+"""Makes of a message what pages may read."""
+
 
 class JobRunner:
     """Takes jobs, runs one at a time in a worker process, and keeps what is known of them. Threads share it.
@@ -39,9 +42,9 @@ class JobRunner:
         folder: of the journal, and of one folder a job while there is something in it.
     """
 
-    def __init__(self, folder: Path, tell: Tell, grace_s: float = GRACE_S) -> None:
+    def __init__(self, folder: Path, tell: Tell, words: Words, grace_s: float = GRACE_S) -> None:
         self.folder = folder
-        self._tell, self._grace_s = tell, grace_s
+        self._tell, self._words, self._grace_s = tell, words, grace_s
         self._lock = threading.Condition()
         self._jobs: dict[str, Job] = {job.id: job for job in read_journal(folder)}
         self._waiting: list[tuple[str, Path, JobRequest]] = []
@@ -207,7 +210,7 @@ class JobRunner:
             case _:
                 LOG.error("job %s: its worker ended with code %s\n%s", job_id, exit_code, self._log_end(job_id))
                 end = {"state": JobState.FAILED, "message": f"the worker ended unexpectedly ({_reason(exit_code)})"}
-        self._update(job_id, stage="", eta_s=None, **end)
+        self._update(job_id, stage="", eta_s=None, **_reworded(end, self._words))
 
     def _log_end(self, job_id: str) -> str:
         path = self.folder / job_id / WORK_LOG
@@ -257,6 +260,21 @@ def _estimate(message: Progress, began: float) -> float | None:
     if not 0 < message.done <= message.total:
         return None
     return (time.monotonic() - began) * (message.total - message.done) / message.done
+
+
+def _reworded(value: Any, words: Words) -> Any:
+    """The same JSON with every text in it made readable for pages."""
+    match value:
+        case JobState():
+            return value
+        case str():
+            return words(value)
+        case dict():
+            return {name: _reworded(entry, words) for name, entry in value.items()}
+        case list():
+            return [_reworded(entry, words) for entry in value]
+        case _:
+            return value
 
 
 def _reason(exit_code: int | None) -> str:

@@ -17,4 +17,5 @@ READING_S = 3.0
 @router.get("/api/projects/{name}/checks")
 def checks(ctx: Ctx, name: str, frame: RowId | None = None) -> CheckReport:
     """Warnings about labels, of one frame or of all."""
-    return check_project(ctx.project(name), frame, READING_S)
+    report = check_project(ctx.project(name), frame, READING_S)
+    return report.model_copy(update={"unreadable": tuple(map(ctx.told, report.unreadable))})

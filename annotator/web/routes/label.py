@@ -125,7 +125,7 @@ def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) ->
         points=found.points,
         stop=found.stop,
         detector=ready.state,
-        problem=ready.problem,
+        problem=None if ready.problem is None else ctx.told(ready.problem),
     )
 
 
@@ -135,7 +135,7 @@ def suggestions(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> Suggesti
     project = ctx.project(name)
     ready = ctx.annotation.detectors.look(project, Role.IMAGE)
     if ready.detector is None:
-        return SuggestionsOut(boxes=[], problem=ready.problem)
+        return SuggestionsOut(boxes=[], problem=None if ready.problem is None else ctx.told(ready.problem))
     opened = ctx.annotation.frames.open(project, frame_id)
     least = frame_config(project, opened.frame).min_image_score
     found = suggested_image_boxes(opened, ready.detector, least, project.config.classes)
