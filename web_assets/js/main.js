@@ -86,9 +86,18 @@ async function refreshProject() {
 async function loadFrame(id) {
   frame_request?.abort();
   frame_request = new AbortController();
-  const frame = await app.frames.open(id, { signal: frame_request.signal });
-  app.events.openFrame(id);
-  return frame;
+  try {
+    const frame = await app.frames.open(id, { signal: frame_request.signal });
+    app.events.openFrame(id);
+    return frame;
+  } catch (error) {
+    if (error.name !== "AbortError") {
+      // what is shown must not be taken for it
+      app.events.openFrame(null);
+      app.frames.close();
+    }
+    throw error;
+  }
 }
 
 /** Saves what the mode has open. Where something cannot be saved, the operator says what becomes of it. */

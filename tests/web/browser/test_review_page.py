@@ -18,6 +18,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.project import Change, Project
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types.errors import FrameError
 from annotator.workflows.detectors_ready import Readiness, ReadyDetector
 from annotator.workflows.truth import load_truth
 
@@ -477,6 +478,44 @@ def test_a_new_box_is_drawn_on_the_image(
     assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
     (kept,) = state["image_boxes"]["boxes"]
     assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
+
+
+def test_a_frame_that_cannot_be_read_says_so_in_place_of_its_picture(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page, frames = desk.page, desk.live.context.annotation.frames
+    page.evaluate("localStorage.setItem('label-order', 'time')")
+    first, second, third = (stored.id for stored in desk.project.frames.of()[:3])
+    truncated = FrameError(Path("people/depth/000001.png"), "the file is truncated", "copy it again")
+    read = frames.open
+
+    def broken(project: Project, frame_id: int) -> Any:
+        if frame_id == second:
+            raise truncated
+        return read(project, frame_id)
+
+    monkeypatch.setattr(frames, "open", broken)
+    problem = page.get_by_test_id("frame-problem")
+    for mode, picture in (("review", "review-image"), ("label", "image-editor")):
+        page.goto(f"/#/room/{mode}/{first}")
+        shown = page.get_by_test_id(picture).locator("img.picture")
+        expect(shown).to_have_attribute("src", re.compile(f"/frames/{first}/"))
+        page.get_by_role("button", name="Next frame in time").click()
+        expect(problem).to_contain_text("the file is truncated")
+        expect(problem).to_contain_text("copy it again")
+        expect(shown).to_be_hidden()
+        expect(page.locator('[data-testid="frame-box"], [data-testid="object"]')).to_have_count(0)
+        expect(page).to_have_url(re.compile(f"/{mode}/{second}$"))
+        page.get_by_test_id("frame-next").click()
+        expect(page).to_have_url(re.compile(f"/{mode}/{third}$"))
+        expect(problem).to_be_hidden()
+        page.get_by_role("button", name="Previous frame in time").click()
+        expect(problem).to_be_visible()
+        monkeypatch.setattr(frames, "open", read)
+        page.get_by_test_id("frame-retry").click()
+        expect(shown).to_have_attribute("src", re.compile(f"/frames/{second}/"))
+        expect(problem).to_be_hidden()
+        monkeypatch.setattr(frames, "open", broken)
 
 
 @pytest.mark.parametrize("choice", ["theirs", "mine"])

@@ -16,7 +16,10 @@ export function createDisplay(app, work, parts) {
 
   function show() {
     const state = app.state.frame;
-    if (!state) return;
+    if (!state) {
+      showNothing();
+      return;
+    }
     const { draft, items, step, label } = work;
     const is_readonly = work.is_readonly;
     image.setReadonly(is_readonly);
@@ -31,6 +34,16 @@ export function createDisplay(app, work, parts) {
     hint.textContent = hintFor({ draft, step, is_readonly, label, has_items: items.length > 0, guesses: guesses.length, not_saved: work.not_saved.length });
     views.show(draft, step, viewsMessage(draft, step));
     showScene(state);
+  }
+
+  /** No frame is open: none yet, or one that cannot be read. */
+  function showNothing() {
+    void image.setPicture(null);
+    image.setBoxes([]);
+    image.setOverlays([]);
+    views.show(null, 0, "");
+    list.show({ items: [], current: null, state: { labels: [] }, is_readonly: true });
+    scene_shown = "";
   }
 
   /** The 3D view follows when the views are there: they come first, and it would draw them once more at the same time. */

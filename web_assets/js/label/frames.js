@@ -1,22 +1,26 @@
 /** From frame to frame, and what others do to the one that is open. */
 
 import { count } from "../dom.js";
+import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { itemsOf, sameBox, sameItem } from "./items.js";
 
 const WIDE_ASPECT = 1.9;
 const BUSY_WAIT_MS = 300;
 
-/** @param {object} parts {order, saver, suggester, prefetch, objects, editors, image, page, hint, show}. */
+/** @param {object} parts {order, saver, suggester, prefetch, objects, editors, image, image_host, page, hint, show}. */
 export function createFrames(app, work, parts) {
-  const { order, saver, suggester, prefetch, objects, editors, image, page, hint, show } = parts;
+  const { order, saver, suggester, prefetch, objects, editors, image, image_host, page, hint, show } = parts;
 
   let is_first = true;
+  let broken = null;
+  const problem = createFrameProblem(image_host, { onRetry: retry, onStep: (which) => void go(which) });
 
   async function openRoute(route) {
     prefetch.stop();
+    let frame = null;
     try {
-      const frame = route.frame ?? (await order.next());
+      frame = route.frame ?? (await order.next());
       if (frame === null) {
         app.toast("There is no frame left to label.", "warn");
         return;
@@ -34,11 +38,36 @@ export function createFrames(app, work, parts) {
       if (is_first || app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
       else onFrame(app.state.frame);
       is_first = false;
+      problem.hide();
       takeGiven(frame);
     } catch (error) {
-      hint.textContent = error.message;
-      app.toast(error);
+      if (error.name === "AbortError" || !page.isConnected) return;
+      if (frame === null) app.toast(error);
+      else fail(error, frame);
     }
+  }
+
+  /** A frame that cannot be read: the panels say so in place of its pictures. */
+  function fail(error, frame) {
+    work.frame_shown = null;
+    broken = frame;
+    order.opened(frame);
+    objects.close();
+    Object.assign(work, { items: [], selected: null, not_saved: [], found: [] });
+    hint.textContent = "";
+    problem.show(error);
+    show();
+    // the 3D view has the server's message, too
+    app.viewport.show({ frame });
+  }
+
+  function retry() {
+    void openRoute({ ...app.state.route, frame: broken });
+  }
+
+  async function beside(direction) {
+    if (app.state.frame) return direction === "next" ? order.next() : order.previous();
+    return direction === "next" && order.by === "teach" ? order.next() : frameBeside(app, broken, direction);
   }
 
   /** The first drag of an object was made in Review. */
@@ -120,7 +149,7 @@ export function createFrames(app, work, parts) {
   async function go(direction) {
     prefetch.stop();
     if (!(await app.mayLeave())) return;
-    const frame = direction === "next" ? await order.next() : order.previous();
+    const frame = await beside(direction);
     if (frame === null || frame === undefined) app.toast(direction === "next" ? "This is the last frame." : "This is the first frame.", "warn");
     else app.go(makeHash(app.state.route.project, "label", frame));
   }

@@ -79,7 +79,7 @@ export function mount(root, app) {
 
   const show = createDisplay(app, work, { image, views, picker, kinds, list, bar, hint });
   const objects = createObjects(app, work, { saver, loader, suggester, prefetch, image, views, show });
-  const frames = createFrames(app, work, { order, saver, suggester, prefetch, objects, editors, image, page, hint, show });
+  const frames = createFrames(app, work, { order, saver, suggester, prefetch, objects, editors, image, image_host, page, hint, show });
 
   const stop = [
     app.state.on("frame", frames.onFrame),
@@ -133,7 +133,7 @@ export function mount(root, app) {
   }
 
   function finalise() {
-    saver.save(finality(!work.is_readonly));
+    if (app.state.frame) saver.save(finality(!work.is_readonly));
   }
 
   function acceptNext() {

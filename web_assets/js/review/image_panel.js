@@ -36,7 +36,12 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
 
   function show() {
     const frame = app.state.frame;
-    if (!frame) return;
+    if (!frame) {
+      void editor.setPicture(null);
+      editor.setOverlays([]);
+      note.textContent = "";
+      return;
+    }
     const { url, width, height } = frame.image;
     const camera = cameraOf(frame.image);
     void editor.setPicture(url, width, height);
@@ -88,6 +93,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
       return true;
     },
     fit: () => editor.fit(),
+    body,
     editor,
     destroy: () => editor.destroy(),
   };

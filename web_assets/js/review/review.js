@@ -8,6 +8,7 @@
 import { headingTurned, sameBox } from "../box3d.js";
 import { confirm } from "../dialogs.js";
 import { count, h } from "../dom.js";
+import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
 import { createDesk, isOpen } from "./desk.js";
@@ -37,9 +38,11 @@ export function mount(root, app) {
   const image = createImagePanel(parts.image, app, desk, { onDrawn: fitDrawn, onMode: () => showActions() });
   const scene = createScene(parts.scene, app, desk);
   const ortho = createOrthoViews(parts.ortho, app, desk);
+  const problem = createFrameProblem(image.body, { onRetry: () => void open(broken), onStep: step });
   const fields = createFields(parts.fields, desk, { classes: () => app.state.project.classes, up: () => app.state.frame?.up ?? null });
   let loading = false;
   let opened = null;
+  let broken = null;
   let seen_queue = false;
   let seen = null;
 
@@ -150,15 +153,28 @@ export function mount(root, app) {
         desk.select(null);
         await app.loadFrame(id);
         opened = id;
+        showProblem(null);
       }
       pick(uid);
     } catch (error) {
-      if (error.name !== "AbortError") app.toast(error);
+      if (error.name !== "AbortError") showProblem(error, id);
     } finally {
       setLoading(false);
       showAll();
     }
     return true;
+  }
+
+  /** A frame that cannot be read: the panels say so in place of its pictures. */
+  function showProblem(error, frame = null) {
+    broken = frame;
+    scene.fail(frame);
+    if (error === null) {
+      problem.hide();
+      return;
+    }
+    opened = null;
+    problem.show(error);
   }
 
   /** Selects a label of the open frame: the one that is asked for, or the first that wants a decision. */
@@ -175,8 +191,8 @@ export function mount(root, app) {
     app.go(makeHash(project, "review", frame));
   }
 
-  function step(which) {
-    const next = app.state.frame?.frame[which] ?? null;
+  async function step(which) {
+    const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
     if (next === null) app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
     else app.go(makeHash(project, "review", next));
   }
@@ -264,6 +280,7 @@ export function mount(root, app) {
   }
 
   async function finalise() {
+    if (!app.state.frame) return;
     const { frame } = app.state.frame;
     const left = desk.labels().filter(isOpen).length;
     if (!frame.finalised && left > 0 && !(await confirm("Finalise the frame", `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`, "Finalise anyway"))) return;
@@ -331,7 +348,7 @@ export function mount(root, app) {
     route({ frame, query }) {
       const uid = query.get("uid");
       if (frame === null) void begin().catch(app.toast);
-      else if (frame !== opened) void open(frame, uid).then((is_open) => is_open || app.stay(opened));
+      else if (frame !== opened && frame !== broken) void open(frame, uid).then((is_open) => is_open || app.stay(opened));
       else if (uid) desk.select(uid);
     },
     unsaved: () => desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll },

@@ -14,10 +14,12 @@ export function createScene(host, app, desk) {
   const { viewport } = app;
   const chosen = { gizmo: "off", color: "rgb", point_size: 1 };
   let is_dragging = false;
+  /** A frame that cannot be read: the 3D view says why, too. */
+  let broken = null;
   let sent = "";
   if (!viewport) {
     body.append(h("p", { class: "view-note" }, "The 3D view could not be loaded. Reload the page to try again."));
-    return { gizmo: "off", setGizmo() {}, show() {}, preview() {}, points() {}, destroy() {} };
+    return { gizmo: "off", setGizmo() {}, show() {}, fail() {}, preview() {}, points() {}, destroy() {} };
   }
   body.append(viewport.element);
 
@@ -26,16 +28,22 @@ export function createScene(host, app, desk) {
     viewport.on("shown", ({ shown_points, points }) => (note.textContent = shown_points < points ? `${shown_points.toLocaleString("en")} of ${points.toLocaleString("en")} points` : `${points.toLocaleString("en")} points`)),
     viewport.on("box", ({ uid, box, final }) => {
       if (uid !== desk.uid) return;
+      // the gizmo has moved away from what was sent
+      sent = "";
       is_dragging = !final;
       desk.preview({ box });
       if (final) void desk.commit();
     }),
   ];
 
+  /** What is shown already is not sent again: without a graphics card each drawing of the cloud takes time. */
   function send(more = {}) {
-    const frame = app.state.frame?.frame.id ?? null;
+    const { id = null, revision = null } = app.state.frame?.frame ?? {};
     const preview = desk.hasDraft || desk.shown?.is_new ? { uid: desk.uid, box: desk.shown.box } : null;
-    viewport.show({ frame, selected: desk.uid, labels: "all", preview, ...chosen, ...more });
+    const scene = { frame: id, selected: desk.uid, labels: "all", preview, ...chosen, ...more };
+    const key = JSON.stringify([scene, revision]);
+    if (key !== sent) viewport.show(scene);
+    sent = key;
   }
 
   function choose(name, value) {
@@ -50,6 +58,7 @@ export function createScene(host, app, desk) {
     },
     setGizmo: (mode) => choose("gizmo", mode),
     show: () => send(),
+    fail: (frame) => (broken = frame),
 
     /** The box moves; where it is the gizmo that moves it, the 3D view knows already. */
     preview() {
