@@ -11,8 +11,15 @@ from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
 
 
+class MissingRecording(BaseModel):
+    """A recording that is not where it was."""
+
+    id: int
+    name: str
+
+
 class ProjectSummary(BaseModel):
-    """One project in a list; `problem` says why it cannot be opened."""
+    """One project in a list; `problem` says why it cannot be opened, `missing` which recordings are to be located."""
 
     name: str
     classes: list[str]
@@ -20,16 +27,18 @@ class ProjectSummary(BaseModel):
     recordings: int
     labels_by_state: dict[str, int]
     problem: str | None = None
+    missing: list[MissingRecording] = []
 
 
 class RecordingInfo(BaseModel):
-    """A recording of a project."""
+    """A recording of a project; it is missing where its folder has gone."""
 
     id: int
     name: str
     format: str
     frames: int
     is_sequence: bool
+    missing: bool
 
 
 class ModelInfo(BaseModel):
@@ -85,6 +94,11 @@ def summary_of(name: str, project: Project) -> ProjectSummary:
         frames=counts.frames,
         recordings=counts.recordings,
         labels_by_state={state.value: number for state, number in counts.labels.by_state.items()},
+        missing=[
+            MissingRecording(id=recording.id, name=recording.name)
+            for recording in project.recordings.all()
+            if not recording.path.exists()
+        ],
     )
 
 
@@ -113,6 +127,7 @@ def recording_info(stored: StoredRecording) -> RecordingInfo:
         format=stored.format,
         frames=stored.frames,
         is_sequence=stored.is_sequence,
+        missing=not stored.path.exists(),
     )
 
 

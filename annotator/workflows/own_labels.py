@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from annotator.project import Change, NewLabel, Project
 from annotator.types import Source
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, StaleRevisionError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.truth import has_truth, load_truth
 
@@ -30,12 +31,23 @@ class OwnLabels:
     unreadable: list[str] = field(default_factory=list)
 
 
+def brings_labels(project: Project, recording_id: int) -> bool:
+    """True for a recording with true boxes of its own.
+
+    Raises:
+        NotFoundError: no such recording.
+        RecordingError: it cannot be read.
+    """
+    return has_truth(FrameSource(project).recording(recording_id))
+
+
 def import_own_labels(
     project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
 ) -> OwnLabels:
     """Takes over the true boxes of a recording, for every frame that has no label yet.
 
-    A frame that cannot be read is told and left out; a broken label file is an error.
+    A frame that cannot be read is told and left out; a broken label file is an error. Others may work meanwhile: what
+    somebody has labelled by the time that a frame has its turn is left alone.
 
     Args:
         progress: called with (frames looked at, frames).
@@ -59,9 +71,20 @@ def import_own_labels(
                 truths = []
             found.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
-            if new:
-                project.labels.create(stored.id, new, Change(stored.revision, AUTHOR, Source.IMPORTED))
+            if new and _create(project, stored.id, new):
                 found.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))
     return found
+
+
+def _create(project: Project, frame_id: int, new: Sequence[NewLabel]) -> bool:
+    """False where somebody has labelled the frame meanwhile."""
+    while True:
+        revision = project.frames.get(frame_id).revision
+        if project.labels.of_frame(frame_id):
+            return False
+        # the frame was changed between the two lines, perhaps by a box on its image
+        with suppress(StaleRevisionError):
+            project.labels.create(frame_id, new, Change(revision, AUTHOR, Source.IMPORTED))
+            return True

@@ -73,6 +73,16 @@ def running(settings: ServerSettings, **headers: str) -> Iterator[Live]:
         assert not thread.is_alive(), "the server does not end"
 
 
+def ended(live: Live, job: dict[str, Any], seconds: float = 60.0) -> dict[str, Any]:
+    """A job once it has come to its end."""
+    end = time.monotonic() + seconds
+    while (now := live.client.get(f"/api/jobs/{job['id']}").json())["state"] in ("queued", "running"):
+        assert time.monotonic() < end, now
+        time.sleep(0.05)
+    found: dict[str, Any] = now
+    return found
+
+
 def wait_until(true: Callable[[], Any], seconds: float) -> None:
     end = time.monotonic() + seconds
     while not true():

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from live_server import ended, running
 
 from annotator.types.errors import NotFoundError
 from annotator.web.folders import Folders
@@ -140,18 +143,25 @@ def test_project_from_nothing(live: Live, generated: Path) -> None:
 
     added = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
     (recording,) = added.json()["added"]
-    assert recording["labels"] == {"person": 15}
+    job = added.json()["job"]
+    assert (job["kind"], job["project"], job["state"]) == ("import", "two", "queued")
+    assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are there at once"
+    done = ended(live, job)
+    assert (done["state"], done["message"], done["total"]) == ("done", "15 boxes taken over", 5)
+    assert done["result"] == {"labels": {"person": 15}, "left_out": {}, "unreadable": []}
     assert recording["recording"] == {
         "id": 1,
         "name": "people",
         "format": "rgbd_folder",
         "frames": 5,
         "is_sequence": True,
+        "missing": False,
     }
     again = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
     assert (again.json()["added"][0]["is_new"], again.json()["added"][0]["new_frames"]) == (False, 0)
+    assert ended(live, again.json()["job"])["message"] == "0 boxes taken over"
     bare = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands", "labels": False})
-    assert bare.json()["added"][0]["labels"] == {}
+    assert bare.json()["job"] is None
 
     info = client.get("/api/projects/two").json()
     assert info["settings"]["rotation"] == "upright"
@@ -163,6 +173,52 @@ def test_project_from_nothing(live: Live, generated: Path) -> None:
     listed = {entry["name"]: entry for entry in client.get("/api/projects").json()["projects"]}
     assert set(listed) == {"room", "two"}
     assert (listed["two"]["frames"], listed["two"]["recordings"]) == (10, 2)
+
+
+def test_a_moved_recording_is_located(live: Live, generated: Path, tmp_path: Path) -> None:
+    """Nothing of it is lost, and it is readable again at once."""
+    client, root = live.client, tmp_path / "takes"
+    shutil.copytree(generated / "people", root / "people")
+    with running(replace(live.settings, projects_root=tmp_path / "others", folders=(root,))) as server:
+        client = server.client
+        client.post("/api/projects", json={"name": "two", "classes": ["person"]})
+        added = client.post("/api/projects/two/recordings", json={"path": "takes/people", "labels": False}).json()
+        assert added["added"][0]["recording"]["missing"] is False
+        before = client.get("/api/projects/two/frames/1").json()
+        boxes = [{"label": "person", "x_min": 3, "y_min": 3, "x_max": 30, "y_max": 40}]
+        drawn = {"kind": "image_boxes", "boxes": boxes, "box_kind": "box"}
+        client.post("/api/projects/two/frames/1/changes", json={"revision": 0, "changes": [drawn]})
+        (root / "archive").mkdir()
+        (root / "people").rename(root / "archive" / "2024")
+        (listed,) = client.get("/api/projects").json()["projects"]
+        assert listed["missing"] == [{"id": 1, "name": "people"}]
+        assert client.get("/api/projects/two").json()["recordings"][0]["missing"] is True
+        gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
+        assert gone.startswith("takes/people: no such file or folder; bring people back, or say where it is now")
+
+        place = "/api/projects/two/recordings/1"
+        (root / "archive" / "2024" / "depth" / "000003.png").rename(root / "kept.png")
+        (root / "archive" / "2024" / "color" / "000003.jpg").rename(root / "kept.jpg")
+        wrong = client.patch(place, json={"path": "takes/archive/2024"})
+        assert (wrong.status_code, wrong.json()["error"]["message"]) == (
+            400,
+            "takes/archive/2024 is not people: it lacks frame 000003; give the folder with the same 5 frames, "
+            "and nothing was changed",
+        )
+        (root / "kept.png").rename(root / "archive" / "2024" / "depth" / "000003.png")
+        (root / "kept.jpg").rename(root / "archive" / "2024" / "color" / "000003.jpg")
+        assert client.patch(place, json={"path": "takes/archive"}).status_code == 400
+        assert client.patch(place, json={"path": "../takes"}).status_code == 404
+        assert client.patch("/api/projects/two/recordings/9", json={"path": "takes/archive/2024"}).status_code == 404
+
+        moved = client.patch(place, json={"path": "takes/archive/2024"})
+        assert (moved.json()["name"], moved.json()["frames"], moved.json()["missing"]) == ("people", 5, False)
+        after = client.get("/api/projects/two/frames/1").json()
+        assert after["image_boxes"]["boxes"][0]["x_max"] == 30
+        assert (after["points"], after["image"]) == (before["points"], before["image"])
+        assert client.get("/api/projects/two/frames/3").status_code == 200
+        (move,) = server.context.project("two").recordings.moves(1)
+        assert (move.before, move.after, move.author) == (root / "people", root / "archive" / "2024", "Ada")
 
 
 def test_project_changes(live: Live) -> None:

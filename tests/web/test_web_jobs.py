@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import fake_jobs
 import pytest
-from live_server import running
+from live_server import ended, running
 from test_events import listen, next_of
 
 from annotator.formats.rcv import read_rcv
@@ -59,14 +59,6 @@ def begin(live: Live, what: int) -> dict[str, Any]:
 def look(live: Live, job: dict[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = live.client.get(f"/api/jobs/{job['id']}").json()
     return found
-
-
-def ended(live: Live, job: dict[str, Any], seconds: float = 60.0) -> dict[str, Any]:
-    end = time.monotonic() + seconds
-    while (now := look(live, job))["state"] not in ENDS:
-        assert time.monotonic() < end, now
-        time.sleep(0.05)
-    return now
 
 
 def until(live: Live, job: dict[str, Any], state: str, stage: str) -> None:
@@ -224,6 +216,8 @@ def test_a_worker_ends_when_its_server_is_gone(fake: None, web_settings: ServerS
         ({"kind": "propose", "recordings": []}, 422),
         ({"kind": "propose", "recordings": [1e99]}, 422),
         ({"kind": "export", "format": "zip"}, 422),
+        ({"kind": "import"}, 422),
+        ({"kind": "import", "recordings": []}, 422),
         ({"kind": "export", "states": ["new"]}, 422),
     ],
 )
@@ -253,7 +247,8 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> Non
     nothing = live.client.post(JOBS, json={"kind": "export"}).json()
     assert "no labels in state" in ended(live, nothing)["message"]
     live.client.post("/api/projects", json={"name": "full", "classes": ["person"]})
-    live.client.post("/api/projects/full/recordings", json={"path": f"{generated.name}/people"})
+    added = live.client.post("/api/projects/full/recordings", json={"path": f"{generated.name}/people"}).json()
+    assert ended(live, added["job"])["state"] == "done"
     jobs = []
     for _ in range(EXPORTS_KEPT + 1):
         jobs.append(live.client.post("/api/projects/full/jobs", json={"kind": "export"}).json())

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.project import BoxRotation, Project
+from annotator.project import BoxRotation, Change, NewLabel, Project
 from annotator.rcv.config import Orientation
 from annotator.recordings import open_recording
-from annotator.types import ReviewState, Source
+from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.own_labels import import_own_labels
@@ -140,6 +140,34 @@ def test_own_labels_are_taken_over(people: Project) -> None:
     # again: every frame has labels by now
     assert import_own_labels(people, recording.id).labels == {}
     assert people.statistics().labels.total == 15
+
+
+def test_own_labels_are_taken_over_while_others_work(people: Project) -> None:
+    """What somebody has labelled before its turn is theirs; other changes are in nobody's way."""
+    frames = people.frames.of()
+    theirs = [NewLabel("person", OrientedBox.from_parts(np.array([0.0, 0, 3]), np.eye(3), np.ones(3)))]
+
+    def progress(done: int, of: int) -> None:
+        if done == 1:
+            people.boxes.set_on_image(frames[2].id, [], BoxKind.BOX, Change(0, "bob"))
+            people.labels.create(frames[4].id, theirs, Change(0, "bob"))
+
+    found = import_own_labels(people, 1, progress)
+    assert [len(people.labels.of_frame(frame.id)) for frame in frames] == [3, 3, 3, 3, 1]
+    assert found.labels == {"person": 12}
+
+
+def test_own_labels_give_way_to_a_change_in_the_very_moment(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    create, frame = people.labels.create, people.frames.of()[0]
+
+    def late(frame_id: int, *rest: object) -> object:
+        if people.frames.get(frame_id).revision == 0:
+            people.boxes.set_on_image(frame_id, [], BoxKind.BOX, Change(0, "bob"))
+        return create(frame_id, *rest)
+
+    monkeypatch.setattr(type(people.labels), "create", lambda self, *rest: late(*rest))
+    assert import_own_labels(people, 1).labels == {"person": 15}
+    assert people.boxes.on_image(frame.id) is not None
 
 
 def test_other_classes_are_counted_and_left_out(make_project: Callable[..., Project], generated: Path) -> None:

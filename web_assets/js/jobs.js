@@ -30,8 +30,8 @@ export function duration(seconds) {
   return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
-/** A line with the state of the newest job of a kind, its progress, and a button that stops it. */
-export function createJobLine(app, kind) {
+/** A line with the state of a job (by default the newest of its kind), its progress, and a button that stops it. */
+export function createJobLine(app, kind, find = () => latestJob(app, kind)) {
   const text = h("span", { class: "grow", "data-testid": `job-${kind}-text` });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const left = h("span", { class: "muted number" });
@@ -39,7 +39,7 @@ export function createJobLine(app, kind) {
   const root = h("div", { class: "job-line", "data-testid": `job-${kind}`, role: "status" }, text, bar, left, stop);
 
   async function cancel() {
-    const job = latestJob(app, kind);
+    const job = find();
     stop.disabled = true;
     try {
       takeJob(app, await app.api.post(`/api/jobs/${job.id}/cancel`));
@@ -53,7 +53,7 @@ export function createJobLine(app, kind) {
   return {
     root,
     show() {
-      const job = latestJob(app, kind);
+      const job = find();
       root.hidden = !job;
       if (!job) return;
       root.dataset.state = job.state;

@@ -121,7 +121,7 @@ function jobs(app) {
     const running = app.state.jobs.find(({ state }) => state === "running") ?? app.state.jobs.find(({ state }) => state === "queued");
     link.hidden = !running;
     if (!running) return;
-    link.href = makeHash(running.project, running.kind === "export" ? "export" : "train");
+    link.href = running.kind === "import" ? "#/" : makeHash(running.project, running.kind === "export" ? "export" : "train");
     link.title = `${running.kind} in ${running.project}: ${running.stage}`;
     text.textContent = running.state === "queued" ? `${running.kind} waits` : running.kind;
     if (running.total > 0) bar.value = running.done / running.total;

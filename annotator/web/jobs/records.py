@@ -55,7 +55,14 @@ class ExportRequest(_Request):
     recordings: Ids | None = None
 
 
-JobRequest = Annotated[TrainRequest | ProposeRequest | ExportRequest, Field(discriminator="kind")]
+class ImportRequest(_Request):
+    """Take over the 3D boxes that recordings bring, for every frame that has no label yet."""
+
+    kind: Literal["import"]
+    recordings: Ids
+
+
+JobRequest = Annotated[TrainRequest | ProposeRequest | ExportRequest | ImportRequest, Field(discriminator="kind")]
 
 
 class JobState(StrEnum):
@@ -102,7 +109,7 @@ class Job(BaseModel):
 
     id: str
     project: str
-    kind: Literal["train", "propose", "export"]
+    kind: Literal["train", "propose", "export", "import"]
     state: JobState = JobState.QUEUED
     stage: str = ""
     done: float = 0.0

@@ -6,4 +6,5 @@ WORK: dict[str, str] = {
     "train": "annotator.web.jobs.work:train_work",
     "propose": "annotator.web.jobs.work:propose_work",
     "export": "annotator.web.jobs.work:export_work",
+    "import": "annotator.web.jobs.work:import_work",
 }

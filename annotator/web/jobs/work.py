@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import zipfile
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.project import Role
 from annotator.web.jobs.desk import Desk, JobStoppedError, Outcome
-from annotator.web.jobs.records import CurvePoint, ExportRequest, ProposeRequest, TrainRequest
+from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
 from annotator.workflows.annotate import annotate
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.export import ExportFilter, export_dataset
+from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
 
@@ -111,6 +113,22 @@ def propose_work(desk: Desk, request: ProposeRequest) -> Outcome:
     failed = [{"key": key, "reason": reason} for key, reason in done.failed[:FAILURES_TOLD]]
     result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
     return Outcome(words, {**result, "failed": failed, "failures": len(done.failed)})
+
+
+def import_work(desk: Desk, request: ImportRequest) -> Outcome:
+    """Takes over the labels of recordings."""
+    labels, left_out, unreadable = Counter[str](), Counter[str](), list[str]()
+    for recording in [desk.project.recordings.get(number) for number in request.recordings]:
+        found = import_own_labels(desk.project, recording.id, desk.counted(f"read the boxes of {recording.name}"))
+        labels += found.labels
+        left_out += found.other_classes
+        unreadable += found.unreadable
+    words = f"{labels.total()} boxes taken over"
+    if left_out:
+        words += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
+    if unreadable:
+        words += f", those of {len(unreadable)} frames could not be read"
+    return Outcome(words, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:FAILURES_TOLD]})
 
 
 def export_work(desk: Desk, request: ExportRequest) -> Outcome:

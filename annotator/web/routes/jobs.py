@@ -23,7 +23,7 @@ class JobList(BaseModel):
 
 @router.post("/api/projects/{project}/jobs", status_code=201)
 def begin(project: str, body: Annotated[JobRequest, Body()], ctx: Ctx, who: Operator) -> Job:
-    """Train, propose or export; waits until other work has ended."""
+    """Train, propose, export, or take over labels; waits until other work has ended."""
     return ctx.jobs.add(project, ctx.project(project).path, body, who)
 
 

@@ -6,19 +6,26 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.web.context import Ctx, Operator
+from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.projects import RecordingInfo, recording_info
-from annotator.workflows.own_labels import OwnLabels, import_own_labels
-from annotator.workflows.recordings import add_recordings
+from annotator.web.wire import RowId
+from annotator.workflows.own_labels import brings_labels
+from annotator.workflows.recordings import add_recordings, move_recording
 
 router = APIRouter(prefix="/api/projects/{project}/recordings", tags=["recordings"])
 
 
-class NewRecording(BaseModel):
-    """Which recording, and whether the 3D boxes that it brings become labels."""
+class Place(BaseModel):
+    """Where a recording is, below one of the server's folders."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: str = Field(min_length=1, max_length=4096)
+
+
+class NewRecording(Place):
+    """Which recording, and whether the 3D boxes that it brings become labels."""
+
     labels: bool = True
 
 
@@ -27,43 +34,47 @@ class AddedRecording(BaseModel):
 
     Attributes:
         is_new: False where the project had it already and only looked for new frames.
-        labels: imported boxes by class.
-        left_out: boxes of classes that the project does not have, by class.
-        unreadable: frames whose labels could not be read.
     """
 
     recording: RecordingInfo
     is_new: bool
     new_frames: int
     missing_frames: int
-    labels: dict[str, int]
-    left_out: dict[str, int]
-    unreadable: list[str]
 
 
 class AddedRecordings(BaseModel):
-    """What became of the recordings."""
+    """What became of the recordings; `job` reads the boxes that they bring, where there are any."""
 
     added: list[AddedRecording]
+    job: Job | None
 
 
 @router.post("")
 def add(project: str, body: NewRecording, ctx: Ctx, who: Operator) -> AddedRecordings:
     """Put a recording of one of the server's folders into a project; its files stay where they are."""
     opened, path = ctx.project(project), ctx.folders.find(body.path)
-    answers = []
-    for added in add_recordings(opened, [path]):
-        own = import_own_labels(opened, added.recording.id) if body.labels else OwnLabels()
-        answers.append(
-            AddedRecording(
-                recording=recording_info(added.recording),
-                is_new=added.is_new,
-                new_frames=added.new_frames,
-                missing_frames=added.missing_frames,
-                labels=dict(own.labels),
-                left_out=dict(own.other_classes),
-                unreadable=own.unreadable[:20],
-            )
-        )
+    done = add_recordings(opened, [path])
     ctx.annotation.frames.forget(opened)
-    return AddedRecordings(added=answers)
+    bringing = [one.recording.id for one in done if body.labels and brings_labels(opened, one.recording.id)]
+    request = ImportRequest(kind="import", recordings=bringing) if bringing else None
+    return AddedRecordings(
+        added=[
+            AddedRecording(
+                recording=recording_info(one.recording),
+                is_new=one.is_new,
+                new_frames=one.new_frames,
+                missing_frames=one.missing_frames,
+            )
+            for one in done
+        ],
+        job=None if request is None else ctx.jobs.add(project, opened.path, request, who),
+    )
+
+
+@router.patch("/{recording}")
+def move(project: str, recording: RowId, body: Place, ctx: Ctx, who: Operator) -> RecordingInfo:
+    """Point a recording whose folder was moved to its new place; it must hold the same frames."""
+    opened, path = ctx.project(project), ctx.folders.find(body.path)
+    moved = move_recording(opened, recording, path, who)
+    ctx.annotation.frames.forget(opened)
+    return recording_info(moved)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -45,6 +47,39 @@ def test_a_new_project_gets_a_recording_and_opens(start: Page, live: Live) -> No
     assert project.config.settings.rotation == "free"
     start.get_by_test_id("open-hands").click()
     expect(start.get_by_test_id("frame-position")).to_have_text("1 / 5", timeout=15_000)
+
+
+def test_the_boxes_of_a_recording_are_read_in_the_background(start: Page, live: Live) -> None:
+    live.client.post("/api/projects", json={"name": "crowd", "classes": ["person"]})
+    start.reload()
+    start.get_by_test_id("add-recording-crowd").click()
+    start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
+    start.get_by_test_id("add-people").click()
+    dialog = start.get_by_test_id("add-recording-dialog")
+    expect(dialog.get_by_test_id("added-recording")).to_have_text("people: 5 frames", timeout=15_000)
+    expect(dialog.get_by_test_id("job-import-text")).to_have_text("15 boxes taken over", timeout=60_000)
+    start.get_by_test_id("dialog-done").click()
+    expect(start.get_by_test_id("project-crowd")).to_contain_text("15 accepted")
+    expect(start.get_by_test_id("project-crowd").get_by_test_id("job-import")).to_be_hidden()
+
+
+def test_a_recording_that_was_moved_is_located(start: Page, live: Live, tmp_path: Path, generated: Path) -> None:
+    there = tmp_path / "was here" / "people"
+    shutil.copytree(generated / "people", there)
+    project = live.context.project("room")
+    project.recordings.move(1, there, [frame.key for frame in project.frames.of()], "Ada")
+    shutil.rmtree(there)
+    start.reload()
+    start.get_by_test_id("locate-people").click()
+    dialog = start.get_by_test_id("locate-dialog")
+    dialog.get_by_test_id("dialog-locate").click()
+    expect(dialog.get_by_role("alert")).to_have_text("Please choose a folder first.")
+    dialog.get_by_test_id(f"folder-{generated.name}").click()
+    dialog.get_by_test_id("choose-people").click()
+    dialog.get_by_test_id("dialog-locate").click()
+    expect(dialog).to_have_count(0)
+    expect(start.get_by_test_id("locate-people")).to_have_count(0)
+    assert project.recordings.get(1).path == generated / "people"
 
 
 def test_a_name_that_cannot_be_is_told_in_the_dialog(start: Page) -> None:

@@ -2,13 +2,16 @@
 
 import { count, glyph, h } from "../dom.js";
 import { makeHash } from "../router.js";
-import { addRecordings } from "./recordings.js";
+import { createJobLine, isActive } from "../jobs.js";
+import { followImports } from "./imports.js";
+import { addRecordings, locateRecording } from "./recordings.js";
 import { createProject } from "./new_project.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 
 export function mount(root, app) {
   const list = h("div", { class: "projects", "aria-live": "polite" });
+  let lines = [];
   const page = h(
     "div",
     { class: "page start" },
@@ -33,10 +36,16 @@ export function mount(root, app) {
     await refresh();
   }
 
+  async function locate(name, recording) {
+    if (await locateRecording(app, name, recording)) await refresh();
+  }
+
   async function refresh() {
     try {
       const { projects } = await app.api.get("/api/projects");
-      list.replaceChildren(...(projects.length ? projects.map((project) => card(project, add)) : [nothing()]));
+      lines = projects.map(({ name }) => importLine(app, name));
+      list.replaceChildren(...(projects.length ? projects.map((project, i) => card(project, { add, locate, line: lines[i].root })) : [nothing()]));
+      showLines();
     } catch (error) {
       const retry = h("button", { type: "button", onclick: refresh }, "Try again");
       list.replaceChildren(h("p", { class: "error-box", role: "alert" }, error.message), h("div", {}, retry));
@@ -53,12 +62,20 @@ export function mount(root, app) {
     );
   }
 
+  const showLines = () => lines.forEach((line) => line.show());
+  const stop = [app.state.on("jobs", showLines), followImports(app, refresh)];
   root.append(page);
   refresh();
-  return { unmount: () => {} };
+  return { unmount: () => stop.forEach((end) => end()) };
 }
 
-function card(project, add) {
+/** How far the boxes that the last recordings bring are read, or why they could not be. */
+function importLine(app, project) {
+  const own = () => app.state.jobs.filter((job) => job.kind === "import" && job.project === project).toSorted((a, b) => b.created_ns - a.created_ns);
+  return createJobLine(app, "import", () => own().find(isActive) ?? own().find((job, i) => i === 0 && job.state === "failed"));
+}
+
+function card(project, { add, locate, line }) {
   const { name, problem } = project;
   const labels = project.labels_by_state;
   const proposed = labels.proposed ?? 0;
@@ -81,9 +98,16 @@ function card(project, add) {
     h("p", { class: "classes" }, project.classes.map((label) => h("span", { class: "chip" }, label))),
     h("p", { class: "number muted" }, project.recordings ? `${count(project.recordings, "recording")}, ${count(project.frames, "frame")}` : "No recording yet: add one to begin."),
     h("p", { class: "number states" }, stateCounts(labels)),
+    ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
+    line,
     h("div", { class: "row" }, links, addButton),
   );
   return box;
+}
+
+function missing({ name }, onLocate) {
+  const locate = h("button", { type: "button", "data-testid": `locate-${name}`, onclick: onLocate }, "Locate …");
+  return h("div", { class: "row missing" }, h("span", { class: "grow bad" }, `${name}: its folder is not where it was`), locate);
 }
 
 function link(name, mode, text, is_primary = false) {
