@@ -31,7 +31,7 @@ MILLION_PX = (1280, 800)
 
 @dataclass
 class Arguments:
-    """Figures of the workbench, on generated recordings and one of KITTI."""
+    """Figures of the workbench, on generated recordings and frames of KITTI."""
 
     only: str = ",".join(PARTS)
     """Parts to measure, with commas."""
@@ -48,7 +48,7 @@ class Arguments:
     edits: int = 5
     """Of each client."""
     shared: Path = Path(os.environ.get("ANNOTATOR_SHARED", "../shared"))
-    """Where `data/kitti_drive_0005` is, a tracking-style KITTI recording; it is left out where that is missing."""
+    """Where `data/kitti` is, KITTI object frames with whole scans; they are left out where that is missing."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -80,7 +80,7 @@ def _people(args: Arguments, folder: Path) -> Path:
 def measure_switch(args: Arguments, folder: Path) -> dict[str, Any]:
     """Both recordings, each with all its labels shown."""
     projects = folder / "switch"
-    recordings = {"rgbd": _people(args, folder), "kitti": args.shared / "data" / "kitti_drive_0005"}
+    recordings = {"rgbd": _people(args, folder), "kitti": args.shared / "data" / "kitti"}
     there = {name: path for name, path in recordings.items() if path.is_dir()}
     for name, path in there.items():
         make_project(projects, name, (LABEL,) if name == "rgbd" else KITTI, [path])

@@ -17,8 +17,8 @@ SEED = 20231
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
 # A point's size as a share of the cloud's median distance: about the spacing of an RGB-D camera's points, thinned.
 POINT_SHARE = 0.0035
-# Below so many points they are drawn larger, up to so much.
-FULL_DETAIL, LARGEST_GROWTH = 150_000, 2.0
+# Below so many points they are drawn larger, up to so much; more where a dense cloud is thinned, which has no gaps.
+FULL_DETAIL, LARGEST_GROWTH, LARGEST_GROWTH_THINNED = 150_000, 2.0, 3.5
 # Enough points to know how far away a scene is.
 SAMPLE = 5_000
 # The first view stands behind the camera and above it, as shares of the scene's distance.
@@ -78,14 +78,16 @@ def typical_distance_m(cloud: PointCloud) -> float:
     return max(float(np.median(np.linalg.norm(some, axis=1))), 0.05)
 
 
-def point_size_m(shown: PointCloud) -> float:
+def point_size_m(shown: PointCloud, n_points: int) -> float:
     """How large a point is drawn that nobody has changed the size of, metres.
 
     Args:
         shown: the points that are drawn; where they are fewer, each is larger, so that surfaces stay closed.
+        n_points: of the whole cloud.
     """
     fewer = max(FULL_DETAIL / max(len(shown), 1), 1.0)
-    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(fewer), LARGEST_GROWTH)
+    largest = LARGEST_GROWTH if n_points == len(shown) else LARGEST_GROWTH_THINNED
+    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(fewer), largest)
 
 
 def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:

@@ -14,7 +14,7 @@ from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import Draft, FirstView, Gizmo, SceneContent, ShownBox
 from annotator.web.viewport.display import first_view, point_colors, point_size_m, scene_up, shown_points
-from annotator.web.viewport.lines import box_lines, frustum_lines, placed_box_lines, standing
+from annotator.web.viewport.lines import arrow_lines, box_lines, frustum_lines, placed_box_lines, standing
 
 if TYPE_CHECKING:
     import viser
@@ -63,7 +63,7 @@ class _Cloud:
 
 def _cloud(frame: Frame, most_points: int) -> _Cloud:
     points = shown_points(frame, most_points)
-    return _Cloud(frame, most_points, points, point_size_m(points))
+    return _Cloud(frame, most_points, points, point_size_m(points, len(frame.cloud)))
 
 
 class Scene:
@@ -233,16 +233,9 @@ class Scene:
         if not places:
             self._remove(AXES)
             return
-        arrows = np.array([[place.seen_from_m, place.looks_at_m] for place in places], np.float32)
-        length = float(np.linalg.norm(arrows[:, 1] - arrows[:, 0], axis=1).max())
-        self._api.add_arrows(
-            AXES,
-            arrows,
-            AXIS_COLOR,
-            shaft_radius=0.012 * length,
-            head_radius=0.035 * length,
-            head_length=0.1 * length,
-        )
+        # the head is where the picture stands, before all points
+        arrows = np.concatenate([arrow_lines(place.seen_from_m, place.center_m, place.looks_at_m) for place in places])
+        self._lines(AXES, arrows, _light(AXIS_COLOR), THICK_PX)
 
     # --- small things ----------------------------------------------------------------------------------------------
 

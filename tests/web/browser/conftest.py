@@ -26,6 +26,8 @@ CHROMIUM_ARGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
+    # as a browser without a graphics card does it: only WebGL goes through the software GL, the page itself does not
+    "--disable-gpu-compositing",
     "--disable-background-networking",
 )
 VIEWPORT = {"width": 1366, "height": 768}

@@ -85,8 +85,14 @@ def test_points_and_first_view_scale_with_the_scene(distance_m: float) -> None:
     rng = np.random.default_rng(1)
     xyz = rng.normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])
     unit, scaled = frame_of(xyz), frame_of(xyz * distance_m)
-    assert point_size_m(scaled.cloud) == pytest.approx(distance_m * point_size_m(unit.cloud), rel=1e-3)
+    assert point_size_m(scaled.cloud, 500) == pytest.approx(distance_m * point_size_m(unit.cloud, 500), rel=1e-3)
     np.testing.assert_allclose(first_view(scaled).position, distance_m * first_view(unit).position, rtol=1e-3)
+
+
+def test_points_of_a_thinned_cloud_are_larger() -> None:
+    """The surfaces of a dense cloud stay closed where few of its points are drawn; a sparse scan has none to close."""
+    cloud = frame_of(np.random.default_rng(1).normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])).cloud
+    assert point_size_m(cloud, 50_000) > point_size_m(cloud, 500)
 
 
 def test_the_first_view_stands_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
