@@ -22,6 +22,10 @@ FAR_PERCENT, EMPTY_FAR_M = 99.0, 5.0
 GAP = 0.15
 
 
+# An arrow's head: its length and radius as shares of the arrow, and how many lines make its cone.
+HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
+
+
 @dataclass(frozen=True, eq=False)
 class Standing:
     """A pseudo-view as a picture in space, where it was taken from.
@@ -64,6 +68,30 @@ def frustum_lines(frame: Frame, image_box: Box2D) -> Segments:
     found = np.array(lines, np.float32)
     # a corner beyond what the lens model reaches has no ray
     return found[np.isfinite(found).all(axis=(1, 2))]
+
+
+def arrow_lines(
+    start_m: Float64[np.ndarray, "3"], tip_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"]
+) -> Segments:
+    """An arrow as lines: its shaft, then the cone of its head from the tip to a ring, then the ring.
+
+    Lines are drawn in their own colour whatever the light is, which a solid arrow is not.
+
+    Args:
+        start_m, end_m: of the shaft.
+        tip_m: of the head, on the shaft: an end within points would hide it.
+    """
+    along = end_m - start_m
+    length = float(np.linalg.norm(along))
+    direction = along / length
+    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    across /= np.linalg.norm(across)
+    angle = 2 * np.pi * np.arange(HEAD_LINES)[:, None] / HEAD_LINES
+    spokes = np.cos(angle) * across + np.sin(angle) * np.cross(direction, across)
+    ring = tip_m - HEAD_LENGTH * along + HEAD_RADIUS * length * spokes
+    cone = np.stack([np.broadcast_to(tip_m, ring.shape), ring], axis=1)
+    rim = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+    return np.concatenate([np.stack([start_m, end_m])[None], cone, rim]).astype(np.float32)
 
 
 def standing(view: PseudoView) -> Standing:

@@ -14,7 +14,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import first_views
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox
-from annotator.web.viewport.lines import frustum_lines, placed_box_lines, standing
+from annotator.web.viewport.lines import arrow_lines, frustum_lines, placed_box_lines, standing
 from annotator.workflows.truth import load_truth
 
 
@@ -55,6 +55,20 @@ def test_the_frustum_meets_the_image_in_the_drawn_box(frame: Frame, distortion: 
     border = project(bent, lines[4:, 0])
     on_edge = np.abs(border[:, [0, 0, 1, 1]] - [40, 200, 30, 180]).min(axis=1)
     assert on_edge.max() < 0.05
+
+
+def test_an_arrow_has_its_head_on_the_shaft_and_points_to_its_end() -> None:
+    start, end = np.array([0.3, -0.2, 1.0]), np.array([0.1, 0.9, 3.0])
+    tip = start + 0.6 * (end - start)
+    lines = arrow_lines(start, tip, end)
+    np.testing.assert_allclose(lines[0], [start, end], atol=1e-6)
+    head = lines[1:].reshape(-1, 3) - start
+    share = head @ (end - start) / float((end - start) @ (end - start))
+    # from a ring about the shaft to the tip
+    assert 0.4 < share.min() < share.max() == pytest.approx(0.6, abs=1e-6)
+    ring = head[share < 0.59] - share.min() * (end - start)
+    np.testing.assert_allclose(ring.mean(axis=0), 0, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(ring, axis=1), np.linalg.norm(ring[0]), atol=1e-5)
 
 
 def test_pictures_stand_before_their_points_with_each_pixel_where_it_belongs(frame: Frame, truth: OrientedBox) -> None:

@@ -18,6 +18,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
+from annotator.web.viewport.lines import arrow_lines
 from annotator.web.viewport.workbench import Workbench
 from annotator.workflows.labelling import label_steps
 from annotator.workflows.open_frame import OpenFrame
@@ -181,7 +182,11 @@ def test_a_draft_has_a_frustum_two_pictures_two_arrows_and_the_box_so_far(
     assert node(bench, "/draft/frustum") is not None
     assert node(bench, "/draft/view0") is not None
     assert node(bench, "/draft/view1") is not None
-    assert node(bench, "/draft/axes").points.shape == (2, 2, 3)
+    arrows = node(bench, "/draft/axes")
+    one = arrow_lines(np.zeros(3), np.ones(3), np.ones(3))
+    assert arrows.points.shape == (2 * len(one), 2, 3)
+    # red, as an amount of light: lines are not lit
+    assert arrows.colors.reshape(-1, 3)[0].tolist() == [255, 10, 6]
     assert (node(bench, "/draft/box") is not None) == (drags >= 2)
     if drags >= 2:
         assert begun.box is not None

@@ -11,7 +11,7 @@ const round = (value) => Math.round(value * 100) / 100;
  * @param {object} scene {view, size, boxes, selected, overlays, handles, is_readonly, cross, turn_rad, colorOf}
  */
 export function drawScene(svg, scene) {
-  const layers = [...scene.overlays.map((overlay) => drawOverlay(overlay, scene.view))];
+  const layers = [...scene.overlays.map((overlay) => drawOverlay(overlay, scene.view)), ...drawTags(scene)];
   scene.boxes.forEach((box, index) => {
     if (index !== scene.selected) layers.push(drawBox(box, index, scene));
   });
@@ -72,6 +72,44 @@ function drawOverlay(overlay, view) {
   group.append(s("path", { d, stroke: overlay.color, "stroke-width": overlay.width ?? (overlay.strong ? 2.2 : 1.4), "stroke-dasharray": overlay.dash ? "5 4" : null }));
   return group;
 }
+
+const TAG_HEIGHT = 14;
+
+/** Small texts at the top corners of overlays. One that would lie on another takes the next free place, or is left out. */
+function drawTags({ overlays, view, size }) {
+  const taken = [];
+  const tagged = overlays.filter(({ tag, segments }) => tag && segments?.length);
+  // the selected one first: its text is never left out
+  const ordered = [...tagged.filter(({ strong }) => strong), ...tagged.filter(({ strong }) => !strong)];
+  return ordered.flatMap((overlay) => {
+    const width = 6.1 * overlay.tag.length + 8;
+    const place = tagPlaces(overlay, view, size, width).find((one) => !taken.some((other) => areOver(one, other)));
+    if (!place) return [];
+    taken.push(place);
+    const { x, y } = place;
+    return s(
+      "g",
+      { class: overlay.strong ? "tag selected" : "tag", "data-testid": "editor-tag", "data-id": overlay.id },
+      s("rect", { x, y, width, height: TAG_HEIGHT, fill: overlay.color }),
+      s("text", { x: x + 4, y: y + 10.5 }, overlay.tag),
+    );
+  });
+}
+
+/** Above the top corner, beside it, below the lowest corner; all within the window. */
+function tagPlaces({ segments }, view, size, width) {
+  const corners = segments.flat().map((point) => view.toWindow(point));
+  const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a));
+  const low = corners.reduce((a, b) => (b[1] > a[1] ? b : a));
+  const inside = (x, y) => ({
+    x: round(Math.min(Math.max(x, 0), Math.max(size.width - width, 0))),
+    y: round(Math.min(Math.max(y, 0), Math.max(size.height - TAG_HEIGHT, 0))),
+    width,
+  });
+  return [inside(top[0] - 2, top[1] - TAG_HEIGHT - 1), inside(top[0] - width - 2, top[1]), inside(top[0] + 2, top[1] + 2), inside(low[0] - 2, low[1] + 1)];
+}
+
+const areOver = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && Math.abs(a.y - b.y) < TAG_HEIGHT;
 
 function drawCross([x, y], { width, height }) {
   return s(

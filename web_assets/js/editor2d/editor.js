@@ -21,7 +21,8 @@
  *
  * A box is {label, x_min, y_min, x_max, y_max, …}: continuous px, the first pixel's centre is (0, 0). Further properties are
  * kept: `suggested` (dashed; a click or accept() makes it the operator's, a drag corrects it), `readonly`, `faint`, `caption`
- * (text in place of the label). An overlay is {polyline | segments, color, dash, strong, width, id}, in the same px.
+ * (text in place of the label). An overlay is {polyline | segments, color, dash, strong, width, id, tag}, in the same px;
+ * `tag` is a short text at its top corner.
  */
 
 import { classColor } from "../colors.js";

@@ -42,7 +42,9 @@ export function createDisplay(app, work, parts) {
     image.setBoxes([]);
     image.setOverlays([]);
     views.show(null, 0, "");
-    list.show({ items: [], current: null, state: { labels: [] }, is_readonly: true });
+    picker.show(work.label);
+    list.clear();
+    bar.clear();
     scene_shown = "";
   }
 

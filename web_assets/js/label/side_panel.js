@@ -58,6 +58,10 @@ export function createObjectList(app, { onOpen, onDelete, onReview }) {
       list.replaceChildren(...rows, ...others.map((label) => labelRow(app, label, onReview)));
       if (!rows.length && !others.length) list.append(h("li", { class: "empty" }, "Nothing labelled on this frame yet."));
     },
+    clear() {
+      total.textContent = "";
+      list.replaceChildren();
+    },
   };
 }
 
@@ -106,7 +110,7 @@ export function createFrameBar(app, order, { onPrevious, onNext, onFinalise, onO
     h("option", { value: "time" }, "In time order"),
   );
   const note = h("span", { class: "muted grow ellipsis" });
-  const finalise = h("button", { type: "button", "data-testid": "finalise", onclick: onFinalise });
+  const finalise = h("button", { type: "button", hidden: true, "data-testid": "finalise", onclick: onFinalise });
   const root = h(
     "footer",
     { class: "panel frame-bar" },
@@ -125,9 +129,11 @@ export function createFrameBar(app, order, { onPrevious, onNext, onFinalise, onO
     show(state) {
       select.value = order.by;
       note.textContent = order.by === "teach" && order.remaining !== null ? `${count(order.remaining, "frame")} to label` : "";
+      finalise.hidden = false;
       finalise.replaceChildren(glyph("lock"), state.frame.finalised ? "Reopen frame" : "Finalise");
       finalise.title = state.frame.finalised ? "Let the frame change again" : "Nothing changes on this frame any more, and proposals leave it alone (Ctrl+Enter)";
     },
+    clear: () => (finalise.hidden = true),
   };
 }
 

@@ -6,11 +6,18 @@ import { line, outline } from "../camera.js";
 /** Bright on dark and light pictures alike; the viewport has the same. */
 export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
 
+/** What a label is called where there is little room: its track, or the beginning of its uid. */
+export function shortName(label) {
+  const id = label.track_id !== null ? `#${label.track_id}` : label.is_new ? "new" : label.uid.slice(0, 4);
+  return `${label.label} ${id}`;
+}
+
 /** Lines of a label on the camera image; `box` is given where it is not the stored one. */
 export function imageOverlays(camera, label, { selected, box }) {
   const color = STATE_COLORS[label.state];
   const segments = box ? outline(camera, box) : label.outline;
-  const body = { id: label.uid, segments, color, dash: label.state === "rejected", strong: selected };
+  const tag = selected && !label.is_new ? `${shortName(label)} · ${label.state}` : shortName(label);
+  const body = { id: label.uid, segments, color, dash: label.state === "rejected", strong: selected, tag };
   if (!selected) return [body];
   // no id: it is no target of its own
   return [body, { segments: line(camera, ...headingLine(box ?? label.box)), color, strong: true }];

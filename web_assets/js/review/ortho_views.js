@@ -56,6 +56,7 @@ export function createOrthoViews(host, app, desk) {
         request?.abort();
         fetched = null;
       }
+      if (!app.state.frame) panels.forEach((panel) => panel.clear());
       panels.forEach((panel) => panel.follow());
       await fetchPictures();
     },
@@ -184,6 +185,13 @@ function createPanel(name, desk) {
       editor.fit();
       follow();
       return true;
+    },
+
+    clear() {
+      view = null;
+      note.hidden = true;
+      scale.textContent = "";
+      void editor.setPicture(null);
     },
 
     setProblem(message) {

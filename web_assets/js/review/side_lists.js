@@ -1,6 +1,7 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
 import { count, h } from "../dom.js";
+import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { ORDERS } from "./queue.js";
 
@@ -80,7 +81,6 @@ export function createBoxList(host, desk) {
 }
 
 function boxRow(label, desk) {
-  const track = label.track_id === null ? "" : ` #${label.track_id}`;
   const problem = desk.problemOf(label.uid);
   const state = problem ? "not saved" : label.is_new ? "new" : label.state;
   return h(
@@ -90,7 +90,7 @@ function boxRow(label, desk) {
       "button",
       { type: "button", class: "quiet row-button", "aria-current": label.uid === desk.uid ? "true" : null, title: problem ? `Not saved. ${problem}` : null, onclick: () => desk.select(label.uid), "data-testid": "frame-box", "data-uid": label.uid, "data-state": label.state },
       h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
-      h("span", { class: "ellipsis grow" }, `${label.label}${track}`),
+      h("span", { class: "ellipsis grow" }, shortName(label)),
       h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
     ),
   );
