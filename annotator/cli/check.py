@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import tyro
-
-from annotator.cli.output import print_json, print_line
+from annotator.cli.output import AsJson, print_json, print_line
 from annotator.cli.projects import Root, open_named
 
 
-def run(project: str, /, *, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False, root: Root = None) -> None:
+def run(project: str, /, *, as_json: AsJson = False, root: Root = None) -> None:
     """List labels that look wrong: odd sizes, empty boxes, heading jumps, duplicates, unknown classes.
 
     Args:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from annotator.cli.output import print_facts, print_json
+from annotator.cli.output import AsJson, print_facts, print_json
 from annotator.types.errors import RecordingError
 from annotator.workflows.inspect import FrameReport, RecordingReport, inspect_recording
 
 
-def run(path: Path, /, *, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
+def run(path: Path, /, *, as_json: AsJson = False) -> None:
     """Say what a recording holds: format, frames, camera, points, labels.
 
     Args:

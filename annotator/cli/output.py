@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from typing import Annotated
 
+import tyro
 from pydantic import BaseModel
+
+AsJson = Annotated[bool, tyro.conf.arg(name="json")]
+"""The option `--json` of a command."""
 
 
 def print_line(text: str) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
-from annotator.cli.output import print_facts, print_json
+from annotator.cli.output import AsJson, print_facts, print_json
 from annotator.cli.projects import Root, open_named
 from annotator.project import Statistics
 
 
-def run(project: str, /, *, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False, root: Root = None) -> None:
+def run(project: str, /, *, as_json: AsJson = False, root: Root = None) -> None:
     """Say how far a project is: frames, labels, 2D boxes, what a box costs, runs, models.
 
     Args:

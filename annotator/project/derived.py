@@ -59,9 +59,10 @@ def _apply(connection: Connection, event: Event) -> None:
     payload = event.payload
     match payload:
         case ImageBoxesSet():
-            _set_image_boxes(connection, event, payload)
+            _put_image_boxes(connection, event, ImageBoxesState.model_validate(_said(event, payload)))
         case ViewBoxesSet():
-            _set_view_boxes(connection, event, payload)
+            state = _said(event, payload) | {"step": payload.step, "geometry": payload.geometry}
+            _put_view_boxes(connection, event, payload.view, ViewBoxesState.model_validate(state))
         case ProposalsReplaced():
             _replace_proposals(connection, event, payload)
         case LabelCreated():
@@ -72,10 +73,14 @@ def _apply(connection: Connection, event: Event) -> None:
             _change_label(connection, event, payload)
         case LabelRestored():
             _restore_label(connection, event, payload)
-        case ImageBoxesRestored() | ImageBoxesRemoved():
-            _restore_image_boxes(connection, event, payload)
-        case ViewBoxesRestored() | ViewBoxesRemoved():
-            _restore_view_boxes(connection, event, payload)
+        case ImageBoxesRestored():
+            _put_image_boxes(connection, event, payload.former)
+        case ImageBoxesRemoved():
+            _put_image_boxes(connection, event, None)
+        case ViewBoxesRestored():
+            _put_view_boxes(connection, event, payload.view, payload.former)
+        case ViewBoxesRemoved():
+            _put_view_boxes(connection, event, payload.view, None)
 
 
 def rebuild(connection: Connection) -> int:
@@ -99,31 +104,48 @@ def _stamp(event: Event) -> dict[str, Value]:
     }
 
 
-def _set_image_boxes(connection: Connection, event: Event, payload: ImageBoxesSet) -> None:
+def _said(event: Event, payload: ImageBoxesSet | ViewBoxesSet) -> dict[str, object]:
+    """What the state of new boxes has in common."""
+    return {
+        "boxes": payload.boxes,
+        "box_kind": payload.box_kind,
+        "author": event.author,
+        "time_ns": event.time_ns,
+        "source": event.source,
+    }
+
+
+def _put_image_boxes(connection: Connection, event: Event, state: ImageBoxesState | None) -> None:
     connection.execute(delete(image_labels).where(image_labels.c.frame_id == event.frame_id))
-    row: dict[str, Value] = {
-        "frame_id": event.frame_id,
-        "box_kind": payload.box_kind.value,
-        "boxes": BOXES_2D.dump_json(payload.boxes).decode(),
-        "count": len(payload.boxes),
-    }
-    connection.execute(insert(image_labels), row | _stamp(event))
+    if state is not None:
+        row: dict[str, Value] = {"frame_id": event.frame_id, "event_id": event.id}
+        connection.execute(insert(image_labels), row | _boxes_row(state))
 
 
-def _set_view_boxes(connection: Connection, event: Event, payload: ViewBoxesSet) -> None:
-    same = (view_labels.c.view_id == payload.view) & view_labels.c.frame_id.is_not_distinct_from(event.frame_id)
+def _put_view_boxes(connection: Connection, event: Event, view: str, state: ViewBoxesState | None) -> None:
+    same = (view_labels.c.view_id == view) & view_labels.c.frame_id.is_not_distinct_from(event.frame_id)
     connection.execute(delete(view_labels).where(same))
-    row: dict[str, Value] = {
-        "view_id": payload.view,
-        "frame_id": event.frame_id,
-        "revision": event.revision,
-        "box_kind": payload.box_kind.value,
-        "boxes": BOXES_2D.dump_json(payload.boxes).decode(),
-        "count": len(payload.boxes),
-        "step": payload.step,
-        "geometry": payload.geometry.model_dump_json() if payload.geometry else None,
+    if state is not None:
+        row: dict[str, Value] = {
+            "view_id": view,
+            "frame_id": event.frame_id,
+            "revision": event.revision,
+            "step": state.step,
+            "geometry": state.geometry.model_dump_json() if state.geometry else None,
+            "event_id": event.id,
+        }
+        connection.execute(insert(view_labels), row | _boxes_row(state))
+
+
+def _boxes_row(state: ImageBoxesState | ViewBoxesState) -> dict[str, Value]:
+    return {
+        "box_kind": state.box_kind.value,
+        "boxes": BOXES_2D.dump_json(state.boxes).decode(),
+        "count": len(state.boxes),
+        "author": state.author,
+        "time_ns": state.time_ns,
+        "source": state.source.value,
     }
-    connection.execute(insert(view_labels), row | _stamp(event))
 
 
 def _replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
@@ -217,41 +239,6 @@ def _restore_label(connection: Connection, event: Event, payload: LabelRestored)
     if not connection.execute(select(labels.c.id).where(labels.c.id == former.place)).first():
         row["id"] = former.place
     connection.execute(insert(labels), row)
-
-
-def _restore_image_boxes(connection: Connection, event: Event, payload: ImageBoxesRestored | ImageBoxesRemoved) -> None:
-    connection.execute(delete(image_labels).where(image_labels.c.frame_id == event.frame_id))
-    if isinstance(payload, ImageBoxesRestored):
-        former = payload.former
-        row: dict[str, Value] = {"frame_id": event.frame_id, "event_id": event.id}
-        connection.execute(insert(image_labels), row | _boxes_row(former))
-
-
-def _restore_view_boxes(connection: Connection, event: Event, payload: ViewBoxesRestored | ViewBoxesRemoved) -> None:
-    same = (view_labels.c.view_id == payload.view) & (view_labels.c.frame_id == event.frame_id)
-    connection.execute(delete(view_labels).where(same))
-    if isinstance(payload, ViewBoxesRestored):
-        former = payload.former
-        row: dict[str, Value] = {
-            "view_id": payload.view,
-            "frame_id": event.frame_id,
-            "revision": event.revision,
-            "step": former.step,
-            "geometry": former.geometry.model_dump_json() if former.geometry else None,
-            "event_id": event.id,
-        }
-        connection.execute(insert(view_labels), row | _boxes_row(former))
-
-
-def _boxes_row(former: ImageBoxesState | ViewBoxesState) -> dict[str, Value]:
-    return {
-        "box_kind": former.box_kind.value,
-        "boxes": BOXES_2D.dump_json(former.boxes).decode(),
-        "count": len(former.boxes),
-        "author": former.author,
-        "time_ns": former.time_ns,
-        "source": former.source.value,
-    }
 
 
 def _set_finalised(connection: Connection, event: Event, finalised: bool) -> None:

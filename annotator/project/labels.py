@@ -30,6 +30,7 @@ class NewLabel:
         score: detector confidence in 0..1, where it has one.
         track_id: the object's id over the recording, where known.
         state: anything but PROPOSED, which the next automatic pass would remove.
+        origin: how an operator made it, where one did.
     """
 
     label: str
@@ -37,6 +38,7 @@ class NewLabel:
     score: float | None = None
     track_id: int | None = None
     state: ReviewState = ReviewState.ACCEPTED
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +186,7 @@ def _created(entry: NewLabel) -> LabelCreated:
         score=entry.score,
         track_id=entry.track_id,
         state=entry.state,
+        origin=entry.origin,
     )
 
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import uuid
-
 from annotator.geometry.iou import iou_3d_matrix
-from annotator.project import REVIEWED, Change, Origin, Project, Receipt
+from annotator.project import REVIEWED, Change, NewLabel, Origin, Project, Receipt
 from annotator.project.overview import neighbours
-from annotator.project.payloads import LabelCreated
-from annotator.project.records import BoxRecord
-from annotator.types import Label, ReviewState
+from annotator.types import Label
 from annotator.types.errors import ConfigError
 
 # A box that overlaps a box of the same class in the other frame by so much is there already (exact 3D IoU).
@@ -44,7 +40,8 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, change: C
     if not new:
         why = "has no reviewed boxes" if not boxes else "has no boxes that this frame does not have already"
         raise ConfigError(f"frame {source.key} {why}; nothing was copied")
-    return project.log.append(frame_id, [_copied(label) for label in new], change)
+    copies = [NewLabel(label.label, label.box, track_id=label.track_id, origin=Origin.COPIED) for label in new]
+    return project.labels.create(frame_id, copies, change).receipt
 
 
 def _is_there(label: Label, here: list[Label]) -> bool:
@@ -52,14 +49,3 @@ def _is_there(label: Label, here: list[Label]) -> bool:
         return True
     same = [other.box for other in here if other.label == label.label]
     return bool(same) and float(iou_3d_matrix([label.box], same).max()) >= THERE_ALREADY_IOU
-
-
-def _copied(label: Label) -> LabelCreated:
-    return LabelCreated(
-        uid=uuid.uuid4().hex,
-        label=label.label,
-        box=BoxRecord.of(label.box),
-        track_id=label.track_id,
-        state=ReviewState.ACCEPTED,
-        origin=Origin.COPIED,
-    )

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import Change, Project
+from annotator.project import Change, NewLabel, Project
+from annotator.project.payloads import LabelAccepted, LabelDeleted
 from annotator.types import (
     Box2D,
+    BoxKind,
     BoxTrace,
     LostObject,
     OrientedBox,
@@ -86,6 +90,53 @@ def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
             named = table != "frames" and "id" in (rows[0] if rows else {})
             found[table] = [tuple(value for key, value in row.items() if not (named and key == "id")) for row in rows]
     return found
+
+
+def some_boxes(count: int) -> list[Box2D]:
+    return [Box2D("hand", float(n), 0.0, n + 1.5, 2.0) for n in range(count)]
+
+
+Step = tuple[str, int, int, int]
+"""What to do, on which frame, and two small numbers that say how."""
+
+STEPS = ("propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk")
+
+
+def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[list[Step]]:
+    """Lists of steps, of `STEPS` and some more."""
+    small = st.integers(0, 3)
+    step = st.tuples(st.sampled_from(STEPS + more), st.integers(0, frames - 1), small, small)
+    return st.lists(step, min_size=1, max_size=longest)
+
+
+def actions(project: Project, views: list[str], step: Step) -> dict[str, Callable[[], object]]:
+    """What each of `STEPS` does to the present state; what that does not allow is a `ProjectError`."""
+    _, place, a, b = step
+    frame = project.frames.of()[place]
+    labels = project.labels.of_frame(frame.id)
+    change, view = by_hand(frame.revision), views[b % len(views)]
+    uid = labels[a % len(labels)].uid if labels else "nobody"
+    return {
+        "propose": lambda: project.proposals.replace(
+            frame.id,
+            [proposal_at(2.0 * n + 0.1 * b, ("hand", "person")[n % 2]) for n in range(a)],
+            by_machine(frame.revision),
+            lost=[lost_object()] * b,
+        ),
+        "create": lambda: project.labels.create(
+            frame.id, [NewLabel("hand", box_at(2.0 * n)) for n in range(a)], change
+        ),
+        "accept": lambda: project.labels.accept(frame.id, uid, change),
+        "edit": lambda: project.labels.edit(frame.id, uid, change, label="person", box=box_at(b), track_id=b or None),
+        "reject": lambda: project.labels.reject(frame.id, uid, change),
+        "delete": lambda: project.labels.delete(frame.id, uid, change),
+        "image": lambda: project.boxes.set_on_image(frame.id, some_boxes(a), list(BoxKind)[b % 2], change),
+        "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
+        "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
+        "bulk": lambda: project.log.append(
+            frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
+        ),
+    }
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)

@@ -11,26 +11,25 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
+from store_samples import (
+    Step,
+    actions,
+    box_at,
+    by_hand,
+    by_machine,
+    lists_of_steps,
+    proposal_at,
+    some_boxes,
+    state_of,
+)
 
 from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
-from annotator.project.payloads import FrameFinalised, LabelAccepted, LabelCreated, LabelDeleted, Payload
+from annotator.project.payloads import FrameFinalised, LabelCreated, LabelDeleted, Payload
 from annotator.project.records import BoxRecord
-from annotator.types import Box2D, BoxKind, ReviewState
+from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import HistoryError, ProjectError
 
-STEPS = st.lists(
-    st.tuples(
-        st.sampled_from(
-            ["propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk", "undo", "redo"]
-        ),
-        st.integers(0, 1),
-        st.integers(0, 3),
-        st.integers(0, 3),
-    ),
-    min_size=1,
-    max_size=14,
-)
+STEPS = lists_of_steps("undo", "redo", frames=2, longest=14)
 
 
 def content(project: Project) -> list[object]:
@@ -50,39 +49,11 @@ def repr_of(label: object) -> str:
     return repr({**vars(label), "box": BoxRecord.of(vars(label)["box"])})
 
 
-def _boxes(count: int) -> list[Box2D]:
-    return [Box2D("hand", float(n), 0.0, n + 1.5, 2.0) for n in range(count)]
-
-
-def _take(project: Project, view: str, step: tuple[str, int, int, int]) -> None:
+def _take(project: Project, view: str, step: Step) -> None:
     """One action of ann's; what the present state does not allow is refused."""
-    what, place, a, b = step
-    frame = project.frames.of()[place]
-    labels = project.labels.of_frame(frame.id)
-    change = by_hand(frame.revision)
-    uid = labels[a % len(labels)].uid if labels else "nobody"
-    actions: dict[str, Callable[[], object]] = {
-        "propose": lambda: project.proposals.replace(
-            frame.id, [proposal_at(2.0 * n + 0.1 * b) for n in range(a)], by_machine(frame.revision)
-        ),
-        "create": lambda: project.labels.create(
-            frame.id, [NewLabel("hand", box_at(2.0 * n)) for n in range(a)], change
-        ),
-        "accept": lambda: project.labels.accept(frame.id, uid, change),
-        "edit": lambda: project.labels.edit(frame.id, uid, change, label="person", box=box_at(b), track_id=b or None),
-        "reject": lambda: project.labels.reject(frame.id, uid, change),
-        "delete": lambda: project.labels.delete(frame.id, uid, change),
-        "image": lambda: project.boxes.set_on_image(frame.id, _boxes(a), list(BoxKind)[b % 2], change),
-        "view": lambda: project.boxes.set_on_view(view, _boxes(a), BoxKind.BOX, change, frame_id=frame.id),
-        "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
-        "bulk": lambda: project.log.append(
-            frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
-        ),
-        "undo": lambda: project.history.undo("ann"),
-        "redo": lambda: project.history.redo("ann"),
-    }
+    more = {"undo": lambda: project.history.undo("ann"), "redo": lambda: project.history.redo("ann")}
     with contextlib.suppress(ProjectError):
-        actions[what]()
+        (actions(project, [view], step) | more)[step[0]]()
 
 
 def _all(step: Callable[[], object]) -> int:
@@ -98,9 +69,7 @@ def _all(step: Callable[[], object]) -> int:
 
 @settings(max_examples=40, deadline=None)
 @given(STEPS, st.booleans())
-def test_undo_all_is_the_state_before_and_redo_all_the_state_after(
-    steps: list[tuple[str, int, int, int]], restart: bool
-) -> None:
+def test_undo_all_is_the_state_before_and_redo_all_the_state_after(steps: list[Step], restart: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         project = create_project(Path(folder), "p", ("hand", "person"))
         project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
@@ -135,7 +104,7 @@ def test_undo_all_is_the_state_before_and_redo_all_the_state_after(
 @settings(max_examples=25, deadline=None)
 @given(STEPS)
 def test_rebuilt_and_maintained_state_agree_with_passes_and_undo_in_between(
-    steps: list[tuple[str, int, int, int]],
+    steps: list[Step],
 ) -> None:
     with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
         project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
@@ -168,8 +137,8 @@ def test_words_say_what_comes_next(project: Project, frame: int) -> None:
 
 def test_each_operator_undoes_only_their_own(project: Project, recording: StoredRecording) -> None:
     one, two = (frame.id for frame in project.frames.of()[:2])
-    project.boxes.set_on_image(one, _boxes(1), BoxKind.BOX, by_hand(0, "ann"))
-    project.boxes.set_on_image(two, _boxes(2), BoxKind.BOX, by_hand(0, "bob"))
+    project.boxes.set_on_image(one, some_boxes(1), BoxKind.BOX, by_hand(0, "ann"))
+    project.boxes.set_on_image(two, some_boxes(2), BoxKind.BOX, by_hand(0, "bob"))
     project.history.undo("ann")
     assert project.boxes.on_image(one) is None
     assert project.boxes.on_image(two) is not None
@@ -219,7 +188,7 @@ def test_a_restored_label_is_whole_and_in_its_place(project: Project, frame: int
 
 
 def test_an_action_that_took_itself_back_is_passed_over(project: Project, frame: int) -> None:
-    project.boxes.set_on_image(frame, _boxes(1), BoxKind.BOX, by_hand(0))
+    project.boxes.set_on_image(frame, some_boxes(1), BoxKind.BOX, by_hand(0))
     new = LabelCreated(uid="u", label="hand", box=BoxRecord.of(box_at()))
     both: list[Payload] = [new, LabelDeleted(uid="u")]
     project.log.append(frame, both, by_hand(1))
