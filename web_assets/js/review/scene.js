@@ -38,7 +38,7 @@ export function createScene(host, app, desk) {
 
   /** What is shown already is not sent again: without a graphics card each drawing of the cloud takes time. */
   function send(more = {}) {
-    const { id = null, revision = null } = app.state.frame?.frame ?? {};
+    const { id = broken, revision = null } = app.state.frame?.frame ?? {};
     const preview = desk.hasDraft || desk.shown?.is_new ? { uid: desk.uid, box: desk.shown.box } : null;
     const scene = { frame: id, selected: desk.uid, labels: "all", preview, ...chosen, ...more };
     const key = JSON.stringify([scene, revision]);
