@@ -1,8 +1,8 @@
 """What an operator waits for: measured in a real browser, from the key or the mouse to what is on the screen.
 
 A probe in the page looks at each animation frame which pictures the editors show. In the 3D view it notes when the
-points of another cloud go to the graphics library and are drawn; it then reads one pixel, which waits until they are, and
-counts to the next animation frame. (Looking at the pixels all the time would cost more than what is measured.)
+points of another cloud go to the graphics library and are drawn; it then reads one pixel, which waits until they are,
+and counts to the next animation frame. (Looking at the pixels all the time would cost more than what is measured.)
 """
 
 from __future__ import annotations

@@ -151,6 +151,13 @@ def test_memory() -> None:
     assert any("peak MB" in line for line in lines)
 
 
+def test_store() -> None:
+    result, lines = program("store", "--frames", "30", "--proposed", "4", "--objects", "2")
+    assert {"add_recording_ms", "write_proposals_median_ms", "queue_teach_ms", "queue_worst_ms"} <= result.keys()
+    assert all(0 < took_ms < 60_000 for took_ms in result.values())
+    assert any("statistics" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     ("frames", "peaks", "expected"),
     [((20, 220), (300.0, 500.0), 1.0), ((10, 20, 30), (5.0, 5.0, 5.0), 0.0), ((7,), (300.0,), math.nan)],

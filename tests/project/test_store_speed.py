@@ -1,32 +1,85 @@
-"""The store stays out of the way: generous limits that only a wrong kind of work would break."""
+"""The store stays out of the way of large projects: what it asks of the database does not grow with the frames.
+
+(How long it takes is measured by `python -m benchmarks.store`.)
+"""
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+from sqlalchemy import Engine, event
 from store_samples import by_machine, proposal_at
 
-from annotator.project import Project, RunShare
+from annotator.project import Project, RunShare, create_project
+
+Counted = Callable[[Callable[[], object]], int]
 
 
-def test_ten_thousand_frames(project: Project, tmp_path: Path) -> None:
-    start = time.perf_counter()
-    project.recordings.add(tmp_path / "long", "rgbd", "long", [f"{n:06d}" for n in range(10_000)], True)
-    assert time.perf_counter() - start < 2.0
-    run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
-    for frame in project.frames.of()[:50]:
-        project.proposals.replace(frame.id, [proposal_at()], by_machine(), run=RunShare(run.id, 0.1))
-    start = time.perf_counter()
-    assert len(project.jobs.pending(run.key)) == 9_950
-    project.statistics()
-    assert time.perf_counter() - start < 2.0
+@pytest.fixture
+def statements() -> Counted:
+    """`statements(work)` -> how many statements the databases got meanwhile."""
+
+    def count(work: Callable[[], object]) -> int:
+        told: list[str] = []
+
+        def tell(connection, cursor, statement, parameters, context, many) -> None:
+            told.append(statement)
+
+        event.listen(Engine, "before_cursor_execute", tell)
+        try:
+            work()
+        finally:
+            event.remove(Engine, "before_cursor_execute", tell)
+        return len(told)
+
+    return count
 
 
-def test_events_are_appended_quickly(project: Project, tmp_path: Path) -> None:
-    recording = project.recordings.add(tmp_path / "long", "rgbd", "long", [str(n) for n in range(100)], True)
+@pytest.fixture
+def of_length(tmp_path: Path) -> Callable[[int], Project]:
+    """A new project with a recording of so many frames."""
+
+    def make(frames: int) -> Project:
+        made = create_project(tmp_path, f"long{frames}", ("hand",))
+        made.recordings.add(tmp_path / "recording", "rgbd", "long", [f"{n:06d}" for n in range(frames)], True)
+        return made
+
+    return make
+
+
+def test_a_longer_recording_takes_no_more_statements(statements: Counted, of_length: Callable[[int], Project]) -> None:
+    counts = {}
+    for frames in (20, 2_000):
+        with of_length(frames) as project:
+            run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
+            for frame in project.frames.of()[:10]:
+                project.proposals.replace(frame.id, [proposal_at()], by_machine(), run=RunShare(run.id, 0.1))
+            assert len(project.jobs.pending(run.key)) == frames - 10
+            asked: list[Callable[[], object]] = [
+                lambda: project.jobs.pending(run.key),  # noqa: B023
+                project.statistics,
+                project.frames.of,
+                project.labels.signals,
+            ]
+            counts[frames] = [statements(work) for work in asked]
+    assert counts[20] == counts[2_000]
+    assert max(counts[20]) < 40, counts
+
+
+def test_adding_a_recording_is_a_few_statements(project: Project, tmp_path: Path, statements: Counted) -> None:
+    keys = [f"{n:06d}" for n in range(2_000)]
+    assert statements(lambda: project.recordings.add(tmp_path / "long", "rgbd", "long", keys, True)) < 30
+
+
+def test_proposals_of_a_frame_are_a_few_statements(project: Project, tmp_path: Path, statements: Counted) -> None:
+    project.recordings.add(tmp_path / "long", "rgbd", "long", [str(n) for n in range(100)], True)
+    frames = project.frames.of()
     proposals = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
-    start = time.process_time()
-    for frame in project.frames.of([recording.id]):
-        project.proposals.replace(frame.id, proposals, by_machine())
-    assert (time.process_time() - start) / 100 < 0.1, "processor seconds a frame"
+    counts = [
+        statements(lambda: project.proposals.replace(frame.id, proposals, by_machine()))  # noqa: B023
+        for frame in frames[:20]
+    ]
+    assert max(counts) < 60, "of one frame"
+    assert len(set(counts[5:])) == 1, "no more the more frames have theirs"
