@@ -117,7 +117,7 @@ def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn)
         outline=found.outline.round(2).tolist(),
         quality=quality_json(found.quality),
         method=found.method,
-        note=found.note,
+        note=None if found.note is None else ctx.told(found.note),
     )
 
 
@@ -132,7 +132,7 @@ def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> Fit
         points=found.points,
         score=found.score,
         quality=quality_json(found.quality),
-        note=found.note,
+        note=None if found.note is None else ctx.told(found.note),
     )
 
 

@@ -59,7 +59,7 @@ export function locateRecording(app, project, { id, name }) {
     testid: "choose",
     onPick: (entry) => {
       chosen = entry.path;
-      told.textContent = `${name} is now ${entry.path}.`;
+      told.textContent = `Chosen: ${entry.path}`;
     },
   });
   const closed = openDialog({
