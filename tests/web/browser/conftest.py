@@ -3,6 +3,9 @@
 `open_page()` gives pages of their own browser context (an own operator, own cookies), `page` is one of them. A test
 that fails leaves a screenshot of each page, and what the pages said on their console, under `out/screenshots` (git
 ignores it). A page that raised an error nobody caught fails its test.
+
+Most tests need neither a server nor a page of their own: `shop` is a file's one server, where each test makes itself a
+project, and `shared_page` its one page, without the 3D view (`shared_page_3d`: with it).
 """
 
 from __future__ import annotations
@@ -11,10 +14,17 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from live_server import Live, running
+
+from annotator.project import Project, create_project
+from annotator.recordings import open_recording
+from annotator.web.settings import ServerSettings
+from annotator.workflows.recordings import register_recording
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -32,6 +42,10 @@ CHROMIUM_ARGS = (
 )
 VIEWPORT = {"width": 1366, "height": 768}
 TIMEOUT_MS = 40_000.0
+# Software WebGL would take most of the time of tests that look at no 3D view.
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+IS_CLEAN = """!document.querySelector("dialog[open]")
+  && dispatchEvent(new Event("beforeunload", { cancelable: true }))"""
 
 outcome_key = pytest.StashKey[bool]()
 
@@ -80,19 +94,11 @@ def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterato
     pages: list[Page] = []
 
     def open_one(**options: object) -> Page:
-        settings: dict = {"base_url": live.url, "viewport": VIEWPORT, "accept_downloads": True, **options}
-        page = browser.new_context(**settings).new_page()
-        page.set_default_timeout(TIMEOUT_MS)
-        page.errors, page.said = [], []
-        page.on("pageerror", lambda error: page.errors.append(str(error)))
-        page.on("console", lambda message: page.said.append(f"{message.type}: {message.text}"))
-        pages.append(page)
-        return page
+        pages.append(_new_page(browser, live.url, **options))
+        return pages[-1]
 
     yield open_one
-    errors = [error for page in pages for error in page.errors]
-    if errors or request.node.stash.get(outcome_key, False):
-        _keep(pages, request.node.nodeid)
+    errors = _look_back(pages, request.node)
     for page in pages:
         page.context.close()
     assert not errors, f"a page raised {errors}; screenshots are in {SCREENSHOTS}"
@@ -102,6 +108,89 @@ def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterato
 def page(open_page: Callable[..., Page]) -> Page:
     """One page, 1366 x 768."""
     return open_page()
+
+
+@dataclass(eq=False)
+class Shop:
+    """A file's server, and its pages once tests have asked for them, by whether they have the 3D view."""
+
+    live: Live
+    recording: Path
+    projects: int = 0
+    pages: dict[bool, Page] = field(default_factory=dict)
+
+    def new_project(self) -> Project:
+        """A project with 5 frames of people, none labelled."""
+        self.projects += 1
+        name = f"room{self.projects}"
+        with create_project(self.live.settings.projects_root, name, ("person",)) as project:
+            register_recording(project, open_recording(self.recording))
+        return self.live.context.project(name)
+
+
+@pytest.fixture(scope="module")
+def shop(browser: Browser, generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    """One server for the tests of a file."""
+    settings = ServerSettings(tmp_path_factory.mktemp("shop") / "projects", (generated,), port=0)
+    settings.projects_root.mkdir()
+    with running(settings) as live:
+        shop = Shop(live, generated / "people")
+        yield shop
+        for page in shop.pages.values():
+            page.context.close()
+
+
+@pytest.fixture
+def shared_page(shop: Shop, browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
+    """The file's one page, without the 3D view; the test before has left no trace in it."""
+    yield from _shared(shop, browser, request, with_3d=False)
+
+
+@pytest.fixture
+def shared_page_3d(shop: Shop, browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
+    """The same with the 3D view."""
+    yield from _shared(shop, browser, request, with_3d=True)
+
+
+def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3d: bool) -> Iterator[Page]:
+    if with_3d not in shop.pages:
+        shop.pages[with_3d] = _new_page(browser, shop.live.url)
+        if not with_3d:
+            shop.pages[with_3d].add_init_script(NO_WEBGL)
+    page = shop.pages[with_3d]
+    yield page
+    errors = _look_back([page], request.node)
+    if errors or request.node.stash.get(outcome_key, False):
+        shop.pages.pop(with_3d).context.close()
+    else:
+        _tidy(page)
+    assert not errors, f"the page raised {errors}; a screenshot is in {SCREENSHOTS}"
+
+
+def _tidy(page: Page) -> None:
+    page.unroute_all(behavior="ignoreErrors")
+    page.evaluate("localStorage.clear()")
+    page.evaluate("document.getElementById('toasts').replaceChildren()")
+    page.said.clear()
+    page.goto("/#/" if page.evaluate(IS_CLEAN) else "about:blank")
+
+
+def _new_page(browser: Browser, url: str, **options: object) -> Page:
+    settings: dict = {"base_url": url, "viewport": VIEWPORT, "accept_downloads": True, **options}
+    page = browser.new_context(**settings).new_page()
+    page.set_default_timeout(TIMEOUT_MS)
+    page.errors, page.said = [], []
+    page.on("pageerror", lambda error: page.errors.append(str(error)))
+    page.on("console", lambda message: page.said.append(f"{message.type}: {message.text}"))
+    return page
+
+
+def _look_back(pages: list[Page], test: pytest.Item) -> list[str]:
+    """Errors that pages raised; screenshots where there are any, or the test failed."""
+    errors = [error for page in pages for error in page.errors]
+    if errors or test.stash.get(outcome_key, False):
+        _keep(pages, test.nodeid)
+    return errors
 
 
 def _keep(pages: list[Page], test: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Lock
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from browser_page import brings_views, drag_box, draw_on_views, sign_in
 from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
@@ -21,15 +22,15 @@ from annotator.workflows.detectors_ready import Readiness, ReadyDetector
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
+    from conftest import Shop
     from live_server import Live
-    from playwright.sync_api import Page, Request, Response
+    from playwright.sync_api import Page, Request
 
     from annotator.workflows.detectors import Detectors
 
 FRAME = 1
-# Label works without the 3D view, and far faster where software draws that: it has tests of its own.
-NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
 EDGES = ("x_min", "y_min", "x_max", "y_max")
+SIDES = ("front", "side")
 
 
 @dataclass(eq=False)
@@ -42,6 +43,11 @@ class Bench:
     scene: Scene
 
     @property
+    def api(self) -> str:
+        """Where the project is."""
+        return f"/api/projects/{self.project.path.name}"
+
+    @property
     def labels(self) -> list[Label]:
         return list(self.project.frame_state(FRAME).labels)
 
@@ -52,7 +58,7 @@ class Bench:
 
     @property
     def state(self) -> dict[str, Any]:
-        return self.live.client.get(f"/api/projects/room/frames/{FRAME}").json()
+        return self.live.client.get(f"{self.api}/frames/{FRAME}").json()
 
     @property
     def hint(self) -> str:
@@ -63,38 +69,29 @@ class Bench:
         self.page.wait_for_selector(".label-mode:not([data-saving])")
         assert self.page.get_by_test_id("save-problem").inner_text() == ""
 
-    def drag(self, editor: str, box: dict[str, Any], picture: tuple[int, int]) -> None:
-        """Drags a box out on the picture of an editor with the mouse."""
-        img = self.page.get_by_test_id(editor).locator("img.picture")
-        rect = img.evaluate("(img) => img.getBoundingClientRect().toJSON()")
-        sx, sy = rect["width"] / picture[0], rect["height"] / picture[1]
-        left, top = rect["left"] + (box["x_min"] + 0.5) * sx, rect["top"] + (box["y_min"] + 0.5) * sy
-        right, bottom = rect["left"] + (box["x_max"] + 0.5) * sx, rect["top"] + (box["y_max"] + 0.5) * sy
-        mouse = self.page.mouse
-        mouse.move(left, top)
-        mouse.down()
-        mouse.move((left + right) / 2, (top + bottom) / 2)
-        mouse.move(right, bottom)
-        mouse.up()
-
     def draw_on_image(self, number: int) -> dict[str, Any]:
         """Drags the image box of a true object; the answer holds its first views."""
         camera = self.scene.frame.camera
-        with self.page.expect_response(_brings_views) as answer:
-            self.drag("image-editor", self.scene.image_box(number), (camera.width_px, camera.height_px))
+        with self.page.expect_response(brings_views) as answer:
+            drag_box(self.page, "image-editor", self.scene.image_box(number), camera.width_px, camera.height_px)
         return answer.value.json()
 
     def draw_on_views(self, number: int, views: list[dict[str, Any]]) -> None:
         """Drags the boxes of a true object on the two views that are shown."""
-        for name, view in zip(("front", "side"), views, strict=True):
-            shown = self.page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
-            shown.wait_for(state="attached")
-            self.drag(f"view-{name}", self.scene.view_box(number, view), (view["width"], view["height"]))
+        draw_on_views(self.page, self.scene, number, views)
+
+    def draw_on_view(self, side: int, view: dict[str, Any], box: dict[str, Any]) -> None:
+        """Drags a box on one of the two views that are shown."""
+        drag_box(self.page, f"view-{SIDES[side]}", box, view["width"], view["height"])
+
+    def wait_for_view(self, side: int, view: dict[str, Any]) -> None:
+        pane = self.page.get_by_test_id(f"view-{SIDES[side]}")
+        pane.locator(f'img.picture[src="{view["url"]}"]').wait_for(state="attached")
 
     def draw_object(self, number: int) -> None:
         """All five drags of a true object."""
         first = self.draw_on_image(number)
-        with self.page.expect_response(_brings_views) as answer:
+        with self.page.expect_response(brings_views) as answer:
             self.draw_on_views(number, first["steps"][0]["views"])
         self.draw_on_views(number, answer.value.json()["steps"][1]["views"])
         self.saved()
@@ -105,24 +102,19 @@ class Bench:
         boxes = [*([] if state["image_boxes"] is None else state["image_boxes"]["boxes"]), box]
         changes = [{"kind": "image_boxes", "boxes": boxes, "box_kind": "silhouette"}]
         body = {"revision": state["frame"]["revision"], "changes": changes}
-        answer = self.live.client.post(f"/api/projects/room/frames/{FRAME}/changes", json=body)
+        answer = self.live.client.post(f"{self.api}/frames/{FRAME}/changes", json=body)
         assert answer.status_code == 200, answer.text
 
 
 @pytest.fixture
-def bench(open_page: Callable[..., Page], live: Live, generated: Path) -> Bench:
-    """A signed-in operator in Label on a frame without labels; `live.client` is another one."""
-    page = open_page()
-    page.add_init_script(NO_WEBGL)
-    page.request.post("/api/session", data={"operator": "Bob"}, headers={"Origin": live.url})
-    page.goto(f"/#/room/label/{FRAME}")
-    project = live.context.project("room")
-    page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
-    return Bench(page, live, project, Scene.of(generated / "people", 0, ("person",)))
-
-
-def _brings_views(response: Response) -> bool:
-    return response.url.endswith("/label/steps") and not response.request.post_data_json["suggest"]
+def bench(shared_page: Page, shop: Shop, generated: Path) -> Bench:
+    """A signed-in operator in Label on a frame without labels; `live.client` is another one. Without the 3D view."""
+    project = shop.new_project()
+    sign_in(shared_page, shop.live.url, "Bob")
+    shared_page.goto(f"/#/{project.path.name}/label/{FRAME}")
+    shown = f"img.picture[src*='/{project.path.name}/frames/{FRAME}/']"
+    shared_page.get_by_test_id("image-editor").locator(shown).wait_for()
+    return Bench(shared_page, shop.live, project, Scene.of(generated / "people", 0, ("person",)))
 
 
 def _close(a: dict[str, Any], b: dict[str, Any]) -> bool:
@@ -141,7 +133,7 @@ def test_an_object_from_nothing_takes_five_drags(bench: Bench) -> None:
     expect(bench.page.get_by_test_id("hint")).to_contain_text("finished")
     overlay = bench.page.get_by_test_id("image-editor").get_by_test_id("editor-overlay")
     expect(overlay).to_have_attribute("data-id", label.uid)
-    effort = bench.live.client.get("/api/projects/room/statistics").json()["effort"]
+    effort = bench.live.client.get(f"{bench.api}/statistics").json()["effort"]
     assert effort["boxes"] == 1
     assert effort["actions_a_box"] == 5
     assert effort["seconds_a_box"] > 0
@@ -160,15 +152,14 @@ def test_each_drag_is_kept_when_it_is_made_and_survives_a_reload(bench: Bench) -
     assert row.get_attribute("data-boxes") == "3"
     row.get_by_role("button").first.click()
     bench.page.get_by_test_id("step-1").click()
-    shown = bench.page.get_by_test_id("view-front").locator(f'img.picture[src="{front["url"]}"]')
-    shown.wait_for(state="attached")
+    bench.wait_for_view(0, front)
     expect(bench.page.get_by_test_id("view-front").get_by_test_id("editor-box")).to_have_count(1)
 
 
 def test_a_single_box_on_the_side_view_comes_back_on_the_side_view(bench: Bench) -> None:
     views = bench.draw_on_image(0)["steps"][0]["views"]
-    bench.page.get_by_test_id("view-side").locator(f'img.picture[src="{views[1]["url"]}"]').wait_for(state="attached")
-    bench.drag("view-side", bench.scene.view_box(0, views[1]), (views[1]["width"], views[1]["height"]))
+    bench.wait_for_view(1, views[1])
+    bench.draw_on_view(1, views[1], bench.scene.view_box(0, views[1]))
     bench.saved()
     bench.page.reload()
     bench.page.get_by_test_id("object").get_by_role("button").first.click()
@@ -218,7 +209,7 @@ def test_a_finalised_frame_takes_no_boxes_until_it_is_reopened(bench: Bench) -> 
     bench.page.get_by_test_id("finalise").click()
     bench.saved()
     assert "finalised" in bench.hint
-    bench.drag("image-editor", bench.scene.image_box(0), (320, 240))
+    drag_box(bench.page, "image-editor", bench.scene.image_box(0), 320, 240)
     assert bench.page.get_by_test_id("object").count() == 0
     bench.page.keyboard.press("Control+Enter")
     bench.saved()
@@ -330,9 +321,9 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         }
         look = lambda project, role, wait_s=None: ready.get(role, Readiness("none"))  # noqa: E731
         monkeypatch.setattr(bench.live.context.annotation.detectors, "look", look)
-        info = bench.live.client.get("/api/projects/room").json()
+        info = bench.live.client.get(bench.api).json()
         models = {role: {"id": 1} if role in detectors else None for role in ("image", "view")}
-        bench.page.route("**/api/projects/room", lambda route: route.fulfill(json={**info, "detectors": models}))
+        bench.page.route(f"**{bench.api}", lambda route: route.fulfill(json={**info, "detectors": models}))
         bench.page.reload()
         bench.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
 
@@ -353,7 +344,7 @@ def test_suggestions_are_accepted_with_enter(
         bench.saved()
     (label,) = bench.labels
     assert max(iou_3d(label.box, item.box) for item in bench.scene.objects) > 0.5
-    effort = bench.live.client.get("/api/projects/room/statistics").json()["effort"]
+    effort = bench.live.client.get(f"{bench.api}/statistics").json()["effort"]
     assert effort["actions_a_box"] == 5
 
 
@@ -372,44 +363,41 @@ class Slow:
         return self.detector.detect(images)
 
 
-def test_views_wait_for_no_detector_and_its_boxes_take_no_drawn_ones_place(
-    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
-) -> None:
-    slow = Slow(knowing("people", kind=BoxKind.SILHOUETTE).view)
-    teach(view=slow)
-    try:
-        views = bench.draw_on_image(0)["steps"][0]["views"]
-        front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
-        side.locator(f'img.picture[src="{views[1]["url"]}"]').wait_for(state="attached")
-        true = bench.scene.view_box(0, views[0])
-        mine = {**true, "x_max": (true["x_min"] + true["x_max"]) / 2}
-        bench.drag("view-front", mine, (views[0]["width"], views[0]["height"]))
-        bench.saved()
-        assert side.locator(".box.suggested").count() == 0
-    finally:
-        slow.may_answer.set()
+@pytest.fixture
+def slow(bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]) -> Iterator[Slow]:
+    """The project's view detector, which does not answer yet."""
+    detector = Slow(knowing("people", kind=BoxKind.SILHOUETTE).view)
+    teach(view=detector)
+    yield detector
+    detector.may_answer.set()
+
+
+def test_views_wait_for_no_detector_and_its_boxes_take_no_drawn_ones_place(bench: Bench, slow: Slow) -> None:
+    views = bench.draw_on_image(0)["steps"][0]["views"]
+    front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
+    bench.wait_for_view(1, views[1])
+    true = bench.scene.view_box(0, views[0])
+    mine = {**true, "x_max": (true["x_min"] + true["x_max"]) / 2}
+    bench.draw_on_view(0, views[0], mine)
+    bench.saved()
+    assert side.locator(".box.suggested").count() == 0
+    slow.may_answer.set()
     expect(side.locator(".box.suggested")).to_have_count(1)
     expect(front.locator(".box.suggested")).to_have_count(0)
     (kept,) = [box for _, box in bench.state["objects"][0]["views"] if box]
     assert abs(kept["x_max"] - mine["x_max"]) < 1
 
 
-def test_a_box_drawn_and_deleted_meanwhile_is_not_suggested_again(
-    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
-) -> None:
-    slow = Slow(knowing("people", kind=BoxKind.SILHOUETTE).view)
-    teach(view=slow)
-    try:
-        views = bench.draw_on_image(0)["steps"][0]["views"]
-        front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
-        front.locator(f'img.picture[src="{views[0]["url"]}"]').wait_for(state="attached")
-        bench.drag("view-front", bench.scene.view_box(0, views[0]), (views[0]["width"], views[0]["height"]))
-        front.get_by_test_id("editor2d").focus()
-        bench.page.keyboard.press("Delete")
-        expect(front.get_by_test_id("editor-box")).to_have_count(0)
-        bench.saved()
-    finally:
-        slow.may_answer.set()
+def test_a_box_drawn_and_deleted_meanwhile_is_not_suggested_again(bench: Bench, slow: Slow) -> None:
+    views = bench.draw_on_image(0)["steps"][0]["views"]
+    front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
+    bench.wait_for_view(0, views[0])
+    bench.draw_on_view(0, views[0], bench.scene.view_box(0, views[0]))
+    front.get_by_test_id("editor2d").focus()
+    bench.page.keyboard.press("Delete")
+    expect(front.get_by_test_id("editor-box")).to_have_count(0)
+    bench.saved()
+    slow.may_answer.set()
     expect(side.locator(".box.suggested")).to_have_count(1)
     expect(front.locator(".box.suggested")).to_have_count(0)
 
@@ -426,20 +414,20 @@ def test_a_detector_that_cannot_be_loaded_is_told_once(bench: Bench, tmp_path: P
     expect(told).to_have_count(1)
     told.get_by_role("button").click()
     views = bench.draw_on_image(1)["steps"][0]["views"]
-    bench.page.get_by_test_id("view-side").locator(f'img.picture[src="{views[1]["url"]}"]').wait_for(state="attached")
+    bench.wait_for_view(1, views[1])
     bench.saved()
     expect(told).to_have_count(0)
 
 
 def test_the_next_frame_is_read_ahead_and_navigation_gives_that_up(bench: Bench) -> None:
     page = bench.page
-    page.add_init_script("localStorage.setItem('label-order', 'time')")
+    page.evaluate("localStorage.setItem('label-order', 'time')")
     with page.expect_request("**/frames/2/image.jpg*"):
         page.reload()
     assert page.url.endswith("/label/1")
     with page.expect_request("**/frames/5") as asked, page.expect_event("requestfailed", _asks_for_frame(5)):
         page.route("**/frames/5", lambda route: None)
-        page.evaluate("location.hash = '#/room/label/4'")
+        page.evaluate("location.hash = location.hash.replace(/1$/, '4')")
         page.get_by_test_id("image-editor").locator("img.picture[src*='frames/4/']").wait_for()
         page.wait_for_timeout(1500)
         page.keyboard.press("p")

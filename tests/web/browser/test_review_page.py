@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from browser_page import drag, drag_box, seen_by_viewer, sign_in
 from drawing import Scene
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +24,7 @@ from annotator.workflows.detectors_ready import Readiness, ReadyDetector
 from annotator.workflows.truth import load_truth
 
 if TYPE_CHECKING:
+    from conftest import Shop
     from live_server import Live
     from playwright.sync_api import Locator, Page
 
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 FRAMES = 3
-# Most of these tests look at no 3D view; software WebGL would take most of their time.
-NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 
 
 @dataclass(eq=False)
@@ -42,6 +42,16 @@ class Desk:
     page: Page
     live: Live
     project: Project
+
+    @property
+    def name(self) -> str:
+        """The project's name."""
+        return self.project.path.name
+
+    @property
+    def api(self) -> str:
+        """Where the project is."""
+        return f"/api/projects/{self.name}"
 
     @property
     def frame(self) -> int:
@@ -77,12 +87,8 @@ class Desk:
             self.page.keyboard.press(key)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        mouse = self.page.mouse
-        mouse.move(*start)
-        mouse.down()
-        for share in (0.25, 0.5, 0.75, 1.0):
-            mouse.move(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]))
-        mouse.up()
+        between = [start[i] + np.outer((0.25, 0.5, 0.75, 1.0), (end[i] - start[i])).ravel() for i in (0, 1)]
+        drag(self.page, start, *zip(*between, strict=True))
 
 
 def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
@@ -103,34 +109,28 @@ def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
 
 
 @pytest.fixture
-def desk(open_page: Callable[..., Page], live: Live, generated: Path) -> Desk:
+def desk(shared_page: Page, shop: Shop) -> Desk:
     """A signed-in operator in Review of a project with proposals; the worst one is selected. Without the 3D view."""
-    page = open_page()
-    page.add_init_script(NO_WEBGL)
-    return begin(page, live, generated)
+    return begin(shared_page, shop)
 
 
 @pytest.fixture
-def desk_3d(open_page: Callable[..., Page], live: Live, generated: Path) -> Desk:
+def desk_3d(shared_page_3d: Page, shop: Shop) -> Desk:
     """The same with the 3D view."""
-    desk = begin(open_page(), live, generated)
+    desk = begin(shared_page_3d, shop)
     expect(desk.page.get_by_test_id("viewport")).to_have_attribute("data-state", "ready", timeout=40_000)
     return desk
 
 
-def begin(page: Page, live: Live, generated: Path) -> Desk:
-    project = live.context.project("room")
-    propose(project, generated / "people")
-    sign_in(page, live)
-    page.goto("/#/room/review")
-    desk = Desk(page, live, project)
+def begin(page: Page, shop: Shop) -> Desk:
+    project = shop.new_project()
+    propose(project, shop.recording)
+    sign_in(page, shop.live.url)
+    page.goto(f"/#/{project.path.name}/review")
+    desk = Desk(page, shop.live, project)
+    page.locator(f"[data-testid=review-image] img.picture[src*='/{desk.name}/']").wait_for()
     desk.settled()
     return desk
-
-
-def sign_in(page: Page, live: Live, operator: str = "Ada") -> None:
-    answer = page.request.post("/api/session", data={"operator": operator}, headers={"Origin": live.url})
-    assert answer.ok
 
 
 def middle(element: Locator) -> tuple[float, float]:
@@ -147,7 +147,7 @@ def test_one_key_accepts_a_right_proposal_and_counts_one_action(desk: Desk, wait
     desk.settled()
     assert desk.uid != first
     assert desk.project.labels.get(first).label.author == "Ada"
-    statistics = desk.live.client.get("/api/projects/room/statistics").json()
+    statistics = desk.live.client.get(f"{desk.api}/statistics").json()
     assert statistics["effort"]["actions_a_box"] == 1
     assert statistics["accepted_untouched"] == 1
 
@@ -162,7 +162,7 @@ def test_the_queue_is_worked_off_with_one_key_a_proposal(desk: Desk, wait_for) -
     desk.page.get_by_test_id("review-done").wait_for()
     labels = desk.project.labels.select()
     assert {stored.label.state for stored in labels} == {ReviewState.ACCEPTED}
-    assert desk.live.client.get("/api/projects/room/statistics").json()["effort"]["actions_a_box"] == 1
+    assert desk.live.client.get(f"{desk.api}/statistics").json()["effort"]["actions_a_box"] == 1
 
 
 @pytest.mark.parametrize("view", ["top", "front", "side"])
@@ -306,23 +306,39 @@ def test_keys_work_when_the_focus_is_in_the_3d_view(desk_3d: Desk, wait_for) -> 
     wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
 
 
-def test_the_gizmo_moves_the_box_and_saves_it_when_it_is_let_go(desk_3d: Desk, wait_for) -> None:
+def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(desk_3d: Desk, wait_for) -> None:
     desk, page = desk_3d, desk_3d.page
-    desk.press("t")
+    with page.expect_response(lambda response: '"gizmo":"translate"' in (response.request.post_data or "")) as answer:
+        desk.press("t")
     expect(page.get_by_test_id("gizmo-translate")).to_have_attribute("aria-pressed", "true")
-    with page.expect_request(lambda request: '"gizmo":"rotate"' in (request.post_data or "")) as asked:
-        desk.press("r")
-    bench = asked.value.url.split("/")[-2]
-    box = desk.label.box
-    center = box.center_m + np.array([0.2, 0, 0])
-    moved = {"center": center.tolist(), "size": box.size_m.tolist(), "rotation": box.rotation.tolist()}
-    event = {"type": "viewport", "workbench": bench, "event": "box", "uid": desk.uid, "box": moved}
-    desk.live.context.hub.send({**event, "final": False})
+    bench = desk.live.server.app.state.workbenches.get(answer.value.url.split("/")[-2], "Ada")
+    node = bench._server.scene.get_handle_by_name("/selected")
+    rect = page.get_by_test_id("viewport").bounding_box()
+    assert rect is not None
+    box, uid = desk.label.box, desk.uid
+    page.wait_for_timeout(1000)  # the gizmo is on the screen
+
+    def on_axis(axis: int, share: float) -> tuple[float, float]:
+        return seen_by_viewer(bench, rect, box.center_m + share * node.scale * box.rotation[:, axis])
+
+    # of the three arrows the one that is seen longest: taken at its middle, and pulled outwards
+    lengths = [np.linalg.norm(np.subtract(on_axis(axis, 1.0), on_axis(axis, 0.0))) for axis in range(3)]
+    axis = int(np.argmax(lengths))
+    start, end = on_axis(axis, 0.6), on_axis(axis, 1.0)
+    page.mouse.move(*start)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    page.mouse.move(*end, steps=8)
     expect(page.get_by_test_id("label-state")).to_have_text("not saved")
     assert desk.label.state is ReviewState.PROPOSED
-    desk.live.context.hub.send({**event, "final": True})
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
-    np.testing.assert_allclose(desk.label.box.center_m, center, atol=1e-9)
+    page.mouse.up()
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED, 10)
+    after = desk.project.labels.get(uid).label.box
+    moved = after.center_m - box.center_m
+    assert np.linalg.norm(moved) > 0.05
+    np.testing.assert_allclose(moved / np.linalg.norm(moved), box.rotation[:, axis], atol=2e-3)
+    np.testing.assert_allclose(after.size_m, box.size_m, atol=1e-9)
+    np.testing.assert_allclose(after.rotation, box.rotation, atol=1e-6)
 
 
 def test_reject_delete_tab_and_the_class_by_a_digit(desk: Desk, wait_for) -> None:
@@ -350,7 +366,7 @@ def test_reject_delete_tab_and_the_class_by_a_digit(desk: Desk, wait_for) -> Non
 
 def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
-    desk.page.goto(f"/#/room/review/{frames[0]}")
+    desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.press("n")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
@@ -370,7 +386,7 @@ def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for)
         change = Change(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
         desk.project.labels.accept(frames[FRAMES - 1], label.uid, change)
     before = desk.project.labels.of_frame(frames[FRAMES - 1])
-    desk.page.goto(f"/#/room/review/{frames[FRAMES]}")
+    desk.page.goto(f"/#/{desk.name}/review/{frames[FRAMES]}")
     desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
     desk.press("c")
     wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before), 5)
@@ -417,7 +433,7 @@ def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
     frame, uid = desk.frame, desk.uid
     revision = desk.project.frames.get(frame).revision
     body = {"revision": revision, "changes": [{"kind": "reject", "uid": uid}], "effort": None, "subject": None}
-    answer = desk.live.client.post(f"/api/projects/room/frames/{frame}/changes", json=body)
+    answer = desk.live.client.post(f"{desk.api}/frames/{frame}/changes", json=body)
     assert answer.status_code == 200
     row = desk.page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][data-state="rejected"]')
     row.wait_for(timeout=2000)
@@ -427,11 +443,7 @@ def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
     """Presses B and drags a box on the image."""
     desk.press("b")
     expect(desk.page.get_by_test_id("act-draw")).to_have_attribute("aria-pressed", "true")
-    rect = desk.page.get_by_test_id("review-image").locator("img.picture").bounding_box()
-    assert rect is not None
-    scale = rect["width"] / 320
-    left, top, right, bottom = ((box[edge] + 0.5) * scale for edge in ("x_min", "y_min", "x_max", "y_max"))
-    desk.drag((rect["x"] + left, rect["y"] + top), (rect["x"] + right, rect["y"] + bottom))
+    drag_box(desk.page, "review-image", box, 320, 240)
 
 
 def test_a_new_box_is_drawn_on_the_image(
@@ -462,7 +474,7 @@ def test_a_new_box_is_drawn_on_the_image(
     assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
     assert made.label.box.size_m[0] == pytest.approx(0.9)
     assert np.linalg.norm(made.label.box.center_m - scene.objects[0].box.center_m) < 0.1
-    statistics = desk.live.client.get("/api/projects/room/statistics").json()
+    statistics = desk.live.client.get(f"{desk.api}/statistics").json()
     assert statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 3  # the drag, the number, Space
 
     # without a detector, Label goes on with it
@@ -474,7 +486,7 @@ def test_a_new_box_is_drawn_on_the_image(
     expect(page.get_by_test_id("toast-warn")).to_contain_text("There is no pseudo-view detector yet")
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
     page.wait_for_selector(".label-mode:not([data-saving])")
-    state = desk.live.client.get(f"/api/projects/room/frames/{frame}").json()
+    state = desk.live.client.get(f"{desk.api}/frames/{frame}").json()
     assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
     (kept,) = state["image_boxes"]["boxes"]
     assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))
@@ -497,7 +509,7 @@ def test_a_frame_that_cannot_be_read_says_so_in_place_of_its_picture(
     monkeypatch.setattr(frames, "open", broken)
     problem = page.get_by_test_id("frame-problem")
     for mode, picture in (("review", "review-image"), ("label", "image-editor")):
-        page.goto(f"/#/room/{mode}/{first}")
+        page.goto(f"/#/{desk.name}/{mode}/{first}")
         shown = page.get_by_test_id(picture).locator("img.picture")
         expect(shown).to_have_attribute("src", re.compile(f"/frames/{first}/"))
         page.get_by_role("button", name="Next frame in time").click()

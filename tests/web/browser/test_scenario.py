@@ -9,10 +9,11 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from browser_page import brings_views, drag_box, draw_on_views
 from drawing import Scene
 
 from annotator.formats.rcv import read_rcv
@@ -23,7 +24,7 @@ from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
-    from playwright.sync_api import Page, Response
+    from playwright.sync_api import Page
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; run scripts/setup test")
 expect = playwright.expect
@@ -41,11 +42,6 @@ PATIENCE_MS = 90_000.0
 def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
     """A server that has no project yet, and may show the generated recordings."""
     return ServerSettings(tmp_path / "projects", (generated,), port=0)
-
-
-def brings_views(response: Response) -> bool:
-    """The answer with the next views, and not the one with what a detector suggests on them."""
-    return response.url.endswith("/label/steps") and response.request.post_data_json["suggest"] is False
 
 
 @dataclass(eq=False)
@@ -81,36 +77,16 @@ class Operator:
         self.page.keyboard.press("Escape")
         self.click("open-crowd")
 
-    def drag(self, editor: str, box: dict[str, Any], width: int, height: int) -> None:
-        """Drags a box out on the picture of an editor; pixels of the picture, the centre of the first is (0, 0)."""
-        rect = self.page.get_by_test_id(editor).locator("img.picture").bounding_box()
-        assert rect is not None
-        scale = np.array([rect["width"] / width, rect["height"] / height])
-        corner = np.array([rect["x"], rect["y"]])
-        start = corner + (np.array([box["x_min"], box["y_min"]]) + 0.5) * scale
-        end = corner + (np.array([box["x_max"], box["y_max"]]) + 0.5) * scale
-        self.page.mouse.move(*start)
-        self.page.mouse.down()
-        self.page.mouse.move(*((start + end) / 2))
-        self.page.mouse.move(*end)
-        self.page.mouse.up()
-
     def draw_object(self, scene: Scene, number: int) -> None:
         """Five drags."""
         camera = scene.frame.camera
         with self.page.expect_response(brings_views) as answer:
-            self.drag("image-editor", scene.image_box(number), camera.width_px, camera.height_px)
+            drag_box(self.page, "image-editor", scene.image_box(number), camera.width_px, camera.height_px)
         first = answer.value.json()["steps"][0]["views"]
         with self.page.expect_response(brings_views) as answer:
-            self.draw_on_views(scene, number, first)
-        self.draw_on_views(scene, number, answer.value.json()["steps"][1]["views"])
+            draw_on_views(self.page, scene, number, first)
+        draw_on_views(self.page, scene, number, answer.value.json()["steps"][1]["views"])
         self.page.wait_for_selector(".label-mode:not([data-saving])")
-
-    def draw_on_views(self, scene: Scene, number: int, views: list[dict[str, Any]]) -> None:
-        for name, view in zip(("front", "side"), views, strict=True):
-            shown = self.page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
-            shown.wait_for(state="attached")
-            self.drag(f"view-{name}", scene.view_box(number, view), view["width"], view["height"])
 
     def label_frames(self) -> int:
         """Every visible object of the frames to label; how many there were."""
