@@ -142,24 +142,25 @@ def _is_kept(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
 def _label_change(
     page: FramePage, drawn: ObjectDrawn, labelling: Labelling, wanted: Sequence[ViewBoxesSet]
 ) -> LabelCreated | LabelEdited | None:
-    """The object's 3D label, where all four boxes are there and it is not as it should be already.
+    """The object's 3D label, where all four boxes are there, or it is there already and not as it should be.
 
-    The box that the same drags have led to before may have been corrected since: only other drags lead to another.
+    The box that the same drags have led to before may have been corrected since: only other drags lead to another. As
+    long as some of these are missing the label keeps its box, and goes with its image box.
     """
-    complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_A_STEP and None not in drawn.boxes
-    if not complete or labelling.box is None:
+    is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_A_STEP and None not in drawn.boxes
+    measured = labelling.box if is_complete else None
+    name, uid = drawn.image_box.label, _linked(page, drawn)
+    if uid is not None:
+        present = _label(page, uid)
+        box = present.label.box if measured is None or _are_drawn(page, wanted) else measured
+        if present.image_box == drawn.image_box and present.label.label == name and _same(present.label.box, box):
+            return None
+        track = present.label.track_id
+        return LabelEdited(uid=uid, label=name, box=BoxRecord.of(box), track_id=track, image_box=drawn.image_box)
+    if measured is None:
         return None
-    name = drawn.image_box.label
-    uid = _linked(page, drawn)
-    if uid is None:
-        new, box = uuid.uuid4().hex, BoxRecord.of(labelling.box)
-        return LabelCreated(uid=new, label=name, box=box, origin=Origin.DRAWN, image_box=drawn.image_box)
-    present = _label(page, uid)
-    to_be = present.label.box if _are_drawn(page, wanted) else labelling.box
-    if present.image_box == drawn.image_box and present.label.label == name and _same(present.label.box, to_be):
-        return None
-    track = present.label.track_id
-    return LabelEdited(uid=uid, label=name, box=BoxRecord.of(to_be), track_id=track, image_box=drawn.image_box)
+    new = uuid.uuid4().hex
+    return LabelCreated(uid=new, label=name, box=BoxRecord.of(measured), origin=Origin.DRAWN, image_box=drawn.image_box)
 
 
 def _are_drawn(page: FramePage, wanted: Sequence[ViewBoxesSet]) -> bool:

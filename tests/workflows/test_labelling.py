@@ -20,6 +20,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.frame_view import show_frame
 from annotator.workflows.label_object import ObjectDrawn, save_object
 from annotator.workflows.labelling import Labelling, frame_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
@@ -203,7 +204,9 @@ def test_a_moved_image_box_takes_its_object_along(desk: Desk) -> None:
     uid = desk.save([image_box], ObjectDrawn(image_box, four))
     x_min, y_min, x_max, y_max = image_box.xyxy
     moved = Box2D("person", x_min - 30, y_min - 2, x_max + 30, y_max + 2)
-    desk.save([moved], ObjectDrawn(moved, [], uid))
+    assert desk.save([moved], ObjectDrawn(moved, [], uid)) == uid
+    (shown,) = show_frame(desk.project, desk.frame_id, desk.opened).objects
+    assert (shown.image_box, shown.uid) == (moved, uid), "it is still the same object, also after a reload"
     assert desk.project.boxes.on_views_of(desk.frame_id) == (), "views of a frustum that is gone teach nothing"
     boxes: list[Box2D] = []
     for place in range(4):
