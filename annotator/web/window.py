@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from typing import TYPE_CHECKING
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Literal
 
 from annotator.types.errors import ConfigError, MissingExtraError
 
@@ -36,6 +37,11 @@ def check_window() -> None:
         raise ConfigError(f"there is no display for a window; {INSTEAD}")
 
 
+def _toolkit() -> Literal["qt"] | None:
+    """Qt where it is installed; else pywebview tries what there is, and prints what it does not find."""
+    return "qt" if sys.platform == "linux" and find_spec("PySide6") else None
+
+
 def in_window(server: Running, address: str) -> None:
     """Serves until the window is closed. Toolkits want the process's main thread, so the server gets another.
 
@@ -50,7 +56,7 @@ def in_window(server: Running, address: str) -> None:
         webview.settings["ALLOW_DOWNLOADS"] = True
         webview.create_window("annotator", address, width=SIZE[0], height=SIZE[1])
         # not private: the operator's name is still known the next time
-        webview.start(private_mode=False)
+        webview.start(private_mode=False, gui=_toolkit())
     except webview.WebViewException as error:
         raise ConfigError(f"no window can be shown: {error}; {INSTEAD}") from error
     finally:
