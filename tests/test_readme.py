@@ -40,6 +40,9 @@ INSTEAD: dict[str, Instead] = {
     "annotator serve --folder recordings --open": Instead(
         None, "it goes on until it is stopped; tests/cli/test_cli_serve.py starts and stops it"
     ),
+    "annotator generate recordings/hands --preset hands --frames 24": Instead(
+        "annotator generate recordings/hands --preset hands --frames 8", "seconds a frame, there and in what follows"
+    ),
     "annotator train hands": Instead(
         "annotator train hands --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
     ),
