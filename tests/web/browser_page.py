@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from annotator.project import Change, NewLabel, Project
+from annotator.recordings import open_recording
+from annotator.workflows.truth import load_truth
 
 if TYPE_CHECKING:
     from drawing import Scene
@@ -65,6 +70,17 @@ def draw_on_views(page: Page, scene: Scene, number: int, views: Sequence[dict[st
         shown = page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
         shown.wait_for(state="attached")
         drag_box(page, f"view-{name}", scene.view_box(number, view), view["width"], view["height"])
+
+
+def label_truth(project: Project, recording: Path, frames: int) -> int:
+    """Accepted boxes of all objects in the first frames; how many there are."""
+    opened = open_recording(recording)
+    made = 0
+    for index, stored in enumerate(project.frames.of()[:frames]):
+        truths = load_truth(opened, index, opened.frame(index))
+        labels = [NewLabel(truth.label, truth.box, track_id=truth.track_id) for truth in truths]
+        made += len(project.labels.create(stored.id, labels, Change(stored.revision, "Ada")).uids)
+    return made
 
 
 def seen_by_viewer(bench: Workbench, rect: dict[str, float], point: np.ndarray) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from browser_page import sign_in
 from live_server import Live, running
 
 from annotator.project import Project, create_project
@@ -152,6 +153,19 @@ def shared_page_3d(shop: Shop, browser: Browser, request: pytest.FixtureRequest)
     yield from _shared(shop, browser, request, with_3d=True)
 
 
+@pytest.fixture
+def signed_in(shared_page_3d: Page, shop: Shop) -> Page:
+    """The file's one page, signed in as Ada."""
+    sign_in(shared_page_3d, shop.live.url)
+    return shared_page_3d
+
+
+@pytest.fixture
+def room(shop: Shop) -> Project:
+    """A project of the test's own on the file's server."""
+    return shop.new_project()
+
+
 def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3d: bool) -> Iterator[Page]:
     if with_3d not in shop.pages:
         shop.pages[with_3d] = _new_page(browser, shop.live.url)
@@ -169,6 +183,8 @@ def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3
 
 def _tidy(page: Page) -> None:
     page.unroute_all(behavior="ignoreErrors")
+    if page.url == "about:blank":
+        return
     page.evaluate("localStorage.clear()")
     page.evaluate("document.getElementById('toasts').replaceChildren()")
     page.said.clear()

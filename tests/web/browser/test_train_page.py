@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from test_export_page import label_truth
+from browser_page import label_truth
+
+from annotator.project import Project
 
 if TYPE_CHECKING:
-    from live_server import Live
     from playwright.sync_api import Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 
-@pytest.fixture
-def signed_in(open_page: Callable[..., Page], live: Live) -> Page:
-    page = open_page()
-    answer = page.request.post("/api/session", data={"operator": "Ada"}, headers={"Origin": live.url})
-    assert answer.ok
-    return page
-
-
-def test_nothing_to_learn_from_says_what_to_do_next(signed_in: Page) -> None:
-    signed_in.goto("/#/room/train")
+def test_nothing_to_learn_from_says_what_to_do_next(signed_in: Page, room: Project) -> None:
+    signed_in.goto(f"/#/{room.path.name}/train")
     expect(signed_in.get_by_text("There are no boxes to learn from yet")).to_be_visible()
     expect(signed_in.get_by_test_id("train-start")).to_be_hidden()
     expect(signed_in.get_by_test_id("propose-start")).to_be_disabled()
 
 
-def test_bad_settings_are_told_where_they_are(signed_in: Page, live: Live, generated: Path) -> None:
-    label_truth(live.context.project("room"), generated / "people", 1)
-    signed_in.goto("/#/room/train")
+def test_bad_settings_are_told_where_they_are(signed_in: Page, room: Project, generated: Path) -> None:
+    label_truth(room, generated / "people", 1)
+    signed_in.goto(f"/#/{room.path.name}/train")
     signed_in.get_by_test_id("train-role-image").uncheck()
     signed_in.get_by_test_id("train-role-view").uncheck()
     signed_in.get_by_test_id("train-start").click()
@@ -41,10 +33,10 @@ def test_bad_settings_are_told_where_they_are(signed_in: Page, live: Live, gener
 
 
 @pytest.mark.slow
-def test_a_training_is_watched_and_another_one_stopped(signed_in: Page, live: Live, generated: Path) -> None:
+def test_a_training_is_watched_and_another_one_stopped(signed_in: Page, room: Project, generated: Path) -> None:
     page = signed_in
-    count = label_truth(live.context.project("room"), generated / "people", 2)
-    page.goto("/#/room/train")
+    count = label_truth(room, generated / "people", 2)
+    page.goto(f"/#/{room.path.name}/train")
     expect(page.get_by_test_id("material-image")).to_contain_text(f"{count} reviewed 3D boxes")
     page.get_by_text("Settings").click()
     page.get_by_test_id("train-role-view").uncheck()

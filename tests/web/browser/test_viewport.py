@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import until
+from browser_page import label_truth, seen_by_viewer, sign_in, until
 from PIL import Image
 
-from annotator.project.labels import NewLabel
-from annotator.project.writing import Change
-from annotator.recordings import open_recording
-from annotator.workflows.truth import load_truth
+from annotator.project import Project
+from annotator.types import Label
 
 if TYPE_CHECKING:
+    from conftest import Shop
+    from live_server import Live
     from playwright.sync_api import Page
 
 STARTS_S = 60.0
 LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
 
 # The page's own modules around the view, without a mode: `view` and what it and the key table have told.
-PAGE = """async ([left, top, width, height]) => {
+PAGE = """async ([project, left, top, width, height]) => {
   const load = (name) => import(`/assets/js/${name}.js`);
   const [viewport, keys, api, events, effort, state] = await Promise.all(
     ["viewport", "keys", "api", "events", "effort", "state"].map(load));
   const app = { effort: effort.createEffort(), events: events.createEvents(), keys: keys.createKeys(),
-    state: state.createState({ route: { project: "room" } }) };
+    state: state.createState({ route: { project } }) };
   app.api = api.createApi(app.effort, () => {});
-  app.events.follow("room");
+  app.events.follow(project);
   app.keys.setMode("review");
   app.keys.listen(window);
   window.pressed = [];
@@ -47,26 +48,43 @@ PAGE = """async ([left, top, width, height]) => {
 
 
 @pytest.fixture
-def labels(live: Any) -> list[Any]:
-    """True boxes on the first frame of `room`."""
-    project = live.context.project("room")
-    frame = project.frames.of()[0]
-    recording = open_recording(project.recordings.get(frame.recording_id).path)
-    truth = load_truth(recording, 0, recording.frame(0))
-    project.labels.create(frame.id, [NewLabel("person", entry.box) for entry in truth], Change(frame.revision, "Ada"))
-    return list(project.frame_state(frame.id).labels)
+def live(shop: Shop) -> Live:
+    """The file's server."""
+    return shop.live
+
+
+@pytest.fixture(scope="module")
+def room(shop: Shop) -> Project:
+    """A project with true boxes on its first frame."""
+    project = shop.new_project()
+    label_truth(project, shop.recording, 1)
+    return project
 
 
 @pytest.fixture
-def view(page: Page, live: Any, labels: list[Any]) -> Page:
-    """A page with the view of the first frame, connected and drawn."""
-    page.context.add_cookies([{"name": n, "value": v, "url": live.url} for n, v in live.client.cookies.items()])
-    page.goto("/")
-    page.evaluate(PAGE, [LEFT, TOP, WIDTH, HEIGHT])
-    show(page, frame=1)
+def labels(room: Project) -> list[Label]:
+    """The boxes on its first frame."""
+    return list(room.frame_state(room.frames.of()[0].id).labels)
+
+
+@pytest.fixture
+def view(shared_page_3d: Page, shop: Shop, room: Project) -> Iterator[Page]:
+    """A page with the view of the first frame, connected and drawn; it goes from test to test."""
+    page = shared_page_3d
+    if not page.evaluate("'view' in window"):
+        begin(page, shop.live, room)
+    show(page, frame=1, reset_view=True)
     until(page, "view.state === 'ready'", STARTS_S)
     until(page, lambda: drawn(page) > 0.1)
-    return page
+    page.evaluate("() => { for (const list of [pressed, ...Object.values(told)]) list.length = 0; }")
+    yield page
+
+
+def begin(page: Page, live: Live, room: Project) -> None:
+    """The page's modules, without a mode."""
+    sign_in(page, live.url)
+    page.goto("/")
+    page.evaluate(PAGE, [room.path.name, LEFT, TOP, WIDTH, HEIGHT])
 
 
 def show(page: Page, **scene: Any) -> None:
@@ -85,31 +103,26 @@ def drawn(page: Page) -> float:
     return float((np.abs(seen - seen[2, 2]).max(axis=2) > 24).mean())
 
 
-def bench(live: Any, page: Page) -> Any:
+def bench(live: Live, page: Page) -> Any:
     return live.server.app.state.workbenches.get(page.evaluate("view.id"), "Ada")
 
 
-def camera(live: Any, page: Page) -> np.ndarray:
+def camera(live: Live, page: Page) -> np.ndarray:
     """Where viser's camera is: position and direction."""
     (client,) = bench(live, page)._server.get_clients().values()
     return np.concatenate([client.camera.position, client.camera.wxyz])
 
 
-def on_screen(live: Any, page: Page, point: np.ndarray) -> tuple[float, float]:
-    """Where a point of the camera frame is on the page, through viser's own camera."""
-    import viser.transforms as tf
-
-    (client,) = bench(live, page)._server.get_clients().values()
-    seen = tf.SO3(client.camera.wxyz).inverse() @ (point - client.camera.position)
-    focal = HEIGHT / 2 / np.tan(client.camera.fov / 2)
-    return LEFT + WIDTH / 2 + focal * seen[0] / seen[2], TOP + HEIGHT / 2 + focal * seen[1] / seen[2]
+def on_screen(live: Live, page: Page, point: np.ndarray) -> tuple[float, float]:
+    """Where a point of the camera frame is on the page."""
+    return seen_by_viewer(bench(live, page), {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}, point)
 
 
-def test_the_cloud_is_drawn_in_its_own_colours_and_the_newest_scene_wins(view: Page, live: Any) -> None:
+def test_the_cloud_is_drawn_in_its_own_colours_and_the_newest_scene_wins(view: Page, live: Live, room: Project) -> None:
     assert drawn(view) > 0.3
     mean = picture(view).reshape(-1, 3)
     mean = mean[np.abs(mean - mean[0]).max(axis=1) > 24].mean(axis=0)
-    cloud = live.context.frame(live.context.project("room"), 1).cloud
+    cloud = live.context.frame(room, 1).cloud
     np.testing.assert_allclose(mean, cloud.rgb.mean(axis=0), atol=30)
     frame = view.frame_locator("[data-testid=viewport-frame]")
     assert frame.locator(".mantine-Paper-root:visible, .mantine-Notifications-root:visible").count() == 0
@@ -126,7 +139,7 @@ def test_the_cloud_is_drawn_in_its_own_colours_and_the_newest_scene_wins(view: P
     until(view, lambda: drawn(view) < 0.01)
 
 
-def test_keys_in_the_view_reach_the_page_and_never_the_camera(view: Page, live: Any) -> None:
+def test_keys_in_the_view_reach_the_page_and_never_the_camera(view: Page, live: Live) -> None:
     view.mouse.click(LEFT + 10, TOP + 10)
     assert view.evaluate("document.activeElement.dataset.testid") == "viewport-frame"
     view.wait_for_timeout(500)
@@ -151,7 +164,7 @@ def test_keys_in_the_view_reach_the_page_and_never_the_camera(view: Page, live: 
     until(view, lambda: np.abs(camera(live, view) - before).max() > 0.01)
 
 
-def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Any, labels: list[Any]) -> None:
+def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Live, labels: list[Label]) -> None:
     nearest = min(labels, key=lambda label: label.box.center_m[2])
     view.mouse.click(*on_screen(live, view, nearest.box.center_m))
     until(view, "told.select.length > 0")
@@ -159,7 +172,7 @@ def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Any, lab
 
     label = labels[0]
     show(view, frame=1, selected=label.uid, gizmo="translate")
-    until(view, "told.shown.length > 1")
+    until(view, lambda: bench(live, view)._scene.content.selected == label.uid)
     view.wait_for_timeout(1000)
     node = bench(live, view)._server.scene.get_handle_by_name("/selected")
     axis = label.box.rotation[:, 0]
@@ -182,7 +195,7 @@ def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Any, lab
     np.testing.assert_allclose(events[-1]["box"]["rotation"], label.box.rotation, atol=1e-6)
 
 
-def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Page, live: Any) -> None:
+def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Page, live: Live) -> None:
     known = view.evaluate("view.id")
     view.evaluate("view.detach()")
     until(view, lambda: not view.get_by_test_id("viewport-frame").is_visible())
@@ -203,12 +216,10 @@ def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Pa
     until(view, lambda: len(benches._open) == 0)
 
 
-def test_without_webgl_the_page_says_so(page: Page, live: Any) -> None:
-    page.context.add_cookies([{"name": n, "value": v, "url": live.url} for n, v in live.client.cookies.items()])
-    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
-    page.goto("/")
-    page.evaluate(PAGE, [LEFT, TOP, WIDTH, HEIGHT])
-    show(page, frame=1)
-    assert page.evaluate("view.state") == "unsupported"
-    assert "no WebGL" in page.get_by_test_id("viewport-note").inner_text()
-    assert live.server.app.state.workbenches._open == {}
+def test_without_webgl_the_page_says_so(shared_page: Page, live: Live, room: Project) -> None:
+    known = list(live.server.app.state.workbenches._open)
+    begin(shared_page, live, room)
+    show(shared_page, frame=1)
+    assert shared_page.evaluate("view.state") == "unsupported"
+    assert "no WebGL" in shared_page.get_by_test_id("viewport-note").inner_text()
+    assert list(live.server.app.state.workbenches._open) == known
