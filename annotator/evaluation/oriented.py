@@ -1,16 +1,16 @@
-"""Fully oriented boxes against truth: exact-IoU average precision, mean IoU, points inside."""
+"""Fully oriented boxes against truth, a few frames at a time: average precision, mean IoU, points inside."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 from scipy.optimize import linear_sum_assignment
 
-from annotator.geometry.iou import iou_3d_matrix
+from annotator.evaluation.average_precision import precision_recall
+from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
 from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox, PointCloud
 
@@ -35,49 +35,53 @@ class FrameResult:
 def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
     """The exact IoU of each true box with the proposal assigned to it (best total, one to one); 0 where none is."""
     ious = np.zeros(len(result.truth))
-    if result.boxes and result.truth:
-        matrix = iou_3d_matrix(result.truth, result.boxes)
-        rows, columns = linear_sum_assignment(-matrix)
-        ious[rows] = matrix[rows, columns]
+    pairs = assigned(overlapping(_table([result.boxes]), _table([result.truth])), np.zeros(len(ious), np.int64))
+    ious[pairs.truth] = pairs.iou
     return ious
 
 
 def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> float:
-    """Area under the precision envelope (PASCAL VOC 2010 on), with exact oriented 3D IoU.
+    """Average precision of one class with exact oriented 3D IoU, as in `annotator.evaluation.average_precision`.
 
-    All frames are pooled; detections in descending score each look at the true box of their frame that they overlap
-    most, taken or not; a hit needs IoU above the threshold and a box not yet taken. A detection whose box is one that
-    is ignored, with IoU above the threshold, does not count.
+    A detection whose box is one that is ignored, with IoU above the threshold, does not count.
 
     Returns:
         0..1; NaN where there is no true box.
     """
-    total = sum(len(result.truth) for result in results)
-    if total == 0:
+    detections = _table([result.boxes for result in results])
+    known = _table([[*result.truth, *result.ignored] for result in results])
+    counts = [flag for r in results for flag in (*(True for _ in r.truth), *(False for _ in r.ignored))]
+    if not any(counts):
         return float("nan")
-    rows = [(score, frame, index) for frame, result in enumerate(results) for index, score in enumerate(result.scores)]
-    known = [[*result.truth, *result.ignored] for result in results]
-    matrices = {i: iou_3d_matrix(r.boxes, known[i]) for i, r in enumerate(results) if r.boxes and known[i]}
-    taken: dict[int, set[int]] = defaultdict(set)
-    hits: list[int] = []
-    for _, frame, index in sorted(rows, key=lambda row: (-row[0], row[1], row[2])):
-        best, iou = _best(matrices[frame][index]) if frame in matrices else (0, 0.0)
-        if iou > iou_threshold and best >= len(results[frame].truth):
-            continue
-        hit = iou > iou_threshold and best not in taken[frame]
-        hits.append(int(hit))
-        if hit:
-            taken[frame].add(best)
-    found = np.cumsum(hits)
-    recall = np.concatenate([[0.0], found / total, [1.0]])
-    precision = np.concatenate([[0.0], found / np.arange(1, len(hits) + 1), [0.0]])
-    envelope = np.maximum.accumulate(precision[::-1])[::-1]
-    return float(np.sum(np.diff(recall) * envelope[1:]))
+    scores = np.array([score for result in results for score in result.scores], np.float64)
+    pairs = overlapping(detections, known)
+    return precision_recall(scores, pairs, np.array(counts, bool), iou_threshold).area
 
 
-def _best(ious: Float64[np.ndarray, "t"]) -> tuple[int, float]:
-    place = int(np.argmax(ious))
-    return place, float(ious[place])
+def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
+    """Of the pairs that overlap those that are assigned to each other: one to one, the most IoU in total, per frame.
+
+    Args:
+        pairs: what overlaps.
+        truth_frame: the frame of each true box.
+    """
+    chosen = [np.zeros(0, np.int64)]
+    order = np.argsort(truth_frame[pairs.truth], kind="stable")
+    starts = np.flatnonzero(np.diff(truth_frame[pairs.truth[order]])) + 1
+    for own in np.split(order, starts):
+        _, rows = np.unique(pairs.detection[own], return_inverse=True)
+        _, columns = np.unique(pairs.truth[own], return_inverse=True)
+        shape = (rows.max(initial=-1) + 1, columns.max(initial=-1) + 1)
+        iou, place = np.zeros(shape), np.full(shape, -1)
+        iou[rows, columns], place[rows, columns] = pairs.iou[own], own
+        found = place[linear_sum_assignment(-iou)]
+        chosen.append(found[found >= 0])
+    return pairs.take(np.concatenate(chosen))
+
+
+def _table(boxes: Sequence[Sequence[OrientedBox]]) -> BoxTable:
+    """The boxes of each frame, of one class."""
+    return BoxTable.of((frame, "", box, 0.0) for frame, own in enumerate(boxes) for box in own)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,26 @@ def iou_bev_matrix(
     return _scattered(len(a.area), len(b.area), rows, columns, np.minimum(area / union, 1.0))
 
 
+def rectangle_intersection_pairs(
+    centers_a: Float64[np.ndarray, "n 2"],
+    yaws_a_rad: Float64[np.ndarray, "n"],
+    sizes_a: Float64[np.ndarray, "n 2"],
+    centers_b: Float64[np.ndarray, "n 2"],
+    yaws_b_rad: Float64[np.ndarray, "n"],
+    sizes_b: Float64[np.ndarray, "n 2"],
+) -> Float64[np.ndarray, "n"]:
+    """Area of the intersection of rectangle a and rectangle b of each of n pairs.
+
+    Args:
+        centers_a, centers_b: in one plane.
+        yaws_a_rad, yaws_b_rad: direction of the first side, from the plane's first axis towards its second.
+        sizes_a, sizes_b: full lengths of the first and second side, positive.
+    """
+    a, b = _rectangles(centers_a, yaws_a_rad, sizes_a), _rectangles(centers_b, yaws_b_rad, sizes_b)
+    every = np.arange(len(centers_a))
+    return _intersection_areas(a, b, every, every)
+
+
 @dataclass(frozen=True, eq=False)
 class _Footprints:
     """Ground rectangles and heights of upright boxes; two axes on the ground, metres."""
@@ -93,6 +113,14 @@ def _footprints(boxes: Sequence[OrientedBox], up: Float[np.ndarray, "3"]) -> _Fo
     return _Footprints(
         centers[:, 1:], along, 0.5 * sizes[:, :2], centers[:, 0] - half_height, centers[:, 0] + half_height
     )
+
+
+def _rectangles(
+    centers: Float64[np.ndarray, "n 2"], yaws_rad: Float64[np.ndarray, "n"], sizes: Float64[np.ndarray, "n 2"]
+) -> _Footprints:
+    along = np.stack([np.cos(yaws_rad), np.sin(yaws_rad)], axis=1)
+    flat = np.zeros(len(centers))
+    return _Footprints(centers, along, 0.5 * sizes, flat, flat)
 
 
 def _near(a: _Footprints, b: _Footprints) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:

@@ -1,0 +1,27 @@
+"""KITTI's object benchmark: average precision on the image, in bird's-eye view and in 3D, and orientation similarity.
+
+The rules are those of the devkit's own program (devkit_object, `cpp/evaluate_object.cpp`), down to the order in which
+boxes are matched; what it prints is what comes out here.
+"""
+
+from annotator.evaluation.kitti.protocol import (
+    OFFICIAL,
+    RELAXED,
+    KittiCurve,
+    KittiResult,
+    Metric,
+    MinOverlap,
+    evaluate_kitti,
+)
+from annotator.evaluation.kitti.rows import KittiRows
+
+__all__ = [
+    "OFFICIAL",
+    "RELAXED",
+    "KittiCurve",
+    "KittiResult",
+    "KittiRows",
+    "Metric",
+    "MinOverlap",
+    "evaluate_kitti",
+]

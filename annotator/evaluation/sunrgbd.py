@@ -1,0 +1,51 @@
+"""SUN RGB-D's 3D detection benchmark, as VoteNet evaluates it (`utils/eval_det.py`, area under the envelope)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from annotator.evaluation.average_precision import PrecisionRecall, precision_recall
+from annotator.evaluation.boxes import BoxTable, overlapping
+
+THRESHOLDS = (0.15, 0.25, 0.5)
+
+
+@dataclass(frozen=True)
+class SunRgbdResult:
+    """The curves by IoU threshold and class; classes without a true box are not evaluated.
+
+    Attributes:
+        objects, detections: how many there are, by class.
+    """
+
+    curves: Mapping[float, Mapping[str, PrecisionRecall]]
+    objects: Mapping[str, int]
+    detections: Mapping[str, int]
+
+    def mean(self, threshold: float) -> float:
+        """Mean average precision over the classes, 0..1; NaN without any."""
+        areas = [curve.area for curve in self.curves[threshold].values()]
+        return float(np.mean(areas)) if areas else float("nan")
+
+
+def evaluate_sunrgbd(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = THRESHOLDS) -> SunRgbdResult:
+    """Evaluates the detections of all frames, class by class.
+
+    VoteNet intersects upright boxes; the exact intersection used here is the same for them, and defined for all.
+
+    Args:
+        detections: with their scores; those in frames without a true box count, too.
+        truth: what is there.
+    """
+    curves: dict[float, dict[str, PrecisionRecall]] = {threshold: {} for threshold in thresholds}
+    objects, numbers = {}, {}
+    for label in np.unique(truth.label).tolist():
+        own, there = detections.of_class(label), truth.of_class(label)
+        objects[label], numbers[label] = len(there), len(own)
+        pairs, counts = overlapping(own, there), np.ones(len(there), bool)
+        for threshold in thresholds:
+            curves[threshold][label] = precision_recall(own.score, pairs, counts, threshold)
+    return SunRgbdResult(curves, objects, numbers)
