@@ -19,10 +19,12 @@ LOG = logging.getLogger("annotator.web")
 
 # A few operators, each with the frame they look at, the one before and the next.
 FRAMES_KEPT = 8
+# What is not asked for yet waits until what is asked for has had the processor, seconds.
+PAUSE_S = 0.4
 
 
 class FrameCache:
-    """Reads frames once and keeps the last few; the one after each is read ahead. Threads share it."""
+    """Reads frames once and keeps the last few; the ones beside each are read ahead. Threads share it."""
 
     def __init__(self, kept: int = FRAMES_KEPT) -> None:
         self._kept = kept
@@ -30,6 +32,8 @@ class FrameCache:
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
         self._ahead = ThreadPoolExecutor(1, "read-ahead")
+        self._newest: OpenFrame | None = None
+        self._closed = threading.Event()
 
     def read(self, project: Project, frame_id: int) -> Frame:
         """A frame.
@@ -56,6 +60,7 @@ class FrameCache:
 
     def close(self) -> None:
         """Ends the reading ahead."""
+        self._closed.set()
         self._ahead.shutdown(wait=False, cancel_futures=True)
 
     def _known(self, key: tuple[Project, int]) -> OpenFrame | None:
@@ -100,6 +105,7 @@ class FrameCache:
             return self._sources[project]
 
     def _read_ahead(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
+        self._newest = found
         if found.is_prepared:
             return
         found.is_prepared = True
@@ -108,17 +114,27 @@ class FrameCache:
             self._ahead.submit(self._prepare, project, stored, found)
 
     def _prepare(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
-        """What will be asked for next: about this frame, and the next one."""
+        """What will be asked for next: about this frame, the next one and the one before."""
+        if self._closed.wait(PAUSE_S):
+            return
+        if self._newest is not found:
+            # the operator is somewhere else already
+            found.is_prepared = False
+            return
         try:
             _ = found.jpeg, found.index, found.with_normals
-            _, following = neighbours(project, stored)
-            if following is not None and self._known((project, following)) is None:
-                ready = self._open(project, project.frames.get(following))
-                _ = ready.jpeg, ready.index
-                for label in project.labels.of_frame(following):
-                    ready.points_in(label.box)
+            before, following = neighbours(project, stored)
+            for beside in (following, before):
+                if beside is not None and self._newest is found and self._known((project, beside)) is None:
+                    self._make_ready(project, beside)
         except AnnotatorError as error:
             # whoever opens the frame is told what is wrong with it
-            LOG.debug("frame after %s: %s", stored.key, error)
+            LOG.debug("frames beside %s: %s", stored.key, error)
         except Exception:
             LOG.exception("reading ahead of frame %s failed", stored.key)
+
+    def _make_ready(self, project: Project, frame_id: int) -> None:
+        ready = self._open(project, project.frames.get(frame_id))
+        _ = ready.jpeg, ready.index
+        for label in project.labels.of_frame(frame_id):
+            ready.points_in(label.box)

@@ -11,11 +11,10 @@ import { h } from "./dom.js";
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
-// Without a graphics card a frame takes a processor some 5 us a point. So a new cloud comes thinned at first, and in more
-// detail when the operator has stayed with it.
-const SOFTWARE_FIRST_POINTS = 12000;
-const SOFTWARE_POINTS = 40000;
-const DETAIL_MS = 700;
+// Drawn at most without a graphics card: a frame takes a processor some 5 us a point. The server draws the few larger.
+const SOFTWARE_POINTS = 12000;
+// And each pixel counts: so many are drawn for one of the screen's, along each side (a setting of viser's page).
+const SOFTWARE_PIXELS = 0.7;
 const NO_WEBGL = "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it; for the 3D view turn on hardware acceleration, or use another browser.";
 // viser's own panel and notes; nothing in them is for an operator.
 const STYLE = ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } canvas { cursor: default !important; outline: none; }";
@@ -43,9 +42,6 @@ export function createViewport(app) {
   let busy = false;
   let state = "opening";
   let retry = 0;
-  // the frame that is drawn in all the detail there is, and the pause before it
-  let detailed = null;
-  let pause = 0;
   let gone = false;
 
   Object.assign(element.style, { position: "absolute", inset: "0", display: "grid", placeItems: "center" });
@@ -64,7 +60,6 @@ export function createViewport(app) {
     listen(window, "pagehide", leave),
     () => clearInterval(timer),
     () => clearTimeout(retry),
-    () => clearTimeout(pause),
     () => observer.disconnect(),
   ];
   const graphics = lookAtGraphics();
@@ -138,9 +133,8 @@ export function createViewport(app) {
       return;
     }
     const newest = wanted;
-    clearTimeout(pause);
-    if (scene.frame !== detailed) detailed = null;
-    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail(scene), ...scene });
+    const detail = graphics === "software" ? { most_points: SOFTWARE_POINTS } : {};
+    const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail, ...scene });
     // "back to the first view" is done once
     last = { project, scene: { ...scene, reset_view: false } };
     if (wanted === newest) wanted = null;
@@ -148,19 +142,6 @@ export function createViewport(app) {
     // the event that says so may be missed where the page's own socket is just being opened
     if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
     emit("shown", answer);
-    if (graphics === "software" && scene.frame !== detailed) pause = setTimeout(() => refine(scene.frame), DETAIL_MS);
-  }
-
-  /** How many points are drawn of a scene: all that the server gives where there is a graphics card. */
-  function detail(scene) {
-    if (graphics !== "software") return {};
-    return { most_points: scene.frame === detailed ? SOFTWARE_POINTS : SOFTWARE_FIRST_POINTS };
-  }
-
-  function refine(frame) {
-    if (last === null || last.scene.frame !== frame) return;
-    detailed = frame;
-    showAgain();
   }
 
   function again() {
@@ -191,7 +172,7 @@ export function createViewport(app) {
     frame = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
     Object.assign(frame.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
     frame.addEventListener("load", () => prepare(frame));
-    frame.src = url;
+    frame.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE_PIXELS}` : url;
     layer.append(frame);
     follow();
   }
