@@ -12,9 +12,9 @@ const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
 // Drawn at most without a graphics card: a frame takes a processor some 5 us a point. The server draws the few larger.
-const SOFTWARE_POINTS = 12000;
+const SOFTWARE_POINTS = 10000;
 // And each pixel counts: so many are drawn for one of the screen's, along each side (a setting of viser's page).
-const SOFTWARE_PIXELS = 0.7;
+const SOFTWARE_PIXELS = 0.65;
 const NO_WEBGL = "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it; for the 3D view turn on hardware acceleration, or use another browser.";
 // viser's own panel and notes; nothing in them is for an operator.
 const STYLE = ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } canvas { cursor: default !important; outline: none; }";
