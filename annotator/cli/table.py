@@ -27,6 +27,7 @@ COMMANDS: dict[str, Command] = {
     "train": Command("annotator.cli.train:run", "train the two 2D detectors"),
     "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
     "export": Command("annotator.cli.export:run", "write a dataset"),
+    "evaluate": Command("annotator.cli.evaluate:run", "measure boxes against truth, by the rules of a benchmark"),
     "stats": Command("annotator.cli.stats:run", "say how far a project is"),
     "serve": Command("annotator.cli.serve:run", "open the workbench in the browser"),
     "check": Command("annotator.cli.check:run", "list labels that look wrong"),

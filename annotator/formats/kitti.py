@@ -11,6 +11,7 @@ conventions end here: what comes out is our box, x along the heading, y across, 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -148,10 +149,11 @@ def _parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
 
 def _number(field: str, path: Path, line: int) -> float:
     try:
-        value = float(field)
+        # float() reads 1_000, too
+        value = float(field.replace("_", "?"))
     except ValueError:
         raise FormatError(path, f"{field!r} is not a number", line) from None
-    if not np.isfinite(value):
+    if not math.isfinite(value):
         raise FormatError(path, f"{field!r} is not a finite number", line)
     return value
 

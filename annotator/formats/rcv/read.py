@@ -50,6 +50,11 @@ class RcvDataset:
         """
         return _labels(*self._record(i))
 
+    def named_labels(self, i: int) -> tuple[str, tuple[Label, ...]]:
+        """The same with the frame's name, `RECORDING/KEY`: where it came from, whatever its id in this dataset is."""
+        path, record = self._record(i)
+        return f"{record.recording}/{record.key}", _labels(path, record)
+
     def frame(self, i: int) -> RcvFrame:
         """Frame `i`, read from disk.
 

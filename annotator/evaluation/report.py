@@ -1,0 +1,202 @@
+"""What an evaluation says: one JSON object for programs, a table for people, curves to be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, RootModel
+
+from annotator.evaluation.average_precision import PrecisionRecall
+from annotator.evaluation.kitti import KittiCurve, KittiResult, Metric
+from annotator.evaluation.kitti.protocol import DIFFICULTIES, SAMPLES
+from annotator.evaluation.oriented_protocol import OrientedClass, OrientedResult
+from annotator.evaluation.sunrgbd import SunRgbdResult
+
+Row = tuple[str | int | float | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One curve: precision (or what takes its place) over recall, both 0..1."""
+
+    name: str
+    recall: Float64[np.ndarray, "n"]
+    precision: Float64[np.ndarray, "n"]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Some curves in one diagram; `name` is fit for a file."""
+
+    name: str
+    title: str
+    y_label: str
+    lines: Sequence[Line]
+
+
+@dataclass(frozen=True)
+class Report:
+    """An evaluation.
+
+    Attributes:
+        content: the JSON object.
+        columns, rows: the table; numbers are rounded for reading, None and NaN are nothing.
+        pictures: the curves.
+    """
+
+    content: BaseModel
+    columns: Sequence[str]
+    rows: Sequence[Row]
+    pictures: Sequence[Picture]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class KittiAp(_Record):
+    """Average precision at easy, moderate and hard, percent."""
+
+    R11: tuple[float, float, float]
+    R40: tuple[float, float, float]
+
+
+KittiContent = RootModel[dict[str, dict[Metric, KittiAp]]]
+
+
+class SunRgbdAp(_Record):
+    """Average precision at one IoU threshold, 0..1; null where there is no class."""
+
+    mAP: float | None
+    AP: dict[str, float]
+
+
+SunRgbdContent = RootModel[dict[str, SunRgbdAp]]
+
+
+class OrientedClassContent(_Record):
+    """One class, as `OrientedClass` explains it; null where nothing could be measured."""
+
+    AP: dict[str, float]
+    mean_iou: float
+    rotation_error_rad: float | None
+    size_error: float | None
+    center_error_m: float | None
+    objects: int
+    detections: int
+    matched: int
+
+
+class OrientedContent(_Record):
+    """Mean average precision at each IoU threshold, 0..1, and the classes."""
+
+    mAP: dict[str, float | None]
+    classes: dict[str, OrientedClassContent]
+
+
+def kitti_report(result: KittiResult) -> Report:
+    """R11 and R40, percent; a picture for each class and metric."""
+    content = {
+        label: {metric: KittiAp(R11=_three(curves, "r11"), R40=_three(curves, "r40")) for metric, curves in own.items()}
+        for label, own in result.curves.items()
+    }
+    rows: list[Row] = [(label, m.value, *ap.R11, *ap.R40) for label, own in content.items() for m, ap in own.items()]
+    heads = [f"{name} {level}" for name in ("R11", "R40") for level in DIFFICULTIES]
+    pictures = [_kitti_picture(label, m, curves) for label, own in result.curves.items() for m, curves in own.items()]
+    return Report(KittiContent(content), ["class", "metric", *heads], rows, pictures)
+
+
+def sunrgbd_report(result: SunRgbdResult) -> Report:
+    """AP and final recall at each threshold; a picture for each threshold."""
+    content = {
+        f"{threshold:g}": SunRgbdAp(mAP=_or_none(result.mean(threshold)), AP={c: v.area for c, v in own.items()})
+        for threshold, own in result.curves.items()
+    }
+    thresholds = list(result.curves)
+    heads = [f"{what} {threshold:g}" for what in ("AP", "recall") for threshold in thresholds]
+    rows: list[Row] = [
+        (
+            label,
+            count,
+            result.detections[label],
+            *(result.curves[threshold][label].area for threshold in thresholds),
+            *(result.curves[threshold][label].final_recall for threshold in thresholds),
+        )
+        for label, count in result.objects.items()
+    ]
+    rows.append(("mean", None, None, *map(result.mean, thresholds), *(None for _ in thresholds)))
+    pictures = [
+        Picture(f"iou_{threshold:g}", f"IoU above {threshold:g}", "precision", _lines(own))
+        for threshold, own in result.curves.items()
+    ]
+    return Report(SunRgbdContent(content), ["class", "objects", "detections", *heads], rows, pictures)
+
+
+def oriented_report(result: OrientedResult) -> Report:
+    """AP, mean IoU and pose errors (degrees and percent in the table); a picture for each class."""
+    thresholds = list(next(iter(result.classes.values())).curves) if result.classes else []
+    content = OrientedContent(
+        mAP={f"{threshold:g}": _or_none(result.mean(threshold)) for threshold in thresholds},
+        classes={label: _oriented_class(found) for label, found in result.classes.items()},
+    )
+    heads = [f"AP {threshold:g}" for threshold in thresholds]
+    rows: list[Row] = [
+        (
+            label,
+            found.objects,
+            found.detections,
+            *(found.curves[threshold].area for threshold in thresholds),
+            found.mean_iou,
+            float(np.degrees(found.rotation_error_rad)),
+            100.0 * found.size_error,
+            found.center_error_m,
+        )
+        for label, found in result.classes.items()
+    ]
+    rows.append(("mean", None, None, *map(result.mean, thresholds), None, None, None, None))
+    pictures = [
+        Picture(label, label, "precision", _lines({f"IoU above {t:g}": curve for t, curve in found.curves.items()}))
+        for label, found in result.classes.items()
+    ]
+    columns = ["class", "objects", "detections", *heads, "mean IoU", "rotation deg", "size %", "centre m"]
+    return Report(content, columns, rows, pictures)
+
+
+def _three(curves: Iterable[KittiCurve], name: str) -> tuple[float, float, float]:
+    easy, moderate, hard = (float(getattr(curve, name)) for curve in curves)
+    return easy, moderate, hard
+
+
+def _kitti_picture(label: str, metric: Metric, curves: Iterable[KittiCurve]) -> Picture:
+    at = np.linspace(0.0, 1.0, SAMPLES)
+    y_label = "orientation similarity" if metric is Metric.AOS else "precision"
+    lines = [
+        Line(f"{level} (R40 {curve.r40:.2f})", at, curve.samples)
+        for level, curve in zip(DIFFICULTIES, curves, strict=True)
+    ]
+    return Picture(f"{label}_{metric.value}", f"{label}, {metric.value}", y_label, lines)
+
+
+def _lines(curves: Mapping[str, PrecisionRecall]) -> list[Line]:
+    return [Line(f"{name} (AP {c.area:.3f})", c.recall, c.precision) for name, c in curves.items()]
+
+
+def _oriented_class(found: OrientedClass) -> OrientedClassContent:
+    return OrientedClassContent(
+        AP={f"{threshold:g}": curve.area for threshold, curve in found.curves.items()},
+        mean_iou=found.mean_iou,
+        rotation_error_rad=_or_none(found.rotation_error_rad),
+        size_error=_or_none(found.size_error),
+        center_error_m=_or_none(found.center_error_m),
+        objects=found.objects,
+        detections=found.detections,
+        matched=found.matched,
+    )
+
+
+def _or_none(value: float) -> float | None:
+    """JSON has no NaN."""
+    return value if np.isfinite(value) else None

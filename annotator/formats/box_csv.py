@@ -1,0 +1,98 @@
+"""Upright boxes of many images in one CSV file, as SUN RGB-D's labels and detections are passed around.
+
+    image,class,cx,cy,cz,l,w,h,yaw[,score]
+
+z up, metres, radians: centre, full sizes, and the length's direction, counter-clockwise (seen from above) from +x.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.types.errors import FormatError
+
+TEXTS = ("image", "class")
+NUMBERS = ("cx", "cy", "cz", "l", "w", "h", "yaw")
+SCORE = "score"
+
+
+@dataclass(frozen=True)
+class BoxRow:
+    """One row: `center_m` x y z, `size_m` length width height, `yaw_rad` about z."""
+
+    image: str
+    label: str
+    center_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    yaw_rad: float
+    score: float | None = None
+
+
+def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
+    """The rows in file order; blank lines are passed over.
+
+    Args:
+        scored: True for detections: there must be a column `score`.
+
+    Raises:
+        FormatError: the file cannot be read, its head lacks a column or has one that is not known, or a row has too
+            few or too many fields, a field that is no finite number, an empty name or a size that is not positive.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return list(_rows(path, file, scored))
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+
+
+def _rows(path: Path, lines: Iterator[str], scored: bool) -> Iterator[BoxRow]:
+    reader = csv.reader(lines, strict=True)
+    try:
+        head = _head(path, next(reader, []), scored)
+        for fields in reader:
+            if any(field.strip() for field in fields):
+                yield _row(path, reader.line_num, head, fields)
+    except csv.Error as error:
+        raise FormatError(path, f"is no CSV: {error}", reader.line_num) from error
+
+
+def _head(path: Path, names: list[str], scored: bool) -> list[str]:
+    head = [name.strip() for name in names]
+    needed = [*TEXTS, *NUMBERS, *([SCORE] if scored else [])]
+    if missing := [name for name in needed if name not in head]:
+        raise FormatError(path, f"the first line must name the columns {','.join(needed)}; {missing[0]} is missing", 1)
+    if unknown := [name for name in head if name not in (*needed, SCORE)]:
+        raise FormatError(path, f"the column {unknown[0]!r} is not known; there are {','.join(needed)}", 1)
+    if len(set(head)) != len(head):
+        raise FormatError(path, "a column is there twice", 1)
+    return head
+
+
+def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
+    if len(fields) != len(head):
+        raise FormatError(path, f"a row has {len(head)} fields, as the first line says, not {len(fields)}", line)
+    values = dict(zip(head, (field.strip() for field in fields), strict=True))
+    if not (values["image"] and values["class"]):
+        raise FormatError(path, "image and class must not be empty", line)
+    cx, cy, cz, length, width, height, yaw = (_number(path, line, name, values[name]) for name in NUMBERS)
+    if min(length, width, height) <= 0:
+        raise FormatError(path, f"l w h must be positive, not {length:g} {width:g} {height:g}", line)
+    score = _number(path, line, SCORE, values[SCORE]) if SCORE in values else None
+    return BoxRow(values["image"], values["class"], (cx, cy, cz), (length, width, height), yaw, score)
+
+
+def _number(path: Path, line: int, name: str, text: str) -> float:
+    try:
+        # float() reads 1_000, too
+        value = float(text.replace("_", "?"))
+    except ValueError:
+        raise FormatError(path, f"{name}: {text!r} is not a number", line) from None
+    if not math.isfinite(value):
+        raise FormatError(path, f"{name}: {text!r} is not a finite number", line)
+    return value

@@ -1,0 +1,212 @@
+"""How far our evaluation is from the official evaluators' numbers, for a folder that holds both.
+
+python -m benchmarks.golden DIR [--json]
+
+Of each part the largest difference is told, and where it is: KITTI's average precision in percent points (all `devkit`
+rows), SUN RGB-D's mean average precision (0..1), IoU of freely turned boxes (relative; for boxes that only touch, the
+share of the smaller one that we found), KITTI's conventions (pixels of projected corners and 2D boxes). A part whose
+files are not in the folder is null.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, Metric, MinOverlap, evaluate_kitti
+from annotator.evaluation.kitti.protocol import DIFFICULTIES, NEIGHBOURS
+from annotator.evaluation.sunrgbd import SunRgbdResult, evaluate_sunrgbd
+from annotator.formats.box_csv import read_box_csv
+from annotator.formats.kitti_results import read_kitti_folder
+from annotator.geometry.iou import intersection_volume_pairs
+from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.evaluate import box_rows, kitti_rows
+from benchmarks.golden_conventions import convention_differences
+from benchmarks.report import Table, finish, guarded
+
+KITTI, KITTI_SETS = "expected_kitti.csv", "expected_kitti.json"
+SUNRGBD, SUNRGBD_TRUTH, SUNRGBD_FOUND = "expected_sunrgbd.csv", "sunrgbd_gt.csv", "sunrgbd_det.csv"
+PAIRS, CONVENTIONS = "iou3d_pairs.csv", "kitti_conventions.json"
+
+# The official program, and the same with looser overlaps; other forks of it differ.
+EVALUATORS: Mapping[str, MinOverlap] = {"devkit": OFFICIAL, "devkit_relaxed": RELAXED}
+METRICS = {"2d": Metric.BBOX, "bev": Metric.BEV, "3d": Metric.BOX_3D, "aos": Metric.AOS}
+# An intersection below this share of the smaller box is contact only.
+CONTACT = 1e-12
+
+
+@dataclass
+class Arguments:
+    """A folder of reference inputs with the numbers that the official evaluators gave for them."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One number of ours against the reference's, and what it is."""
+
+    what: str
+    amount: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the folder: its name in the result, its files, and how it is compared."""
+
+    name: str
+    files: tuple[str, ...]
+    compare: Callable[[Path], Iterator[Difference]]
+
+
+def measure(folder: Path) -> dict[str, object]:
+    """The largest difference of each part, where it is, and how many numbers were compared.
+
+    Raises:
+        ConfigError: the folder has none of the parts.
+        FormatError: one of its files does not follow its format.
+    """
+    result: dict[str, object] = {}
+    worst: dict[str, str | None] = {}
+    compared: dict[str, int] = {}
+    for part in PARTS:
+        here = all((folder / name).exists() for name in part.files)
+        found = list(part.compare(folder)) if here else []
+        # a difference that is no number is the worst of all
+        last = max(found, key=lambda entry: np.nan_to_num(entry.amount, nan=np.inf), default=None)
+        result[part.name] = None if last is None else last.amount
+        worst[part.name] = None if last is None else last.what
+        compared[part.name] = len(found)
+    if not any(compared.values()):
+        raise ConfigError(f"{folder}: has no reference numbers; looked for {', '.join(p.files[0] for p in PARTS)}")
+    return {**result, "worst": worst, "compared": compared}
+
+
+def kitti_differences(folder: Path) -> Iterator[Difference]:
+    """Average precision, percent points, of every row of the evaluators that count."""
+    rows = [row for row in _table(folder / KITTI) if row["evaluator"] in EVALUATORS]
+    for name in dict.fromkeys(row["set"] for row in rows):
+        found_path, true_path = _set_paths(folder, name)
+        found, there = read_kitti_folder(found_path, scored=True), read_kitti_folder(true_path, scored=False)
+        keys = sorted(there)
+        tables = [kitti_rows([side.get(key, ()) for key in keys]) for side in (found, there)]
+        for evaluator, overlap in EVALUATORS.items():
+            own = [row for row in rows if (row["set"], row["evaluator"]) == (name, evaluator)]
+            if own:
+                yield from _kitti_rows(own, evaluate_kitti(tables[0], tables[1], overlap))
+
+
+def _kitti_rows(rows: list[dict[str, str]], result: KittiResult) -> Iterator[Difference]:
+    names = {label.lower(): label for label in NEIGHBOURS}
+    for row in rows:
+        label, metric = names[row["class"].lower()], METRICS[row["metric"]]
+        what = " ".join(row[key] for key in ("set", "evaluator", "class", "metric", "difficulty"))
+        curves = result.curves.get(label, {}).get(metric)
+        curve = None if curves is None else curves[DIFFICULTIES.index(row["difficulty"])]
+        for points in ("R11", "R40"):
+            ours = float("nan") if curve is None else (curve.r11 if points == "R11" else curve.r40)
+            yield Difference(f"{what} {points}", abs(ours - float(row[f"AP_{points}"])))
+
+
+def _set_paths(folder: Path, name: str) -> tuple[Path, Path]:
+    """Detections and truth of a set: as the list of sets has them, else by their names."""
+    sets: dict[str, dict[str, str]] = {}
+    if (folder / KITTI_SETS).exists():
+        sets = json.loads((folder / KITTI_SETS).read_text())["sets"]
+    if name in sets:
+        return folder / sets[name]["det_zip"], folder / sets[name]["gt_zip"]
+    return folder / f"kitti_{name}_det.zip", folder / f"kitti_{name}_gt.zip"
+
+
+def sunrgbd_differences(folder: Path) -> Iterator[Difference]:
+    """Average precision of each class, and their mean, at each threshold; 0..1."""
+    rows = _table(folder / SUNRGBD)
+    thresholds = sorted({float(row["iou"]) for row in rows})
+    numbers: dict[str, int] = {}
+    found, there = (
+        box_rows(read_box_csv(folder / file, scored=scored), numbers)
+        for file, scored in ((SUNRGBD_FOUND, True), (SUNRGBD_TRUTH, False))
+    )
+    result = evaluate_sunrgbd(found, there, thresholds)
+    for row in rows:
+        ours = _sunrgbd_ap(result, float(row["iou"]), row["class"])
+        yield Difference(f"{row['class']} at {row['iou']}", abs(ours - float(row["AP"])))
+
+
+def _sunrgbd_ap(result: SunRgbdResult, threshold: float, label: str) -> float:
+    if label.startswith("ALL"):
+        return result.mean(threshold)
+    curve = result.curves[threshold].get(label)
+    return float("nan") if curve is None else curve.area
+
+
+def iou_differences(folder: Path) -> Iterator[Difference]:
+    """IoU of each pair, relative to what it should be; for contact the share of the smaller box."""
+    rows = _table(folder / PAIRS)
+    sides = [
+        (
+            _columns(rows, *(f"{side}_c{k}" for k in "xyz")),
+            _columns(rows, *(f"{side}_r{i}{j}" for i in range(3) for j in range(3))).reshape(-1, 3, 3),
+            _columns(rows, *(f"{side}_s{k}" for k in "xyz")),
+        )
+        for side in "ab"
+    ]
+    found = intersection_volume_pairs(*sides[0], *sides[1])
+    volumes = np.stack([side[2].prod(axis=1) for side in sides])
+    iou, smaller = found / (volumes.sum(axis=0) - found), volumes.min(axis=0)
+    for row, ours, inner, least in zip(rows, iou.tolist(), found.tolist(), smaller.tolist(), strict=True):
+        true_iou, contact = float(row["iou"]), float(row["intersection"]) < CONTACT * least
+        amount = inner / least if contact else abs(ours - true_iou) / true_iou
+        yield Difference(f"pair {row['id']} ({row['kind']})", amount)
+
+
+def convention_pixels(folder: Path) -> Iterator[Difference]:
+    """Projected corners and 2D boxes, pixels."""
+    for difference in convention_differences(folder / CONVENTIONS):
+        yield Difference(f"{difference.label}: {difference.what}", difference.px)
+
+
+def _table(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise FormatError(path, f"cannot be read ({error})") from error
+
+
+def _columns(rows: list[dict[str, str]], *names: str) -> np.ndarray:
+    return np.array([[float(row[name]) for name in names] for row in rows])
+
+
+PARTS = (
+    Part("kitti_max_ap", (KITTI,), kitti_differences),
+    Part("sunrgbd_max_map", (SUNRGBD, SUNRGBD_TRUTH, SUNRGBD_FOUND), sunrgbd_differences),
+    Part("iou_max_rel", (PAIRS,), iou_differences),
+    Part("conventions_max_px", (CONVENTIONS,), convention_pixels),
+)
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = measure(args.folder)
+    table = Table("part", "largest difference", "where", "numbers compared")
+    worst, compared = result["worst"], result["compared"]
+    assert isinstance(worst, dict) and isinstance(compared, dict)
+    for part in PARTS:
+        amount = result[part.name]
+        shown = "no such files" if amount is None else f"{amount:.2e}"
+        table.add(part.name, shown, worst[part.name] or "", compared[part.name])
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    guarded(main)

@@ -1,0 +1,275 @@
+"""KITTI's protocol: against its rules written plainly, by laws, and on cases worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kitti_scenes import Box, Frame, columns, samples
+
+from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti
+from annotator.evaluation.kitti.protocol import score_thresholds
+
+EASY = 0
+CAR = Box("Car", (100, 100, 200, 150))
+FAR = (600.0, 100.0, 700.0, 150.0)
+
+
+def evaluated(found: list[Frame], truth: list[Frame]) -> KittiResult:
+    return evaluate_kitti(columns(found), columns(truth))
+
+
+def bbox(found: Frame, truth: Frame, level: int = EASY) -> tuple[int, int, float]:
+    """Of one frame with cars: how many count, how many are found, and the best precision."""
+    curve = evaluated([found], [truth]).curves["Car"][Metric.BBOX][level]
+    return curve.objects, curve.found, float(curve.samples[0])
+
+
+# --- against the rules, one box at a time ----------------------------------------------------------------------------
+
+side = st.integers(0, 3).map(lambda v: 20.0 * v)
+height = st.sampled_from([20.0, 25.0, 30.0, 40.0, 44.0, 50.0])
+
+
+@st.composite
+def row(draw: st.DrawFn, labels: tuple[str, ...]) -> Box:
+    x, y = draw(side), draw(side)
+    return Box(
+        draw(st.sampled_from(labels)),
+        (x, y, x + draw(st.sampled_from([40.0, 60.0])), y + draw(height)),
+        score=draw(st.sampled_from([-1.5, 0.0, 0.2, 0.5, 0.9])),
+        truncated=draw(st.sampled_from([0.0, 0.15, 0.2, 0.4])),
+        occluded=draw(st.integers(0, 3)),
+        alpha=draw(st.sampled_from([0.0, 1.0, math.pi])),
+    )
+
+
+found_frames = st.lists(row(("Car", "car", "Pedestrian", "Van", "DontCare")), max_size=6)
+true_frames = st.lists(row(("Car", "Van", "Pedestrian", "Person_sitting", "DontCare", "Truck")), max_size=6)
+
+
+@settings(deadline=None, max_examples=80)
+@given(st.lists(st.tuples(found_frames, true_frames), min_size=1, max_size=3))
+def test_as_the_rules_say(frames: list[tuple[Frame, Frame]]) -> None:
+    """Crowded scenes full of ties: equal scores, equal overlaps, boxes within boxes, heights at the limits."""
+    found, truth = [f for f, _ in frames], [t for _, t in frames]
+    result = evaluated(found, truth)
+    present = {box.label.lower() for frame in found for box in frame}
+    assert set(result.curves) == {name for name in ("Car", "Pedestrian", "Cyclist") if name.lower() in present}
+    for label, curves in result.curves.items():
+        for level in range(3):
+            needed = OFFICIAL.bbox[label]
+            precision, similarity = samples(found, truth, label.lower(), level, needed)
+            np.testing.assert_allclose(curves[Metric.BBOX][level].samples, precision, atol=1e-12)
+            np.testing.assert_allclose(curves[Metric.AOS][level].samples, similarity, atol=1e-12)
+
+
+# --- laws ------------------------------------------------------------------------------------------------------------
+
+
+def drive(frames: int, seed: int) -> list[Frame]:
+    """Cars apart from each other, three a frame."""
+    rng = np.random.default_rng(seed)
+    return [
+        [
+            CAR.moved(
+                edges=(300.0 * k, 100.0, 300.0 * k + 90.0, 100.0 + rng.uniform(45, 90)),
+                bottom=(10.0 * k, 1.5, rng.uniform(10, 40)),
+                rotation_y=rng.uniform(-3, 3),
+                alpha=rng.uniform(-3, 3),
+                score=rng.random(),
+            )
+            for k in range(3)
+        ]
+        for _ in range(frames)
+    ]
+
+
+def jittered(frames: list[Frame], seed: int) -> list[Frame]:
+    rng = np.random.default_rng(seed)
+    return [
+        [
+            box.moved(
+                edges=tuple(np.array(box.edges) + rng.normal(0, 4, 4)),
+                bottom=tuple(np.array(box.bottom) + rng.normal(0, 0.1, 3)),
+                rotation_y=box.rotation_y + rng.normal(0, 0.1),
+                alpha=box.alpha + rng.normal(0, 0.5),
+                score=rng.random(),
+            )
+            for box in frame
+            if rng.random() < 0.9
+        ]
+        for frame in frames
+    ]
+
+
+def points(result: KittiResult) -> dict[tuple[str, Metric, int, str], float]:
+    return {
+        (label, metric, level, name): getattr(curve, name)
+        for label, own in result.curves.items()
+        for metric, curves in own.items()
+        for level, curve in enumerate(curves)
+        for name in ("r11", "r40")
+    }
+
+
+@pytest.mark.parametrize("overlap", [OFFICIAL, RELAXED])
+def test_what_is_perfect_has_100_percent(overlap) -> None:
+    frames = columns(drive(60, 0))
+    found = points(evaluate_kitti(frames, frames, overlap))
+    assert found == pytest.approx(dict.fromkeys(found, 100.0))
+    assert len(found) == 4 * 3 * 2
+
+
+def test_the_order_of_frames_and_rows_means_nothing() -> None:
+    truth = drive(40, 1)
+    found = jittered(truth, 2)
+    rng = np.random.default_rng(3)
+    order = rng.permutation(len(truth))
+    mixed = [[frames[i][j] for j in rng.permutation(len(frames[i]))] for frames in (found, truth) for i in order]
+    assert points(evaluated(mixed[: len(order)], mixed[len(order) :])) == pytest.approx(points(evaluated(found, truth)))
+
+
+def test_rows_of_a_frame_may_stand_apart() -> None:
+    truth, found = columns(drive(20, 1)), columns(jittered(drive(20, 1), 2))
+    apart = found.take(np.argsort(np.arange(len(found)) % 3, kind="stable"))
+    assert points(evaluate_kitti(apart, truth)) == pytest.approx(points(evaluate_kitti(found, truth)))
+
+
+def test_a_false_detection_never_helps() -> None:
+    truth = drive(30, 4)
+    found = jittered(truth, 5)
+    before = points(evaluated(found, truth))
+    for score in (-5.0, 0.3, 2.0):
+        ghost = CAR.moved(edges=(1000, 300, 1100, 360), bottom=(-40.0, 1.5, 60.0), score=score)
+        worse = [[*frame, ghost] for frame in found]
+        after = points(evaluated(worse, truth))
+        assert all(after[name] <= before[name] + 1e-9 for name in before), score
+        if score < 0:
+            assert after == pytest.approx(before), "below all that is right it changes nothing"
+
+
+def test_orientation_similarity_is_never_above_precision() -> None:
+    truth = drive(30, 6)
+    curves = evaluated(jittered(truth, 7), truth).curves["Car"]
+    for aos, precision in zip(curves[Metric.AOS], curves[Metric.BBOX], strict=True):
+        assert (aos.samples <= precision.samples + 1e-12).all()
+        assert aos.r40 < precision.r40
+
+
+# --- by hand ---------------------------------------------------------------------------------------------------------
+
+SMALL = CAR.moved(edges=(100, 100, 200, 139.9))
+BY_HAND = [
+    pytest.param([CAR], [CAR], (1, 1, 1.0), id="found"),
+    pytest.param([CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="missed"),
+    pytest.param([CAR.moved(label="CAR")], [CAR], (1, 1, 1.0), id="case-means-nothing"),
+    pytest.param([CAR, CAR], [CAR], (1, 1, 0.5), id="found-twice"),
+    pytest.param([CAR, CAR.moved(score=0.5)], [CAR], (1, 1, 1.0), id="found-twice-the-second-unsure"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR], (1, 1, 0.5), id="one-of-two-is-false"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(label="Van", edges=FAR)], (1, 1, 1.0), id="on-a-van"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(label="Truck", edges=FAR)], (1, 1, 0.5), id="on-a-truck"),
+    pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(edges=FAR, occluded=1)], (1, 1, 1.0), id="on-a-hard-one"),
+    pytest.param(
+        [CAR, CAR.moved(edges=FAR)],
+        [CAR, Box("DontCare", (500, 0, 900, 300), truncated=-1, occluded=-1)],
+        (1, 1, 1.0),
+        id="in-a-dontcare-area-much-larger",
+    ),
+    pytest.param(
+        [CAR, CAR.moved(edges=FAR)],
+        [CAR, Box("DontCare", (500, 0, 669, 300), truncated=-1, occluded=-1)],
+        (1, 1, 0.5),
+        id="too-little-of-it-in-a-dontcare-area",
+    ),
+    pytest.param([CAR, SMALL.moved(edges=(600, 100, 700, 139))], [CAR], (1, 1, 1.0), id="too-small-to-be-false"),
+    pytest.param([SMALL, CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="taken-by-a-small-one"),
+    pytest.param(
+        [CAR.moved(score=0.5), SMALL.moved(label="Pedestrian")], [CAR], (1, 0, 0.0), id="a-small-one-of-another-class"
+    ),
+    pytest.param([CAR], [CAR.moved(edges=(100, 100, 200, 140))], (0, 0, 0.0), id="truth-of-the-limit's-height"),
+    pytest.param(
+        [CAR.moved(edges=(100, 100, 200, 140))], [CAR.moved(edges=(100, 100, 200, 141))], (1, 1, 1.0), id="found-at-it"
+    ),
+]
+
+
+@pytest.mark.parametrize(("found", "truth", "expected"), BY_HAND)
+def test_by_hand(found: Frame, truth: Frame, expected: tuple[int, int, float]) -> None:
+    assert bbox(found, truth) == pytest.approx(expected)
+
+
+def test_thresholds_lie_nearest_to_the_recalls() -> None:
+    assert score_thresholds(np.array([0.2, 0.9, 0.5]), 3).tolist() == [0.9, 0.5, 0.2], "fewer objects than samples"
+    assert score_thresholds(np.zeros(0), 3).tolist() == []
+    scores = np.arange(400, 0, -1.0)
+    chosen = score_thresholds(scores, 400)
+    assert len(chosen) == 41
+    np.testing.assert_allclose(np.diff(chosen)[1:-1], -10)
+    assert (chosen[0], chosen[-1]) == (400.0, 1.0)
+    assert len(score_thresholds(scores[:200], 400)) == 21, "half of the recall"
+
+
+def test_a_sample_is_that_of_its_number() -> None:
+    """One object found: only sample 0 has a value, so R40 is 0 whatever the precision."""
+    curve = evaluated([[CAR]], [[CAR]]).curves["Car"][Metric.BBOX][EASY]
+    assert curve.samples.tolist() == [1.0] + [0.0] * 40
+    assert (curve.r11, curve.r40) == (pytest.approx(100 / 11), 0.0)
+    assert curve.recall.tolist() == [1.0]
+
+
+def test_what_cannot_be_evaluated_is_missing() -> None:
+    unknown = {"size": (-1.0, -1.0, -1.0), "bottom": (-1000.0, -1000.0, -1000.0)}
+    curves = evaluated([[CAR.moved(**unknown)]], [[CAR]]).curves
+    assert list(curves) == ["Car"]
+    assert set(curves["Car"]) == {Metric.BBOX, Metric.AOS}
+    no_angle = evaluated([[CAR], [Box("DontCare", FAR, alpha=-10.0)]], [[CAR], []]).curves["Car"]
+    assert set(no_angle) == {Metric.BBOX, Metric.BEV, Metric.BOX_3D}
+    no_image = evaluated([[CAR.moved(edges=(-1, -1, -1, -1))]], [[CAR]]).curves["Car"]
+    assert set(no_image) == {Metric.BEV, Metric.BOX_3D}
+    assert no_image[Metric.BOX_3D][EASY].found == 0, "without a height it is ignored everywhere"
+    assert evaluated([[]], [[CAR]]).curves == {}
+    assert evaluated([], []).curves == {}
+
+
+def test_the_ground_and_space_have_their_own_overlaps() -> None:
+    """A car of 4 x 1.6 m: 1 m along its length leaves 3/5 of the union, half its height less again."""
+    ahead = CAR.moved(bottom=(1.0, 1.5, 20.0))
+    turned = CAR.moved(rotation_y=math.pi / 2)
+    pairs = {"ahead": (ahead, CAR), "turned": (ahead.moved(rotation_y=math.pi), CAR), "crossed": (turned, CAR)}
+    found = {
+        name: {
+            m: c[EASY].found for m, c in evaluate_kitti(columns([[a]]), columns([[b]]), RELAXED).curves["Car"].items()
+        }
+        for name, (a, b) in pairs.items()
+    }
+    assert found["ahead"] == found["turned"] == {Metric.BBOX: 1, Metric.AOS: 1, Metric.BEV: 1, Metric.BOX_3D: 1}
+    assert found["crossed"] == {Metric.BBOX: 1, Metric.AOS: 1, Metric.BEV: 0, Metric.BOX_3D: 0}
+    lower = CAR.moved(bottom=(0.0, 2.1, 20.0))
+    result = evaluate_kitti(columns([[lower]]), columns([[CAR]]), RELAXED).curves["Car"]
+    assert (result[Metric.BEV][EASY].found, result[Metric.BOX_3D][EASY].found) == (1, 0), "0.9 of 2.1 m is below a half"
+
+
+def test_dontcare_excuses_nothing_on_the_ground() -> None:
+    truth = [[CAR, Box("DontCare", (500, 0, 900, 300), size=(-1, -1, -1), bottom=(-1000, -1000, -1000))]]
+    found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
+    curves = evaluated(found, truth).curves["Car"]
+    assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
+
+
+def test_a_large_frame_count_is_cut_into_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = drive(30, 8)
+    found = columns(jittered(truth, 9))
+    whole = points(evaluate_kitti(found, columns(truth)))
+    monkeypatch.setattr("annotator.evaluation.kitti.overlap.BLOCK", 7)
+    assert points(evaluate_kitti(found, columns(truth))) == whole
+
+
+def test_rows_are_a_table() -> None:
+    rows: KittiRows = columns([[CAR], [CAR.moved(label="Van")]])
+    assert len(rows) == 2
+    assert rows.is_of("van").tolist() == [False, True]
+    assert rows.take(np.array([1])).frame.tolist() == [1]
