@@ -41,8 +41,9 @@ def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> di
         server = Server(projects)
         timer = threading.Timer(chance.uniform(*LIVES_S), server.kill)
         with server.client() as client:
-            timer.start()
             script = _Script(client, name, frame, chance)
+            # it lives so long with the edits, not with being asked for the frame
+            timer.start()
             script.run()
         timer.join()
         acknowledged += script.acknowledged
@@ -155,7 +156,8 @@ def clients(
 ) -> dict[str, Any]:
     """So many clients add boxes to one frame at once, two browsers look on: what is lost, crossed, or late.
 
-    A client that is refused for a stale revision takes the present one and sends its edit again.
+    A client that is refused for a stale revision takes the present one and sends its edit again, about as soon as a
+    person could.
     """
     path = f"/api/projects/{project}/frames/{frame}"
     with server.client() as client:
@@ -189,6 +191,7 @@ def clients(
                     revision = answer["state"]["frame"]["revision"]
                     with lock:
                         refused.append(n)
+                    time.sleep(chance.uniform(0.05, 0.4))
                 now = time.time()
                 state = answered(response)
                 revision = state["frame"]["revision"]
