@@ -10,16 +10,16 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 
 Coefficients = tuple[float, ...]
-Plane = Float64[np.ndarray, "n"]
+Plane = Float[np.ndarray, "n"]
 
 NEWTON_STEPS = 20
 CONVERGED = 1e-10
 
 
-def distort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """Distorted image coordinates of ideal ones (x/z, y/z).
 
     Args:
@@ -27,8 +27,8 @@ def distort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Float
         xy: ideal normalised coordinates.
 
     Returns:
-        Distorted normalised coordinates; NaN beyond the radius up to which the radial model grows. Further
-        out the polynomials turn back, and points far off the image would land in it.
+        Distorted normalised coordinates, in the precision of `xy`; NaN beyond the radius up to which the radial model
+        grows. Further out the polynomials turn back, and points far off the image would land in it.
     """
     full = _padded(coefficients)
     x, y = xy[:, 0], xy[:, 1]

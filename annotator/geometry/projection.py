@@ -29,13 +29,15 @@ def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarr
         (n, 2) pixels u, v, not clipped to the image. NaN where z <= 0, where a coordinate is NaN, and where a
         point is further off the axis than the distortion model reaches.
     """
-    xyz = np.asarray(xyz_m, np.float64)
-    in_front = xyz[:, 2] > 0
-    depth = np.where(in_front, xyz[:, 2], np.nan)
-    xy = xyz[:, :2] / depth[:, None]
+    z = np.asarray(xyz_m[:, 2], np.float64)
+    z = np.where(z > 0, z, np.nan)
+    # column by column: rows of two and three numbers are slow to walk through
+    xy = np.stack([xyz_m[:, 0] / z, xyz_m[:, 1] / z]).T
     if not camera.is_ideal:
         xy = distort(camera.distortion, xy)
-    return xy * np.array([camera.fx, camera.fy]) + np.array([camera.cx, camera.cy])
+    xy *= (camera.fx, camera.fy)
+    xy += (camera.cx, camera.cy)
+    return xy
 
 
 def undistort_px(camera: Camera, px: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:

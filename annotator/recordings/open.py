@@ -12,6 +12,8 @@ from annotator.recordings.table import READERS
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 MOST_HINTS = 5
+# Of files that are recordings by themselves.
+FILE_SUFFIXES = (".mkv",)
 
 
 def open_recording(path: Path) -> Recording:
@@ -66,16 +68,16 @@ def _explain(path: Path, looked_for: list[str]) -> str:
     lines += [f"  {line}" for line in looked_for]
     nested = _openable_children(path)
     if nested:
-        lines.append("give one of its sub-folders instead: " + ", ".join(nested))
+        lines.append("give one of these in it instead: " + ", ".join(nested))
     return "\n".join(lines)
 
 
 def _openable_children(path: Path) -> list[str]:
-    """The first few sub-folders that some reader recognises."""
+    """The first few sub-folders and files that some reader recognises."""
     if not path.is_dir():
         return []
     names: list[str] = []
-    for child in sorted(child for child in path.iterdir() if child.is_dir()):
+    for child in sorted(child for child in path.iterdir() if child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
         try:
             answer = _ask_all(child)
         except RecordingError:  # no frames, or not to be read: no hint worth giving

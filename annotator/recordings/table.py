@@ -8,4 +8,5 @@ READERS: dict[str, str] = {
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
     "kitti_object": "annotator.recordings.kitti_object:open_kitti_object",
     "kitti_tracking": "annotator.recordings.kitti_tracking:open_kitti_tracking",
+    "azure_kinect": "annotator.recordings.azure_kinect:open_azure_kinect",
 }

@@ -53,7 +53,7 @@ def test_an_unknown_folder_lists_what_each_reader_looked_for(tmp_path: Path):
         open_recording(tmp_path)
     message = str(caught.value)
     assert message.startswith(f"{tmp_path}: no known recording format in this folder")
-    assert all(f"\n  {name}: folders" in message for name in READERS)
+    assert all(f"\n  {name}: " in message for name in READERS)
     assert detect_format(tmp_path) is None
 
 
@@ -64,7 +64,7 @@ def test_a_folder_of_recordings_names_them(tmp_path: Path):
         (tmp_path / name / "color" / "0.png").touch()
     (tmp_path / "empty" / "color").mkdir(parents=True)
     (tmp_path / "empty" / "depth").mkdir()
-    with pytest.raises(UnknownFormatError, match=r"give one of its sub-folders instead: a, b$"):
+    with pytest.raises(UnknownFormatError, match=r"give one of these in it instead: a, b$"):
         open_recording(tmp_path)
 
 

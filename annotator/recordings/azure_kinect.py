@@ -1,0 +1,272 @@
+"""Azure Kinect recordings (`.mkv`), read without the SDK.
+
+Tracks COLOR (MJPEG, NV12, YUY2 or BGRA), DEPTH and IR (16 bits a pixel, big-endian, depth in millimetres), IMU; the
+calibration is attached. Tags tell when the recording began on the device's clock, and by how much depth was delayed.
+
+A frame's camera is the colour camera; its cloud is what that camera sees of the depth image (`kinect_cloud`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8, UInt16
+
+from annotator.recordings.kinect_calibration import KinectCalibration, Size, parse_calibration
+from annotator.recordings.kinect_cloud import seen_cloud
+from annotator.recordings.kinect_color import FORMATS, decode_color
+from annotator.recordings.matroska import Block, MatroskaIndex, Track, read_index
+from annotator.recordings.recording import NotFound, frame_key
+from annotator.types import Frame
+from annotator.types.errors import FrameError, RecordingError
+
+LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
+REMEDY = "copy the recording again from its source"
+DEFAULT_PERIOD_NS = 33_333_333
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """The images of one moment; `depth` is None where the file ends before it."""
+
+    color: Block
+    depth: Block | None
+
+
+@dataclass(frozen=True, eq=False)
+class AzureKinect:
+    """A `Recording` of an Azure Kinect.
+
+    A frame is a moment with a colour and a depth image, named by the number of its colour image; where the sensor has
+    dropped one of the two there is no frame. Times are those of the device's clock.
+
+    Attributes:
+        fourcc: the colour images' format.
+        start_ns: device time of the recording's beginning.
+        infrared: the infrared images' blocks, in the order of time.
+    """
+
+    path: Path
+    keys: tuple[str, ...]
+    captures: tuple[Capture, ...]
+    calibration: KinectCalibration
+    fourcc: str
+    start_ns: int
+    infrared: tuple[Block, ...]
+    format: str = "azure_kinect"
+    is_sequence: bool = True
+
+    @property
+    def root(self) -> Path:
+        """The file itself: nothing beside it belongs to it."""
+        return self.path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().stem
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def frame(self, i: int) -> Frame:
+        """Frame `i`; its cloud has `rgb`.
+
+        Raises:
+            FrameError: an image is damaged or cut off, or there is no point in the colour image.
+            IndexError: there is no such frame.
+        """
+        key = frame_key(self.keys, i)
+        color, depth_mm = self.color_image(i), self.depth_image(i)
+        cloud = seen_cloud(self.calibration, depth_mm, color)
+        if len(cloud) == 0:
+            raise FrameError(
+                self.path,
+                f"frame {key}: no depth pixel lies in the colour image, the cloud is empty",
+                "record the scene again within the sensor's range, or go on with the other frames",
+            )
+        time_ns = self.start_ns + self.captures[i].color.time_ns
+        return Frame(key, i, self.calibration.color, color, cloud, timestamp_ns=time_ns)
+
+    def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Colour image `i`, RGB order.
+
+        Raises:
+            FrameError: it is damaged or cut off.
+            IndexError: there is no such frame.
+        """
+        key, camera = frame_key(self.keys, i), self.calibration.color
+        data = self._read(key, "colour", self.captures[i].color)
+        try:
+            return decode_color(self.fourcc, data, camera.width_px, camera.height_px)
+        except ValueError as error:
+            raise FrameError(self.path, f"frame {key}: colour image: {error}", REMEDY) from error
+
+    def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
+        """Depth image `i` as the depth camera saw it, millimetres, 0 = none.
+
+        Raises:
+            FrameError: it is damaged or cut off.
+            IndexError: there is no such frame.
+        """
+        return self._raw_image(frame_key(self.keys, i), "depth", self.captures[i].depth)
+
+    def infrared_image(self, i: int) -> UInt16[np.ndarray, "h w"] | None:
+        """The infrared image that was taken with depth image `i`, or None where there is none.
+
+        Raises:
+            FrameError: it is damaged or cut off.
+            IndexError: there is no such frame.
+        """
+        key, depth = frame_key(self.keys, i), self.captures[i].depth
+        block = next((block for block in self.infrared if depth and block.time_ns == depth.time_ns), None)
+        return None if block is None else self._raw_image(key, "infrared", block)
+
+    def _raw_image(self, key: str, what: str, block: Block | None) -> UInt16[np.ndarray, "h w"]:
+        """16 bits a pixel, big-endian, of the depth camera's size."""
+        if block is None:
+            raise FrameError(self.path, f"frame {key}: the file ends before its {what} image", REMEDY)
+        camera = self.calibration.depth
+        data = self._read(key, what, block)
+        expected = 2 * camera.width_px * camera.height_px
+        if len(data) != expected:
+            raise FrameError(
+                self.path, f"frame {key}: the {what} image has {len(data)} bytes instead of {expected}", REMEDY
+            )
+        return np.frombuffer(data, ">u2").astype(np.uint16).reshape(camera.height_px, camera.width_px)
+
+    def _read(self, key: str, what: str, block: Block) -> bytes:
+        if block.is_laced:
+            raise FrameError(self.path, f"frame {key}: the {what} image shares its block with others", "record it anew")
+        try:
+            with self.path.open("rb") as file:
+                file.seek(block.offset)
+                data = file.read(block.size)
+        except OSError as error:
+            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        if len(data) < block.size:
+            raise FrameError(self.path, f"frame {key}: the file ends in the middle of its {what} image", REMEDY)
+        return data
+
+
+def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
+    """The Azure Kinect recording at `path`, where it is one; its headers are read, and no image.
+
+    Raises:
+        RecordingError: it has no frame, no usable calibration, or a colour format that no Azure Kinect has.
+    """
+    if path.suffix.lower() != ".mkv" or not path.is_file():
+        return NotFound(LOOKED_FOR)
+    known = path.stat()
+    index = _index(path, known.st_mtime_ns, known.st_size)
+    if index is None:
+        raise RecordingError(f"{path}: is no Matroska file, or its beginning is damaged; {REMEDY}")
+    tracks = {track.name: track for track in index.tracks}
+    color, depth = tracks.get("COLOR"), tracks.get("DEPTH")
+    if color is None or depth is None:
+        have = ", ".join(tracks) or "none"
+        raise RecordingError(
+            f"{path}: has no tracks COLOR and DEPTH (it has: {have}); record with an Azure Kinect, in a mode with both"
+        )
+    tags, attached = _tags_and_calibration(path)
+    captures = _captures(index, color, depth, _nanoseconds(tags, "K4A_DEPTH_DELAY_NS"))
+    if not captures:
+        raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
+    infrared = tracks.get("IR")
+    return AzureKinect(
+        path=path,
+        keys=tuple(f"{number:06d}" for number in captures),
+        captures=tuple(captures.values()),
+        calibration=_calibration(path, attached, _size(depth), _size(color)),
+        fourcc=_fourcc(path, color),
+        start_ns=_nanoseconds(tags, "K4A_START_OFFSET_NS"),
+        infrared=tuple(block for block in index.blocks if infrared and block.track == infrared.number),
+    )
+
+
+@lru_cache(maxsize=32)
+def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
+    """Kept, since folders of recordings are looked at again and again."""
+    return read_index(path)
+
+
+def _tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
+    """The recording's tags and its attached calibration.
+
+    Raises:
+        RecordingError: the file cannot be read, or has no such attachment.
+    """
+    import av
+
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            tags = {name: value for name, value in container.metadata.items() if name.startswith("K4A_")}
+            for stream in container.streams:
+                is_named = "K4A_CALIBRATION_FILE" in stream.metadata or stream.metadata.get("filename") == (
+                    "calibration.json"
+                )
+                if stream.type == "attachment" and is_named:
+                    return tags, bytes(stream.data)
+    except (av.FFmpegError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be read as Matroska ({error}); {REMEDY}") from error
+    raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect's own recorder")
+
+
+def _calibration(path: Path, attached: bytes, depth: Size, color: Size) -> KinectCalibration:
+    try:
+        return parse_calibration(attached, depth, color)
+    except ValueError as error:
+        raise RecordingError(f"{path}: its calibration cannot be used: {error}; {REMEDY}") from error
+
+
+def _size(track: Track) -> Size:
+    return track.width_px, track.height_px
+
+
+def _fourcc(path: Path, track: Track) -> str:
+    """The colour format: at byte 16 of the track's BITMAPINFOHEADER, or said by the codec's name."""
+    named = {"V_MJPEG": "MJPG", "V_UNCOMPRESSED": track.private[:4].decode("ascii", "replace")}
+    fourcc = named.get(track.codec) or track.private[16:20].decode("ascii", "replace")
+    if fourcc not in FORMATS:
+        raise RecordingError(
+            f"{path}: colour images of the format {fourcc or track.codec!r}; "
+            f"an Azure Kinect records {', '.join(FORMATS)}"
+        )
+    return fourcc
+
+
+def _nanoseconds(tags: dict[str, str], name: str) -> int:
+    text = tags.get(name, "0")
+    try:
+        return int(text)
+    except ValueError:
+        # older recorders left it out, so that recordings must do without it anyway
+        return 0
+
+
+def _captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: int) -> dict[int, Capture]:
+    """Each colour image with the depth image nearest in time, if within half a period; by the colour image's number."""
+    colors = [block for block in index.blocks if block.track == color.number]
+    depths = [block for block in index.blocks if block.track == depth.number]
+    within_ns = (color.period_ns or depth.period_ns or DEFAULT_PERIOD_NS) // 2
+    times = np.array([block.time_ns - delay_ns for block in depths], np.int64)
+    order = np.argsort(times, kind="stable")
+    captures: dict[int, Capture] = {}
+    for number, block in enumerate(colors):
+        nearest = _nearest(times, order, block.time_ns)
+        if nearest is not None and abs(int(times[nearest]) - block.time_ns) < within_ns:
+            captures[number] = Capture(block, depths[nearest])
+        elif index.is_cut and block is colors[-1]:
+            captures[number] = Capture(block, None)
+    return captures
+
+
+def _nearest(times: np.ndarray, order: np.ndarray, wanted: int) -> int | None:
+    """Which of `times`, sorted by `order`, is nearest to `wanted`."""
+    if len(times) == 0:
+        return None
+    after = int(np.searchsorted(times, wanted, sorter=order))
+    around = order[max(after - 1, 0) : after + 1]
+    return int(around[np.argmin(np.abs(times[around] - wanted))])

@@ -1,0 +1,128 @@
+"""Our Azure Kinect geometry against numbers that the camera's own SDK computed, and how long a frame takes.
+
+python -m benchmarks.azure_kinect RECORDING.mkv ROWS.csv [--repeats 30] [--json]
+
+Each row is a depth pixel with its depth and what became of it: the point in the depth camera, the point in the colour
+camera (millimetres), the colour pixel. Every stage starts from our own result of the stage before.
+"""
+
+from __future__ import annotations
+
+import csv
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.recordings.azure_kinect import AzureKinect
+from annotator.recordings.kinect_calibration import MM_PER_M
+from annotator.types.errors import ConfigError, FormatError
+from benchmarks.report import Table, finish, guarded
+
+PIXEL, DEPTH = ("u_depth_px", "v_depth_px"), ("depth_mm",)
+IN_DEPTH, IN_COLOR, COLOR_PIXEL = ("x_d", "y_d", "z_d"), ("x_c", "y_c", "z_c"), ("u_color_px", "v_color_px")
+
+
+@dataclass
+class Arguments:
+    """Compares a recording's geometry with the SDK's."""
+
+    recording: tyro.conf.Positional[Path]
+    """The .mkv file."""
+    rows: tyro.conf.Positional[Path]
+    """The CSV file with the SDK's numbers."""
+    repeats: int = 0
+    """How often the first frame is read, with its coloured cloud, to time it."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+def read_rows(path: Path) -> dict[str, np.ndarray]:
+    """The columns of the CSV file, by name.
+
+    Raises:
+        FormatError: the file cannot be read, a column is missing, or a value is no number.
+    """
+    names = (*PIXEL, *DEPTH, *IN_DEPTH, *IN_COLOR, *COLOR_PIXEL)
+    values: list[list[float]] = []
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in names if name not in (reader.fieldnames or ())]
+            if missing:
+                raise FormatError(path, f"has no column {', '.join(missing)}", 1)
+            for row in reader:
+                try:
+                    values.append([float(row[name]) for name in names])
+                except (TypeError, ValueError) as error:
+                    raise FormatError(path, f"a value is missing or no number ({error})", reader.line_num) from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise FormatError(path, f"cannot be read ({error})") from error
+    if not values:
+        raise FormatError(path, "has no rows")
+    return dict(zip(names, np.array(values).T, strict=True))
+
+
+def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float, float]:
+    """The largest distance of a point, millimetres, and of a colour pixel; NaN where we find none and the SDK does."""
+
+    def columns(names: tuple[str, ...]) -> np.ndarray:
+        return np.stack([rows[name] for name in names], axis=1)
+
+    calibration = recording.calibration
+    in_depth = calibration.depth_to_3d(columns(PIXEL), rows["depth_mm"] / MM_PER_M)
+    in_color = calibration.T_color_depth.apply(in_depth)
+    px = project(calibration.color, in_color)
+    off_mm = [
+        np.linalg.norm(ours * MM_PER_M - columns(names), axis=1)
+        for ours, names in ((in_depth, IN_DEPTH), (in_color, IN_COLOR))
+    ]
+    return float(np.max(off_mm)), float(np.linalg.norm(px - columns(COLOR_PIXEL), axis=1).max())
+
+
+def frame_ms(recording: AzureKinect, repeats: int) -> float:
+    """Median time of reading the first frame; what is computed once a recording is not in it."""
+    recording.frame(0)
+    seconds = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        recording.frame(0)
+        seconds.append(time.perf_counter() - begin)
+    return float(np.median(seconds) * 1e3)
+
+
+def run(args: Arguments) -> dict[str, object]:
+    """The benchmark; what `--json` prints.
+
+    Raises:
+        ConfigError: the recording is not an Azure Kinect's, or a number is out of its range.
+        InputError: the recording or the rows cannot be read.
+    """
+    if not 0 <= args.repeats <= 1_000_000:
+        raise ConfigError(f"--repeats must be 0 to 1000000, not {args.repeats}")
+    recording = open_recording(args.recording)
+    if not isinstance(recording, AzureKinect):
+        raise ConfigError(f"{args.recording}: is of the format {recording.format}; give an Azure Kinect's .mkv file")
+    rows = read_rows(args.rows)
+    max_point_mm, max_px = compare(recording, rows)
+    result: dict[str, object] = {"rows": len(rows["depth_mm"]), "max_point_mm": max_point_mm, "max_px": max_px}
+    if args.repeats:
+        result["frame_ms"] = frame_ms(recording, args.repeats)
+    return result
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = run(args)
+    table = Table("rows", "largest distance of a point, mm", "of a colour pixel, px", *["frame, ms"][: args.repeats])
+    table.add(*(f"{value:.5f}" if isinstance(value, float) else value for value in result.values()))
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    guarded(main)

@@ -1,0 +1,66 @@
+"""The Azure Kinect benchmark: its figures on the real recording, and rows that cannot be used."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from annotator.types.errors import ConfigError, FormatError
+from benchmarks import azure_kinect
+
+HEAD = "u_depth_px,v_depth_px,depth_mm,x_d,y_d,z_d,x_c,y_c,z_c,u_color_px,v_color_px\n"
+
+
+@pytest.mark.shared
+def test_the_real_recording_is_within_the_figures(
+    shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    folder = shared / "data" / "azure_kinect"
+    words = [str(folder / "recording.mkv"), str(folder / "sdk_golden_even.csv")]
+    monkeypatch.setattr(sys, "argv", ["azure_kinect", *words, "--json"])
+    azure_kinect.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) > 3, "a table comes first"
+    result = json.loads(lines[-1])
+    assert list(result) == ["rows", "max_point_mm", "max_px"]
+    assert result["rows"] == 2203
+    assert 0 < result["max_point_mm"] < 0.1
+    assert 0 < result["max_px"] < 0.05
+
+
+@pytest.mark.shared
+def test_a_row_that_is_off_is_seen(shared: Path, tmp_path: Path):
+    folder = shared / "data" / "azure_kinect"
+    rows = (folder / "sdk_golden_even.csv").read_text().splitlines()
+    values = rows[700].split(",")
+    values[3] = str(float(values[3]) + 3)
+    values[9] = str(float(values[9]) - 2)
+    (tmp_path / "rows.csv").write_text("\n".join([rows[0], *rows[600:700], ",".join(values), *rows[701:]]))
+    result = azure_kinect.run(azure_kinect.Arguments(folder / "recording.mkv", tmp_path / "rows.csv", repeats=1))
+    assert result["max_point_mm"] == pytest.approx(3, abs=0.01)
+    assert result["max_px"] == pytest.approx(2, abs=0.01)
+    assert 0 < result["frame_ms"] < 5000
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (HEAD, "has no rows"),
+        ("", "has no column u_depth_px"),
+        (HEAD.replace("z_c,", ""), "has no column z_c"),
+        (HEAD + "1,2,3\n", r"rows\.csv:2: a value is missing or no number"),
+        (HEAD + "1,2,3,4,5,6,7,8,9,10,11\n1,2,3,4,five,6,7,8,9,10,11\n", r"rows\.csv:3: a value is missing or no"),
+    ],
+)
+def test_rows_that_cannot_be_used_say_where(tmp_path: Path, text: str, complaint: str):
+    (tmp_path / "rows.csv").write_text(text)
+    with pytest.raises(FormatError, match=complaint):
+        azure_kinect.read_rows(tmp_path / "rows.csv")
+
+
+def test_another_recording_is_refused(generated: Path):
+    with pytest.raises(ConfigError, match="is of the format rgbd_folder; give an Azure Kinect's"):
+        azure_kinect.run(azure_kinect.Arguments(generated / "people", generated / "rows.csv"))

@@ -1,0 +1,73 @@
+"""The Matroska index: what stands in RFC 8794 and 9559, and no bytes that could upset it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import kinect_recording as made
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.recordings.matroska import Block, children, element_head, read_index
+
+HEADS = [
+    (b"\xe7\x81", (0xE7, 1, 2)),
+    (b"\x1f\x43\xb6\x75\x01\xff\xff\xff\xff\xff\xff\xff", (0x1F43B675, None, 12)),
+    (b"\xa3\x10\x03\x50\x11", (0xA3, 217105, 5)),
+    (b"\x2a\xd7\xb1\x83", (0x2AD7B1, 3, 4)),
+    (b"\x00\x81", None),
+    (b"\x08\x11\x11\x11\x11\x81", None),
+    (b"\xa3\x10\x03", None),
+    (b"\xa3", None),
+    (b"", None),
+]
+
+
+@pytest.mark.parametrize(("data", "expected"), HEADS)
+def test_heads(data: bytes, expected: tuple[int, int | None, int] | None):
+    assert element_head(data) == expected
+
+
+def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
+    path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=4)
+    index = read_index(path)
+    content = path.read_bytes()
+    with av.open(str(path)) as container:
+        expected = [(packet.stream.index, packet.pts, bytes(packet)) for packet in container.demux() if packet.size]
+    found = [(b.track - 1, b.time_ns // 1_000_000, content[b.offset : b.offset + b.size]) for b in index.blocks]
+    assert found == expected
+    assert not index.is_cut
+    assert [(track.name, track.width_px, track.height_px) for track in index.tracks] == [
+        ("COLOR", 1280, 720), ("DEPTH", 320, 288), ("IR", 320, 288)
+    ]  # fmt: skip
+
+
+def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
+    path = tmp_path / "x.mkv"
+    head = b"\x1a\x45\xdf\xa3\x80" + b"\x18\x53\x80\x67\xff"
+    cluster = b"\x1f\x43\xb6\x75\xff" + b"\xe7\x82\x01\x00"
+    block = b"\xa3\x86\x81\x00\x07\x80xy"
+    huge = b"\xa3\x01\xff\xff\xff\xff\xff\xff\xf0\x82\x00\x09\x86"
+    path.write_bytes(head + cluster + block + huge)
+    index = read_index(path)
+    assert index.is_cut
+    first, second = index.blocks
+    assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
+    assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
+
+
+@given(st.binary(max_size=200))
+def test_children_of_any_bytes_lie_within_them(data: bytes):
+    assert sum(len(content) for _, content in children(data)) <= len(data)
+
+
+@given(st.binary(max_size=300), st.integers(0, 3))
+@settings(deadline=None)
+def test_any_bytes_give_an_index(tmp_path_factory: pytest.TempPathFactory, data: bytes, clusters: int):
+    path = tmp_path_factory.getbasetemp() / "any.mkv"
+    path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + data + b"\x1f\x43\xb6\x75\xff\xe7\x81\x05" * clusters)
+    index = read_index(path)
+    assert index is not None
+    assert all(0 < block.offset <= path.stat().st_size for block in index.blocks)
