@@ -1,7 +1,8 @@
 """KITTI calibration files: where the LiDAR's points fall in colour camera 2.
 
 KITTI object devkit, readme.txt ("Calibration"): `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar`, all row-major. The
-tracking files call two of the matrices R_rect and Tr_velo_cam and leave out the colon.
+tracking files call two of the matrices R_rect and Tr_velo_cam and leave out the colon. Raw drives (raw devkit,
+readme.txt) have the same in two files: P_rect_02 and R_rect_00, and the LiDAR's pose as R and T.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from annotator.types.errors import FrameError
 P2_NAMES = ("P2",)
 RECTIFICATION_NAMES = ("R0_rect", "R_rect")
 LIDAR_NAMES = ("Tr_velo_to_cam", "Tr_velo_cam")
+RAW_P2_NAMES, RAW_RECTIFICATION_NAMES = ("P_rect_02",), ("R_rect_00",)
 REMEDY = "copy the calibration file again from the data set"
 
 
@@ -65,16 +67,42 @@ def read_calibration(path: Path) -> KittiCalibration:
     Raises:
         FrameError: the file is missing, a matrix is missing or has the wrong number of values.
     """
+    rows = _read_rows(path)
+    P2 = _matrix(path, rows, P2_NAMES, (3, 4))
+    R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
+    return _calibration(path, P2, R0, _matrix(path, rows, LIDAR_NAMES, (3, 4)))
+
+
+def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
+    """The calibration of a raw drive: `calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`.
+
+    Raises:
+        FrameError: as `read_calibration`.
+    """
+    rows, poses = _read_rows(cameras), _read_rows(lidar)
+    P2 = _matrix(cameras, rows, RAW_P2_NAMES, (3, 4))
+    R0 = _matrix(cameras, rows, RAW_RECTIFICATION_NAMES, (3, 3))
+    Tr = np.concatenate([_matrix(lidar, poses, ("R",), (3, 3)), _matrix(lidar, poses, ("T",), (3, 1))], axis=1)
+    return _calibration(cameras, P2, R0, Tr)
+
+
+def _read_rows(path: Path) -> dict[str, list[str]]:
+    """The values of each line of a calibration file, by the name before them.
+
+    Raises:
+        FrameError: the file is missing or no text.
+    """
     try:
         text = path.read_text()
     except FileNotFoundError as error:
         raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
     except (OSError, UnicodeDecodeError) as error:
         raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
-    rows = _rows(text)
-    P2 = _matrix(path, rows, P2_NAMES, (3, 4))
-    R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
-    Tr = _matrix(path, rows, LIDAR_NAMES, (3, 4))
+    return _rows(text)
+
+
+def _calibration(path: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> KittiCalibration:
+    """The calibration that the devkit's three matrices make; `path` is where P2 stands."""
     K = P2[:, :3]
     if K[0, 1] != 0 or K[1, 0] != 0 or tuple(K[2]) != (0, 0, 1) or not (K[0, 0] > 0 and K[1, 1] > 0):
         raise FrameError(path, "P2 is no pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)

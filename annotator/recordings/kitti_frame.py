@@ -13,7 +13,7 @@ import numpy as np
 
 from annotator.geometry.projection import project
 from annotator.recordings.image_file import read_rgb
-from annotator.recordings.kitti_calib import read_calibration
+from annotator.recordings.kitti_calib import KittiCalibration
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -24,14 +24,18 @@ UP = np.array([0.0, -1.0, 0.0])
 
 
 def read_frame(
-    key: str, index: int, image_path: Path, scan_path: Path, calib_path: Path, timestamp_ns: int | None
+    key: str,
+    index: int,
+    image_path: Path,
+    scan_path: Path,
+    calibration: KittiCalibration,
+    timestamp_ns: int | None,
 ) -> Frame:
-    """The frame that the three files make; `camera` is colour camera 2.
+    """The frame that image and scan make; `camera` is colour camera 2.
 
     Raises:
         FrameError: a missing or broken file, or no point in the image.
     """
-    calibration = read_calibration(calib_path)
     rgb = read_rgb(image_path)
     camera = calibration.camera(rgb.shape[1], rgb.shape[0])
     scan = read_scan(scan_path)
@@ -40,7 +44,7 @@ def read_frame(
         raise FrameError(
             scan_path,
             f"none of its {len(scan)} points lies in the image, the cloud is empty",
-            f"check that {calib_path} belongs to this scan",
+            f"check that {calibration.path} belongs to this scan",
         )
     return Frame(key, index, camera, rgb, cloud, None, UP, calibration.T_camera_label, timestamp_ns)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.recordings.kitti_calib import read_calibration
 from annotator.recordings.kitti_frame import read_frame
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import NotFound, frame_key
@@ -46,7 +47,7 @@ class KittiObject:
             i,
             frame_file(self.root / "image_2", key, IMAGE_SUFFIXES, f"velodyne/{key}.bin"),
             frame_file(self.root / "velodyne", key, (".bin",), f"the image {key}"),
-            self.root / "calib" / f"{key}.txt",
+            read_calibration(self.root / "calib" / f"{key}.txt"),
             None,
         )
 

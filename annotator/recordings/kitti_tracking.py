@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.recordings.kitti_calib import read_calibration
 from annotator.recordings.kitti_frame import read_frame
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import NotFound, frame_key
@@ -55,7 +56,7 @@ class KittiTracking:
             i,
             frame_file(self.path / "image_02", key, IMAGE_SUFFIXES, f"velodyne/{key}.bin"),
             frame_file(self.path / "velodyne", key, (".bin",), f"the image {key}"),
-            self.path / "calib.txt",
+            read_calibration(self.path / "calib.txt"),
             number * PERIOD_NS,
         )
 

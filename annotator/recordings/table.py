@@ -8,5 +8,6 @@ READERS: dict[str, str] = {
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
     "kitti_object": "annotator.recordings.kitti_object:open_kitti_object",
     "kitti_tracking": "annotator.recordings.kitti_tracking:open_kitti_tracking",
+    "kitti_raw": "annotator.recordings.kitti_raw:open_kitti_raw",
     "azure_kinect": "annotator.recordings.azure_kinect:open_azure_kinect",
 }

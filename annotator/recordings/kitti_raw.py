@@ -1,0 +1,124 @@
+"""KITTI raw drives, as they are downloaded ("synced and rectified").
+
+DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
+calib_cam_to_cam.txt  calib_velo_to_cam.txt    in the drive's folder, or in that of its day, above it
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+
+from annotator.recordings.kitti_calib import KittiCalibration, read_raw_calibration
+from annotator.recordings.kitti_frame import read_frame
+from annotator.recordings.kitti_tracking import PERIOD_NS
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.recording import NotFound, frame_key
+from annotator.types import Frame
+from annotator.types.errors import FrameError
+
+LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, there or in the folder above)"
+CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
+
+
+@dataclass(frozen=True)
+class KittiRaw:
+    """A `Recording` of one KITTI raw drive.
+
+    Times are those of `timestamps.txt`, whose lines count the drive's frames from 0, read as UTC; without that file
+    they count from the drive's frame 0.
+    """
+
+    path: Path
+    keys: tuple[str, ...]
+    format: str = "kitti_raw"
+    is_sequence: bool = True
+
+    @property
+    def root(self) -> Path:
+        return self.path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def frame(self, i: int) -> Frame:
+        """Frame `i`; labels are in rectified camera 0 (`T_camera_label`).
+
+        Raises:
+            FrameError: a missing or broken file, or no point in the image.
+            IndexError: there is no such frame.
+        """
+        key = frame_key(self.keys, i)
+        number = int(key) if key.isascii() and key.isdigit() else i
+        return read_frame(
+            key,
+            i,
+            frame_file(self.path / "image_02" / "data", key, IMAGE_SUFFIXES, f"velodyne_points/data/{key}.bin"),
+            frame_file(self.path / "velodyne_points" / "data", key, (".bin",), f"the image {key}"),
+            self._calibration(),
+            self._time_ns(number),
+        )
+
+    def _calibration(self) -> KittiCalibration:
+        for folder in (self.path, self.path.resolve().parent):
+            if (folder / CAMERAS).is_file() or (folder / LIDAR).is_file():
+                return read_raw_calibration(folder / CAMERAS, folder / LIDAR)
+        raise FrameError(
+            self.path / CAMERAS, "the calibration is missing", f"put {CAMERAS} and {LIDAR} of the drive's day there"
+        )
+
+    def _time_ns(self, number: int) -> int:
+        path = self.path / "image_02" / "timestamps.txt"
+        if not path.is_file():
+            return number * PERIOD_NS
+        try:
+            known = path.stat()
+            times = _times(path, known.st_mtime_ns, known.st_size)
+        except (OSError, UnicodeDecodeError) as error:
+            raise FrameError(path, f"cannot be read ({error})", "copy it again from the data set") from error
+        time_ns = times[number] if number < len(times) else None
+        if time_ns is None:
+            raise FrameError(
+                path,
+                f"line {number + 1} has no time of frame {number}",
+                "copy it again, or remove it: frames count then",
+            )
+        return time_ns
+
+
+@lru_cache(maxsize=4)
+def _times(path: Path, changed_ns: int, size: int) -> tuple[int | None, ...]:
+    """The time of each line, nanoseconds since the epoch; None where there is none."""
+    return tuple(_nanoseconds(line) for line in path.read_text().splitlines())
+
+
+def _nanoseconds(line: str) -> int | None:
+    found = TIME.fullmatch(line.strip())
+    if found is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(found[1]).replace(tzinfo=UTC)
+    except ValueError:  # such as the 31st of February
+        return None
+    return int(moment.timestamp()) * 1_000_000_000 + int((found[2] or "0").ljust(9, "0"))
+
+
+def open_kitti_raw(path: Path) -> KittiRaw | NotFound:
+    """The KITTI raw drive at `path`, where it is one.
+
+    Raises:
+        RecordingError: the folders are there, but hold no frame.
+    """
+    images, scans = path / "image_02" / "data", path / "velodyne_points" / "data"
+    if not (images.is_dir() and scans.is_dir()):
+        return NotFound(LOOKED_FOR)
+    keys = stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",))
+    return KittiRaw(path, sorted_keys(path, keys, "image_02/data/KEY.png and velodyne_points/data/KEY.bin"))
