@@ -1,0 +1,218 @@
+"""Folders of point clouds: PLY, PCD, KITTI's BIN, NPY or NPZ, a file a frame.
+
+KEY.ply|pcd|bin|npy|npz    in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
+image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
+calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour camera 2
+camera_intrinsic.json      optional instead: as of an RGB-D folder, the clouds are in the camera's frame; or in another,
+                           from which "cloud_to_camera" (4 x 4, row by row) leads to it
+gravity.json               optional, beside camera_intrinsic.json
+
+Without a calibration the clouds are taken for a level LiDAR's (x forward, y left, z up), and a camera is put at its
+place, looking forward. Without images the picture is drawn from the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from scipy.spatial.transform import RigidTransform
+
+from annotator.geometry.projection import project
+from annotator.recordings.cloud_columns import RawCloud
+from annotator.recordings.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
+from annotator.recordings.kitti_frame import NEAREST_Z_M, UP
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.rgbd_camera import FILE_NAME, read_camera, read_up
+from annotator.recordings.virtual_image import virtual_image
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError
+
+LOOKED_FOR = f"files of points ({' '.join(CLOUD_SUFFIXES)}), here or in points/"
+CLOUD_FOLDERS = ("points", "clouds", "cloud", "pointcloud", "pointclouds", "velodyne", "lidar", "pcd", "ply")
+IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
+# A picture of 90 degrees, for clouds without a camera.
+VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
+# Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
+T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class CloudPoseFile(BaseModel):
+    """What `camera_intrinsic.json` may say of the clouds' own frame."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    cloud_to_camera: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """From where the clouds of a folder are seen.
+
+    Attributes:
+        path: the file that says so, for messages.
+        T_camera_cloud: from the clouds' own frame.
+        up: against gravity in the camera frame, where it is known.
+        kitti: KITTI's calibration, whose matrices are followed to the letter: they are rotations to seven digits only.
+    """
+
+    path: Path
+    T_camera_cloud: RigidTransform
+    camera: Camera
+    up: Float64[np.ndarray, "3"] | None
+    kitti: KittiCalibration | None = None
+
+    def see(self, raw: RawCloud) -> PointCloud:
+        """A cloud in the camera frame."""
+        to_camera = self.T_camera_cloud.apply if self.kitti is None else self.kitti.to_camera
+        xyz_m = to_camera(raw.xyz_m)
+        return PointCloud(xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
+
+
+@dataclass(frozen=True)
+class CloudFolder:
+    """A `Recording` of a folder of point clouds, taken to be in time order; labels are in the clouds' own frame.
+
+    Attributes:
+        clouds: where the files of points are.
+        images: where the images are, or None without any.
+    """
+
+    path: Path
+    clouds: Path
+    images: Path | None
+    keys: tuple[str, ...]
+    format: str = "cloud_folder"
+    is_sequence: bool = True
+
+    @property
+    def root(self) -> Path:
+        return self.path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def frame(self, i: int) -> Frame:
+        """Frame `i`. With an image, its cloud is what the image shows; otherwise all points, also those behind.
+
+        Raises:
+            FrameError: a missing or broken file, an image without a calibration, or no point in it.
+            IndexError: there is no such frame.
+        """
+        key = frame_key(self.keys, i)
+        cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        raw = read_cloud(cloud_path)
+        if self.images is None:
+            view = self._view(key, None)
+            cloud = view.see(raw)
+            rgb = virtual_image(view.camera, cloud)
+        else:
+            image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
+            rgb = read_rgb(image_path)
+            view = self._view(key, rgb)
+            cloud = _seen(view, view.see(raw), rgb)
+            if len(cloud) == 0:
+                raise FrameError(
+                    cloud_path,
+                    f"none of its {len(raw.xyz_m)} points lies in the image, the cloud is empty",
+                    f"check that {view.path} belongs to this cloud, and leads from its frame to the camera's",
+                )
+        return Frame(key, i, view.camera, rgb, cloud, up=view.up, T_camera_label=view.T_camera_cloud)
+
+    def _view(self, key: str, rgb: np.ndarray | None) -> View:
+        for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
+            if path.is_file():
+                return _kitti_view(path, rgb)
+        path = self.path / FILE_NAME
+        if path.is_file():
+            return _json_view(path, rgb)
+        if rgb is None:
+            return View(self.path, T_CAMERA_LIDAR, VIRTUAL_CAMERA, UP)
+        raise FrameError(
+            path,
+            "the calibration of the images is missing",
+            f"write {FILE_NAME} (with cloud_to_camera), or put KITTI's calib/{key}.txt or calib.txt there, or take the "
+            "images out of the folder",
+        )
+
+
+def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
+    """The folder of point clouds at `path`, where it is one."""
+    if not path.is_dir():
+        return NotFound(LOOKED_FOR)
+    for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):
+        keys = stems(clouds, CLOUD_SUFFIXES) if clouds.is_dir() else set()
+        if keys:
+            images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
+            if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
+                images = clouds
+            return CloudFolder(path, clouds, images, sorted_keys(path, keys, LOOKED_FOR))
+    return NotFound(LOOKED_FOR)
+
+
+def _kitti_view(path: Path, rgb: np.ndarray | None) -> View:
+    """Colour camera 2; without an image its principal point is taken for the middle."""
+    calibration = read_calibration(path)
+    if rgb is not None:
+        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+    else:
+        width, height = (int(2 * calibration.matrix[axis, 2]) + 1 for axis in (0, 1))
+        if not (0 < width <= 1 << 14 and 0 < height <= 1 << 14):
+            raise FrameError(path, f"P2 is of an image of {width} x {height} pixels", "correct the calibration")
+        camera = calibration.camera(width, height)
+    T = np.eye(4)
+    T[:3] = calibration.T_rect_lidar
+    T[:3, 3] += calibration.shift_m
+    return View(path, RigidTransform.from_matrix(T), camera, UP, calibration)
+
+
+def _json_view(path: Path, rgb: np.ndarray | None) -> View:
+    camera = read_camera(path).camera
+    if rgb is not None and rgb.shape[:2] != (camera.height_px, camera.width_px):
+        raise FrameError(
+            path,
+            f"is for images of {camera.width_px} x {camera.height_px} pixels, "
+            f"this one has {rgb.shape[1]} x {rgb.shape[0]}",
+            "write the camera of these images",
+        )
+    try:
+        rows = CloudPoseFile.model_validate_json(path.read_bytes()).cloud_to_camera
+    except (OSError, ValidationError) as error:
+        raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
+    return View(path, _pose(path, rows), camera, read_up(path.with_name("gravity.json")))
+
+
+def _pose(path: Path, rows: tuple[Four, ...] | None) -> RigidTransform:
+    if rows is None:
+        return RigidTransform.identity()
+    matrix = np.array(rows)
+    rotation = matrix[:3, :3]
+    is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3 and np.linalg.det(rotation) > 0
+    if not is_rotation or tuple(matrix[3]) != (0, 0, 0, 1):
+        raise FrameError(path, "cloud_to_camera is not a rotation and a shift above 0 0 0 1", "write it row by row")
+    return RigidTransform.from_matrix(matrix)
+
+
+def _seen(view: View, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:
+    """The points that project inside the image; those without colours of their own get their pixel's."""
+    camera = view.camera
+    px = project(camera, cloud.xyz_m)
+    inside = (px >= -0.5).all(axis=1) & (px < np.array([camera.width_px, camera.height_px]) - 0.5).all(axis=1)
+    kept = np.flatnonzero(inside & (cloud.xyz_m[:, 2] > NEAREST_Z_M))
+    seen = cloud.select(kept)
+    if seen.rgb is not None:
+        return seen
+    u, v = np.floor(px[kept] + 0.5).astype(np.int64).T
+    return PointCloud(seen.xyz_m, rgb=rgb[v, u], reflectance=seen.reflectance)

@@ -1,0 +1,145 @@
+"""Point clouds as NumPy arrays: `.npy`, and `.npz` with an array of points and perhaps one of colours.
+
+An array is n x 3 (x y z), n x 4 (and reflectance), n x 6 (and colours), or has fields with names. Nothing is unpickled.
+Headers are checked against what the file holds before an array is made: NEP 1 and `numpy.lib.format`.
+"""
+
+from __future__ import annotations
+
+import io
+import lzma
+import struct
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.lib import format as npy
+
+from annotator.recordings.cloud_columns import CLOUD_REMEDY, RawCloud, eight_bits, from_columns
+from annotator.types.errors import FrameError
+
+POINT_NAMES = ("points", "xyz", "xyz_m", "pc", "cloud", "arr_0")
+COLOR_ARRAY_NAMES = ("colors", "colours", "rgb", "color")
+COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
+# Compressed arrays of zeros shrink a thousandfold: what comes out is limited by itself.
+MOST_BYTES = 1 << 30
+# A member of an archive says of itself that it is an IO[bytes], and is none.
+Stream = IO[bytes] | io.BufferedIOBase
+# What zipfile is seen to raise on damaged archives.
+ARCHIVE_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    OSError,
+    ValueError,
+    LookupError,
+    ArithmeticError,
+    NotImplementedError,
+    RuntimeError,
+)
+
+
+def parse_npy(path: Path, data: bytes) -> RawCloud:
+    """The points in the bytes of an `.npy` file.
+
+    Raises:
+        FrameError: a damaged header, more values promised than there are, another shape, or no valid point.
+    """
+    return from_columns(path, _columns(path, _array(path, io.BytesIO(data), len(data))))
+
+
+def parse_npz(path: Path, data: bytes) -> RawCloud:
+    """The points, and their colours where there are any, in the bytes of an `.npz` file.
+
+    Raises:
+        FrameError: as `parse_npy`; or no array of points, or colours of another number.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            points = next((names[name] for name in POINT_NAMES if name in names), None)
+            if points is None:
+                raise FrameError(path, f"has no array {' or '.join(POINT_NAMES)} (it has {_some(names)})", CLOUD_REMEDY)
+            columns = _columns(path, _member(path, archive, points))
+            colors = next((names[name] for name in COLOR_ARRAY_NAMES if name in names), None)
+            if colors is not None:
+                columns |= _color_columns(path, _member(path, archive, colors), len(columns["x"]))
+    except ARCHIVE_ERRORS as error:
+        raise FrameError(path, f"the archive is damaged ({error})", CLOUD_REMEDY) from error
+    return from_columns(path, columns)
+
+
+def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    if info.file_size > MOST_BYTES:
+        raise FrameError(path, f"its array {info.filename} would take {info.file_size} bytes", "save fewer points")
+    with archive.open(info) as file:
+        return _array(path, file, info.file_size)
+
+
+def _array(path: Path, file: Stream, size: int) -> np.ndarray:
+    """The array that begins at `file`, which holds `size` bytes."""
+    try:
+        shape, is_fortran, dtype = _header(file)
+    # a damaged header is a Python expression of any kind: what comes of it has no list
+    except Exception as error:
+        raise FrameError(path, f"its array's header is damaged ({str(error)[:80]})", CLOUD_REMEDY) from error
+    is_readable = dtype.kind in "fiu" or (dtype.names is not None and not dtype.hasobject)
+    if not is_readable or dtype.itemsize == 0 or any(length < 0 for length in shape):
+        raise FrameError(path, f"its array holds {dtype} and no numbers", CLOUD_REMEDY)
+    count = 1
+    for length in shape:
+        count *= int(length)
+    if count * dtype.itemsize > size:
+        raise FrameError(
+            path, f"its array promises {count} values of {dtype.itemsize} bytes out of {size} bytes", CLOUD_REMEDY
+        )
+    content = file.read(count * dtype.itemsize)
+    if len(content) < count * dtype.itemsize:
+        raise FrameError(path, "its array is cut off", CLOUD_REMEDY)
+    return np.frombuffer(content, dtype).reshape(shape, order="F" if is_fortran else "C")
+
+
+def _header(file: Stream) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """An array's shape, whether its columns come first, and its type."""
+    version = npy.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version[0]}.{version[1]}")
+    with warnings.catch_warnings():
+        # headers of Python 2 are read, too, with a warning
+        warnings.simplefilter("ignore")
+        header = npy.read_array_header_1_0(file) if version == (1, 0) else npy.read_array_header_2_0(file)
+    shape, is_fortran, dtype = header
+    return tuple(int(length) for length in shape), bool(is_fortran), dtype
+
+
+def _columns(path: Path, array: np.ndarray) -> dict[str, np.ndarray]:
+    if array.dtype.names is not None:
+        if array.ndim != 1:
+            raise FrameError(path, f"its array of points has the shape {array.shape}", "save n rows")
+        fields = {name.lower(): array[name] for name in array.dtype.names}
+        return {name: values for name, values in fields.items() if values.ndim == 1 and values.dtype.kind in "fiu"}
+    if array.ndim != 2 or array.shape[1] not in COLUMNS:
+        raise FrameError(
+            path,
+            f"its array of points has the shape {array.shape}",
+            "save n x 3 (x y z), n x 4 (and reflectance) or n x 6 numbers (and colours)",
+        )
+    names = COLUMNS[array.shape[1]].split()
+    if "red" not in names:
+        return {name: array[:, column] for column, name in enumerate(names)}
+    return {"x": array[:, 0], "y": array[:, 1], "z": array[:, 2], **_color_columns(path, array[:, 3:], len(array))}
+
+
+def _color_columns(path: Path, colors: np.ndarray, points: int) -> dict[str, np.ndarray]:
+    if colors.dtype.names is not None or colors.shape != (points, 3):
+        raise FrameError(path, f"its colours have the shape {colors.shape}, for {points} points", "save n x 3 colours")
+    return dict(zip(("red", "green", "blue"), eight_bits(colors).T, strict=True))
+
+
+def _some(names: dict[str, zipfile.ZipInfo]) -> str:
+    return ", ".join(sorted(names)[:5]) or "none"
