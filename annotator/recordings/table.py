@@ -10,6 +10,8 @@ READERS: dict[str, str] = {
     "kitti_tracking": "annotator.recordings.kitti_tracking:open_kitti_tracking",
     "kitti_raw": "annotator.recordings.kitti_raw:open_kitti_raw",
     "azure_kinect": "annotator.recordings.azure_kinect:open_azure_kinect",
+    "sunrgbd_extracted": "annotator.recordings.sunrgbd_extracted:open_sunrgbd_extracted",
+    "sunrgbd_scenes": "annotator.recordings.sunrgbd_scenes:open_sunrgbd_scenes",
     # after all that have clouds among other things
     "cloud_folder": "annotator.recordings.cloud_folder:open_cloud_folder",
 }

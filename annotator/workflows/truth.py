@@ -13,12 +13,16 @@ from jaxtyping import UInt8
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.kitti import read_object_labels, read_tracking_labels
 from annotator.formats.masks import read_mask
+from annotator.formats.sunrgbd_labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
+from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
 from annotator.types import Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
 
 # Generated recordings keep their truth apart from what a sensor would give.
 TRUTH_FOLDER = "truth"
+# Each raw scene of SUN RGB-D has its own.
+SCENE_LABELS = "annotation3Dfinal/index.json"
 
 
 def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
@@ -60,6 +64,9 @@ def label_file(recording: Recording, key: str) -> Path | None:
 
     KITTI object labels are one file a frame: a folder of labels that lacks this frame's still counts.
     """
+    if isinstance(recording, SunRgbdScenes):
+        labels = recording.scene(key) / SCENE_LABELS
+        return labels if labels.is_file() or (recording.scenes[0] / SCENE_LABELS).is_file() else None
     for name in _PLACES.get(recording.format, ()):
         place = recording.root / name
         if place.is_file():
@@ -101,6 +108,14 @@ def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
     return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in found]
 
 
+def _from_extracted(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return read_extracted_labels(path, frame.T_camera_label)
+
+
+def _from_scene(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return read_scene_labels(path, frame.T_camera_label)
+
+
 def _version(path: Path) -> tuple[int, int]:
     known = path.stat()
     return known.st_mtime_ns, known.st_size
@@ -126,10 +141,14 @@ _PLACES = {
     "rgbd_folder": (f"{TRUTH_FOLDER}/boxes.json", "boxes.json"),
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
+    "sunrgbd_extracted": ("label",),
+    "sunrgbd_scenes": (SCENE_LABELS,),
 }
 _MASKED = frozenset({"rgbd_folder"})
 _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "rgbd_folder": _from_boxes_json,
     "kitti_object": _from_label_2,
     "kitti_tracking": _from_label_02,
+    "sunrgbd_extracted": _from_extracted,
+    "sunrgbd_scenes": _from_scene,
 }

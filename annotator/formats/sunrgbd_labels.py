@@ -1,0 +1,138 @@
+"""SUN RGB-D's 3D boxes: VoteNet's `label/KEY.txt`, and a raw scene's `annotation3Dfinal/index.json`.
+
+Both are in the frame "upright depth": x right, y forward, z up, tilt removed; so their boxes stand upright.
+
+VoteNet, 13 fields a row (`votenet/sunrgbd/sunrgbd_utils.py`, `SUNObject3d`):
+
+    class xmin ymin width height cx cy cz half_width half_length half_height ox oy
+
+with the length along the orientation (ox, oy). Raw scenes have a polygon of four corners on the ground, X to the right
+and Z forward, between the heights Ymin and Ymax, which count downwards; the orientation goes from the polygon's middle
+to that of its first edge (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.json_file import read_model
+from annotator.types import OrientedBox, Truth
+from annotator.types.errors import FormatError
+
+FIELDS = 13
+# Corners were drawn by hand: a part of a polygon's size.
+MOST_SKEW = 0.1
+Corners = Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=4)]
+
+
+class ScenePolygon(BaseModel):
+    """The place of one object, as it is written; metres."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    X: Corners
+    Z: Corners
+    Ymin: FiniteFloat
+    Ymax: FiniteFloat
+
+
+class SceneObject(BaseModel):
+    """One object; objects that somebody deleted have no name or no polygon."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    name: str = ""
+    polygon: tuple[ScenePolygon, ...] = ()
+
+
+class SceneAnnotation(BaseModel):
+    """What is needed of the file."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    objects: tuple[SceneObject | None, ...] = ()
+
+
+def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
+    """The objects of one `label/KEY.txt`, in file order; an empty file has none.
+
+    Args:
+        path: the file.
+        T_camera_label: from upright depth to the camera frame (`Frame.T_camera_label`); None for identity.
+
+    Raises:
+        FormatError: the file is missing, or a row is not a label; names file and line.
+    """
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(path, f"the label file cannot be read ({error})") from error
+    rows = [(number, line.split()) for number, line in enumerate(lines, start=1) if line.strip()]
+    return [_truth(*_row(path, number, fields), T_camera_label, path, number) for number, fields in rows]
+
+
+def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
+    """The objects of one `annotation3Dfinal/index.json`, in file order; blanks in names become `_`.
+
+    Arguments and errors as in `read_extracted_labels`.
+    """
+    content = read_model(path, SceneAnnotation)
+    return [
+        _truth("_".join(each.name.split()), *_parts(path, each.name, polygon), T_camera_label, path, None)
+        for each in content.objects
+        if each is not None and each.name.strip()
+        for polygon in each.polygon
+    ]
+
+
+def _row(path: Path, line: int, fields: list[str]) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+    """Class, centre, size (length, width, height) and orientation of one row."""
+    if len(fields) != FIELDS:
+        raise FormatError(path, f"a label has {FIELDS} fields, not {len(fields)}", line)
+    label, *numbers = fields
+    try:
+        values = np.array([float(number) for number in numbers])
+    except ValueError as error:
+        raise FormatError(path, str(error), line) from error
+    if not np.isfinite(values).all():
+        raise FormatError(path, "a number is not finite", line)
+    half_width, half_length, half_height = values[7:10]
+    return label, values[4:7], 2 * np.array([half_length, half_width, half_height]), values[10:12]
+
+
+def _parts(path: Path, name: str, polygon: ScenePolygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre, size and orientation of a polygon's box."""
+    corners = np.stack([polygon.X, polygon.Z], axis=1)
+    across = (corners[1] - corners[0] + corners[2] - corners[3]) / 2
+    back = (corners[2] - corners[1] + corners[3] - corners[0]) / 2
+    width, length = math.hypot(*across), math.hypot(*back)
+    if not width > 0 or not length > 0 or abs(across @ back) > MOST_SKEW * width * length:
+        raise FormatError(path, f"the polygon of {name!r} is no rectangle: {corners.round(3).tolist()}")
+    center = np.array([*corners.mean(axis=0), -(polygon.Ymin + polygon.Ymax) / 2])
+    return center, np.array([length, width, abs(polygon.Ymax - polygon.Ymin)]), -back
+
+
+def _truth(
+    label: str,
+    center_m: np.ndarray,
+    size_m: np.ndarray,
+    orientation: np.ndarray,
+    T_camera_label: RigidTransform | None,
+    path: Path,
+    line: int | None,
+) -> Truth:
+    norm = math.hypot(*orientation)
+    if norm == 0:
+        raise FormatError(path, f"the orientation of {label!r} has no direction", line)
+    x, y = orientation / norm
+    try:
+        box = OrientedBox.from_parts(center_m, np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]]), size_m)
+    except ValueError as error:
+        raise FormatError(path, f"{label}: {error}", line) from error
+    return Truth(label, box if T_camera_label is None else box.transformed(T_camera_label))

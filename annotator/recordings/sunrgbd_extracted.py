@@ -1,0 +1,147 @@
+"""SUN RGB-D as VoteNet extracts it: unrelated single frames.
+
+image/KEY.jpg  calib/KEY.txt  depth/KEY.mat (`instance`: n x 6, x y z r g b)  or  points/KEY.npz
+[label/KEY.txt, read by annotator.formats]
+Clouds and labels are in the frame "upright depth" (`sunrgbd_calib`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from annotator.geometry.projection import project
+from annotator.recordings.cloud_columns import RawCloud, from_columns
+from annotator.recordings.cloud_file import read_cloud
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.sunrgbd_calib import read_extracted_calibration
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError
+
+LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
+CLOUD_REMEDY = "extract it again from the data set"
+# A cloud counts as organised where its points fall on pixel centres within this distance.
+ON_PIXEL_PX = 0.05
+
+
+@dataclass(frozen=True)
+class SunRgbdExtracted:
+    """A `Recording` of VoteNet's layout."""
+
+    path: Path
+    clouds: Path
+    keys: tuple[str, ...]
+    format: str = "sunrgbd_extracted"
+    is_sequence: bool = False
+
+    @property
+    def root(self) -> Path:
+        return self.path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def frame(self, i: int) -> Frame:
+        """Frame `i`; labels are in upright depth (`T_camera_label`).
+
+        `depth_m` and the points' pixels are known where each point lies at a pixel of its own.
+
+        Raises:
+            FrameError: a missing or broken file.
+            IndexError: there is no such frame.
+        """
+        key = frame_key(self.keys, i)
+        suffixes = (".mat",) if self.clouds.name == "depth" else (".npz",)
+        image_path = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffixes[0]}")
+        cloud_path = frame_file(self.clouds, key, suffixes, f"image/{image_path.name}")
+        calibration = read_extracted_calibration(self.path / "calib" / f"{key}.txt")
+        rgb = read_rgb(image_path)
+        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+        raw = _read_mat(cloud_path) if suffixes == (".mat",) else read_cloud(cloud_path)
+        xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
+        cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
+        return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
+
+
+def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
+    """The folder of VoteNet's layout at `path`, where it is one.
+
+    Raises:
+        RecordingError: the folders are there, but hold no frame.
+    """
+    if not ((path / "image").is_dir() and (path / "calib").is_dir()):
+        return NotFound(LOOKED_FOR)
+    for clouds, suffix in ((path / "depth", ".mat"), (path / "points", ".npz")):
+        names = stems(clouds, (suffix,)) if clouds.is_dir() else set()
+        calibrated = stems(path / "calib", (".txt",)) if names else set()
+        # a folder of clouds with KITTI's calibration looks the same but for what is in calib/
+        if names and calibrated and not _is_kitti(path / "calib" / f"{min(calibrated)}.txt"):
+            keys = names | stems(path / "image", IMAGE_SUFFIXES)
+            return SunRgbdExtracted(path, clouds, sorted_keys(path, keys, LOOKED_FOR))
+    return NotFound(LOOKED_FOR)
+
+
+def _is_kitti(path: Path) -> bool:
+    with path.open("rb") as file:
+        return b":" in file.read(200)
+
+
+def _read_mat(path: Path) -> RawCloud:
+    """The cloud in a MATLAB file of version 4 to 7.
+
+    Raises:
+        FrameError: it is damaged, or has no `instance` of n x 6 numbers.
+    """
+    from scipy.io import loadmat
+
+    try:
+        variables = loadmat(str(path), variable_names=["instance"])
+    except FileNotFoundError as error:
+        raise FrameError(path, "missing", CLOUD_REMEDY) from error
+    # the reader raises whatever a damaged header leads it to
+    except Exception as error:
+        raise FrameError(path, f"cannot be read as a MATLAB file ({str(error)[:100]})", CLOUD_REMEDY) from error
+    table = variables.get("instance")
+    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6 or table.dtype.kind not in "fiu":
+        raise FrameError(path, "has no variable `instance` of n x 6 numbers (x y z r g b)", CLOUD_REMEDY)
+    return from_columns(path, dict(zip(("x", "y", "z", "red", "green", "blue"), table.T, strict=True)))
+
+
+def _organised(
+    camera: Camera, xyz_m: np.ndarray, raw: RawCloud, rgb: np.ndarray
+) -> tuple[PointCloud, Float32[np.ndarray, "h w"] | None]:
+    """The cloud in the camera frame; with the depth image that it came from, where it lies on pixels."""
+    xyz = xyz_m.astype(np.float32)
+    px = project(camera, xyz_m)
+    nearest = np.rint(px)
+    size = np.array([camera.width_px, camera.height_px])
+    with np.errstate(invalid="ignore"):
+        on_pixel = (np.abs(px - nearest) < ON_PIXEL_PX).all(axis=1) & ((nearest >= 0) & (nearest < size)).all(axis=1)
+    if not on_pixel.all():
+        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
+    pixel: Int32[np.ndarray, "n"] = (nearest[:, 1] * camera.width_px + nearest[:, 0]).astype(np.int32)
+    depth_m = np.zeros(camera.height_px * camera.width_px, np.float32)
+    depth_m[pixel] = xyz[:, 2]
+    if np.count_nonzero(depth_m) < len(pixel):
+        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
+    cloud = PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance, pixel_index=pixel)
+    return cloud, depth_m.reshape(camera.height_px, camera.width_px)
+
+
+def _colors(raw: RawCloud, px: np.ndarray, rgb: np.ndarray) -> np.ndarray | None:
+    """The points' own colours, or their pixels', where all have one."""
+    if raw.rgb is not None:
+        return raw.rgb
+    if not np.isfinite(px).all():
+        return None
+    u, v = np.clip(np.rint(px), 0, np.array(rgb.shape[1::-1]) - 1).astype(np.int64).T
+    return rgb[v, u]
