@@ -37,7 +37,7 @@ export function createQueueList(host, app, queue, { open }) {
       left.textContent = count(queue.remaining, "proposal");
       const at = Math.max(0, queue.items.findIndex((item) => item.uid === uid));
       const from = Math.max(0, Math.min(at - ROWS / 2, queue.items.length - ROWS));
-      const recordings = new Map(app.state.project.recordings.map(({ id, name }) => [id, name]));
+      const recordings = new Map((app.state.project?.recordings ?? []).map(({ id, name }) => [id, name]));
       list.replaceChildren(...queue.items.slice(from, from + ROWS).map((item) => queueRow(item, recordings, item.uid === uid, open)));
       if (queue.items.length === 0) list.append(h("li", { class: "muted pad" }, "Nothing is left to review."));
       list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
