@@ -70,7 +70,7 @@ def test_a_detector_that_failed_says_why(live: Live, generated: Path, tmp_path: 
     body = {"image_box": Scene.of(generated / "people", 0, ["person"]).image_box(0), "boxes": []}
     for suggest in (False, True):
         found = live.client.post(STEPS, json={**body, "suggest": suggest}).json()
-        assert found["detector"] == "failed" and "broken" in found["problem"]
+        assert found["detector"] == "failed" and "model.json: no such file" in found["problem"]
         assert len(found["steps"][0]["views"]) == 2
     told = live.client.get("/api/projects/room/frames/1/label/suggestions").json()
-    assert told["boxes"] == [] and "broken" in told["problem"]
+    assert told["boxes"] == [] and "model.json: no such file" in told["problem"]

@@ -376,6 +376,7 @@ def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
     desk.press("Control+Enter")
     desk.page.get_by_test_id("dialog-yes").click()
     wait_for(lambda: desk.project.frames.get(frames[0]).finalised, 5)
+    expect(desk.page.get_by_test_id("act-finalise")).to_have_text("Reopen frame")
     desk.page.get_by_test_id("act-finalise").click()
     wait_for(lambda: not desk.project.frames.get(frames[0]).finalised, 5)
 
