@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import UInt8, UInt16
@@ -19,7 +20,7 @@ from annotator.recordings.kinect_calibration import KinectCalibration, Size, par
 from annotator.recordings.kinect_cloud import seen_cloud
 from annotator.recordings.kinect_color import FORMATS, decode_color
 from annotator.recordings.matroska import Block, MatroskaIndex, Track, read_index
-from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame
 from annotator.types.errors import FrameError, RecordingError
 
@@ -37,7 +38,7 @@ class Capture:
 
 
 @dataclass(frozen=True, eq=False)
-class AzureKinect:
+class AzureKinect(KeyedFrames):
     """A `Recording` of an Azure Kinect.
 
     A frame is a moment with a colour and a depth image, named by the number of its colour image; where the sensor has
@@ -49,27 +50,17 @@ class AzureKinect:
         infrared: the infrared images' blocks, in the order of time.
     """
 
-    path: Path
-    keys: tuple[str, ...]
     captures: tuple[Capture, ...]
     calibration: KinectCalibration
     fourcc: str
     start_ns: int
     infrared: tuple[Block, ...]
-    format: str = "azure_kinect"
-    is_sequence: bool = True
-
-    @property
-    def root(self) -> Path:
-        """The file itself: nothing beside it belongs to it."""
-        return self.path
+    format: ClassVar[str] = "azure_kinect"
+    is_sequence: ClassVar[bool] = True
 
     @property
     def name(self) -> str:
         return self.path.resolve().stem
-
-    def __len__(self) -> int:
-        return len(self.keys)
 
     def frame(self, i: int) -> Frame:
         """Frame `i`; its cloud has `rgb`.
@@ -78,7 +69,7 @@ class AzureKinect:
             FrameError: an image is damaged or cut off, or there is no point in the colour image.
             IndexError: there is no such frame.
         """
-        key = frame_key(self.keys, i)
+        key = self.key(i)
         color, depth_mm = self.color_image(i), self.depth_image(i)
         cloud = seen_cloud(self.calibration, depth_mm, color)
         if len(cloud) == 0:
@@ -97,7 +88,7 @@ class AzureKinect:
             FrameError: it is damaged or cut off.
             IndexError: there is no such frame.
         """
-        key, camera = frame_key(self.keys, i), self.calibration.color
+        key, camera = self.key(i), self.calibration.color
         data = self._read(key, "colour", self.captures[i].color)
         try:
             return decode_color(self.fourcc, data, camera.width_px, camera.height_px)
@@ -111,7 +102,7 @@ class AzureKinect:
             FrameError: it is damaged or cut off.
             IndexError: there is no such frame.
         """
-        return self._raw_image(frame_key(self.keys, i), "depth", self.captures[i].depth)
+        return self._raw_image(self.key(i), "depth", self.captures[i].depth)
 
     def infrared_image(self, i: int) -> UInt16[np.ndarray, "h w"] | None:
         """The infrared image that was taken with depth image `i`, or None where there is none.
@@ -120,7 +111,7 @@ class AzureKinect:
             FrameError: it is damaged or cut off.
             IndexError: there is no such frame.
         """
-        key, depth = frame_key(self.keys, i), self.captures[i].depth
+        key, depth = self.key(i), self.captures[i].depth
         block = next((block for block in self.infrared if depth and block.time_ns == depth.time_ns), None)
         return None if block is None else self._raw_image(key, "infrared", block)
 

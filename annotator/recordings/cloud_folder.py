@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -29,7 +29,7 @@ from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
 from annotator.recordings.kitti_frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, read_camera, read_up
 from annotator.recordings.virtual_image import virtual_image
 from annotator.types import Camera, Frame, PointCloud
@@ -77,8 +77,8 @@ class View:
         return PointCloud(xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
 
 
-@dataclass(frozen=True)
-class CloudFolder:
+@dataclass(frozen=True, eq=False)
+class CloudFolder(KeyedFrames):
     """A `Recording` of a folder of point clouds, taken to be in time order; labels are in the clouds' own frame.
 
     Attributes:
@@ -86,23 +86,10 @@ class CloudFolder:
         images: where the images are, or None without any.
     """
 
-    path: Path
     clouds: Path
     images: Path | None
-    keys: tuple[str, ...]
-    format: str = "cloud_folder"
-    is_sequence: bool = True
-
-    @property
-    def root(self) -> Path:
-        return self.path
-
-    @property
-    def name(self) -> str:
-        return self.path.resolve().name
-
-    def __len__(self) -> int:
-        return len(self.keys)
+    format: ClassVar[str] = "cloud_folder"
+    is_sequence: ClassVar[bool] = True
 
     def frame(self, i: int) -> Frame:
         """Frame `i`. With an image, its cloud is what the image shows; otherwise all points, also those behind.
@@ -111,7 +98,7 @@ class CloudFolder:
             FrameError: a missing or broken file, an image without a calibration, or no point in it.
             IndexError: there is no such frame.
         """
-        key = frame_key(self.keys, i)
+        key = self.key(i)
         cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
         raw = read_cloud(cloud_path)
         if self.images is None:
@@ -158,7 +145,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
             images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
             if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
                 images = clouds
-            return CloudFolder(path, clouds, images, sorted_keys(path, keys, LOOKED_FOR))
+            return CloudFolder(path, sorted_keys(path, keys, LOOKED_FOR), clouds, images)
     return NotFound(LOOKED_FOR)
 
 

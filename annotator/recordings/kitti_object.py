@@ -7,49 +7,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
-from annotator.recordings.kitti_calib import read_calibration
-from annotator.recordings.kitti_frame import read_frame
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.recording import NotFound, frame_key
-from annotator.types import Frame
+from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
+from annotator.recordings.kitti_folder import KittiFolder
+from annotator.recordings.recording import NotFound
 
 LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
 
 
-@dataclass(frozen=True)
-class KittiObject:
-    """A `Recording` of a KITTI object folder."""
+@dataclass(frozen=True, eq=False)
+class KittiObject(KittiFolder):
+    """A `Recording` of a KITTI object folder.
 
-    path: Path
-    root: Path
-    keys: tuple[str, ...]
-    format: str = "kitti_object"
-    is_sequence: bool = False
+    Attributes:
+        folder: what holds the images and scans, `path` or `path`/training.
+    """
+
+    folder: Path
+    format: ClassVar[str] = "kitti_object"
+    is_sequence: ClassVar[bool] = False
+    images: ClassVar[str] = "image_2"
+    scans: ClassVar[str] = "velodyne"
 
     @property
-    def name(self) -> str:
-        return self.path.resolve().name
+    def root(self) -> Path:
+        return self.folder
 
-    def __len__(self) -> int:
-        return len(self.keys)
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.root / "calib" / f"{key}.txt")
 
-    def frame(self, i: int) -> Frame:
-        """Frame `i`; labels are in rectified camera 0 (`T_camera_label`).
-
-        Raises:
-            FrameError: a missing or broken file, or no point in the image.
-            IndexError: there is no such frame.
-        """
-        key = frame_key(self.keys, i)
-        return read_frame(
-            key,
-            i,
-            frame_file(self.root / "image_2", key, IMAGE_SUFFIXES, f"velodyne/{key}.bin"),
-            frame_file(self.root / "velodyne", key, (".bin",), f"the image {key}"),
-            read_calibration(self.root / "calib" / f"{key}.txt"),
-            None,
-        )
+    def time_ns(self, number: int) -> None:
+        """Unrelated frames have no time."""
 
 
 def open_kitti_object(path: Path) -> KittiObject | NotFound:
@@ -59,8 +48,7 @@ def open_kitti_object(path: Path) -> KittiObject | NotFound:
         RecordingError: the folders are there, but hold no frame.
     """
     for root in (path, path / "training"):
-        images, scans = root / "image_2", root / "velodyne"
-        if images.is_dir() and scans.is_dir():
-            keys = stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",))
-            return KittiObject(path, root, sorted_keys(root, keys, "image_2/KEY.png and velodyne/KEY.bin"))
+        keys = KittiObject.keys_in(root)
+        if keys is not None:
+            return KittiObject(path, keys, root)
     return NotFound(LOOKED_FOR)

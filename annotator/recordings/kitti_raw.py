@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 from annotator.recordings.kitti_calib import KittiCalibration, read_raw_calibration
-from annotator.recordings.kitti_frame import read_frame
-from annotator.recordings.kitti_tracking import PERIOD_NS
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.recording import NotFound, frame_key
-from annotator.types import Frame
+from annotator.recordings.kitti_folder import PERIOD_NS, KittiFolder
+from annotator.recordings.recording import NotFound
 from annotator.types.errors import FrameError
 
 LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, there or in the folder above)"
@@ -25,49 +23,20 @@ CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
 
-@dataclass(frozen=True)
-class KittiRaw:
+@dataclass(frozen=True, eq=False)
+class KittiRaw(KittiFolder):
     """A `Recording` of one KITTI raw drive.
 
     Times are those of `timestamps.txt`, whose lines count the drive's frames from 0, read as UTC; without that file
     they count from the drive's frame 0.
     """
 
-    path: Path
-    keys: tuple[str, ...]
-    format: str = "kitti_raw"
-    is_sequence: bool = True
+    format: ClassVar[str] = "kitti_raw"
+    is_sequence: ClassVar[bool] = True
+    images: ClassVar[str] = "image_02/data"
+    scans: ClassVar[str] = "velodyne_points/data"
 
-    @property
-    def root(self) -> Path:
-        return self.path
-
-    @property
-    def name(self) -> str:
-        return self.path.resolve().name
-
-    def __len__(self) -> int:
-        return len(self.keys)
-
-    def frame(self, i: int) -> Frame:
-        """Frame `i`; labels are in rectified camera 0 (`T_camera_label`).
-
-        Raises:
-            FrameError: a missing or broken file, or no point in the image.
-            IndexError: there is no such frame.
-        """
-        key = frame_key(self.keys, i)
-        number = int(key) if key.isascii() and key.isdigit() else i
-        return read_frame(
-            key,
-            i,
-            frame_file(self.path / "image_02" / "data", key, IMAGE_SUFFIXES, f"velodyne_points/data/{key}.bin"),
-            frame_file(self.path / "velodyne_points" / "data", key, (".bin",), f"the image {key}"),
-            self._calibration(),
-            self._time_ns(number),
-        )
-
-    def _calibration(self) -> KittiCalibration:
+    def calibration(self, key: str) -> KittiCalibration:
         for folder in (self.path, self.path.resolve().parent):
             if (folder / CAMERAS).is_file() or (folder / LIDAR).is_file():
                 return read_raw_calibration(folder / CAMERAS, folder / LIDAR)
@@ -75,7 +44,7 @@ class KittiRaw:
             self.path / CAMERAS, "the calibration is missing", f"put {CAMERAS} and {LIDAR} of the drive's day there"
         )
 
-    def _time_ns(self, number: int) -> int:
+    def time_ns(self, number: int) -> int:
         path = self.path / "image_02" / "timestamps.txt"
         if not path.is_file():
             return number * PERIOD_NS
@@ -117,8 +86,5 @@ def open_kitti_raw(path: Path) -> KittiRaw | NotFound:
     Raises:
         RecordingError: the folders are there, but hold no frame.
     """
-    images, scans = path / "image_02" / "data", path / "velodyne_points" / "data"
-    if not (images.is_dir() and scans.is_dir()):
-        return NotFound(LOOKED_FOR)
-    keys = stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",))
-    return KittiRaw(path, sorted_keys(path, keys, "image_02/data/KEY.png and velodyne_points/data/KEY.bin"))
+    keys = KittiRaw.keys_in(path)
+    return NotFound(LOOKED_FOR) if keys is None else KittiRaw(path, keys)

@@ -7,58 +7,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
-from annotator.recordings.kitti_calib import read_calibration
-from annotator.recordings.kitti_frame import read_frame
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.recording import NotFound, frame_key
-from annotator.types import Frame
+from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
+from annotator.recordings.kitti_folder import KittiFolder
+from annotator.recordings.recording import NotFound
 
 LOOKED_FOR = "folders image_02/ and velodyne/ (and calib.txt)"
-# KITTI's sensors are triggered by the spinning LiDAR, ten times a second.
-PERIOD_NS = 100_000_000
 
 
-@dataclass(frozen=True)
-class KittiTracking:
-    """A `Recording` of one KITTI drive.
+@dataclass(frozen=True, eq=False)
+class KittiTracking(KittiFolder):
+    """A `Recording` of one KITTI drive; its times count from the drive's frame 0."""
 
-    Times count from the drive's frame 0: the number in a frame's name tells when it was, gaps included.
-    """
+    format: ClassVar[str] = "kitti_tracking"
+    is_sequence: ClassVar[bool] = True
+    images: ClassVar[str] = "image_02"
+    scans: ClassVar[str] = "velodyne"
 
-    path: Path
-    keys: tuple[str, ...]
-    format: str = "kitti_tracking"
-    is_sequence: bool = True
-
-    @property
-    def root(self) -> Path:
-        return self.path
-
-    @property
-    def name(self) -> str:
-        return self.path.resolve().name
-
-    def __len__(self) -> int:
-        return len(self.keys)
-
-    def frame(self, i: int) -> Frame:
-        """Frame `i`; labels are in rectified camera 0 (`T_camera_label`).
-
-        Raises:
-            FrameError: a missing or broken file, or no point in the image.
-            IndexError: there is no such frame.
-        """
-        key = frame_key(self.keys, i)
-        number = int(key) if key.isascii() and key.isdigit() else i
-        return read_frame(
-            key,
-            i,
-            frame_file(self.path / "image_02", key, IMAGE_SUFFIXES, f"velodyne/{key}.bin"),
-            frame_file(self.path / "velodyne", key, (".bin",), f"the image {key}"),
-            read_calibration(self.path / "calib.txt"),
-            number * PERIOD_NS,
-        )
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.path / "calib.txt")
 
 
 def open_kitti_tracking(path: Path) -> KittiTracking | NotFound:
@@ -67,8 +35,5 @@ def open_kitti_tracking(path: Path) -> KittiTracking | NotFound:
     Raises:
         RecordingError: the folders are there, but hold no frame.
     """
-    images, scans = path / "image_02", path / "velodyne"
-    if not (images.is_dir() and scans.is_dir()):
-        return NotFound(LOOKED_FOR)
-    keys = stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",))
-    return KittiTracking(path, sorted_keys(path, keys, "image_02/KEY.png and velodyne/KEY.bin"))
+    keys = KittiTracking.keys_in(path)
+    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 from annotator.types import Frame
 
@@ -60,12 +60,37 @@ class NotFound:
     looked_for: str
 
 
-def frame_key(keys: tuple[str, ...], i: int) -> str:
-    """The key of frame `i`; unlike `keys[i]`, a negative index is an error too.
+@dataclass(frozen=True, eq=False)
+class KeyedFrames:
+    """What the readers' recordings have in common; each adds its `format`, `is_sequence` and `frame`.
 
-    Raises:
-        IndexError: there is no such frame.
+    Attributes:
+        path: what was opened.
+        keys: the frames' names, in order.
     """
-    if not 0 <= i < len(keys):
-        raise IndexError(f"frame {i} of a recording with {len(keys)} frames")
-    return keys[i]
+
+    path: Path
+    keys: tuple[str, ...]
+    format: ClassVar[str]
+    is_sequence: ClassVar[bool]
+
+    @property
+    def root(self) -> Path:
+        return self.path
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().name
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def key(self, i: int) -> str:
+        """The key of frame `i`; unlike `keys[i]`, a negative index is an error too.
+
+        Raises:
+            IndexError: there is no such frame.
+        """
+        if not 0 <= i < len(self.keys):
+            raise IndexError(f"frame {i} of a recording with {len(self.keys)} frames")
+        return self.keys[i]

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import RgbdCamera, camera_file, read_camera, read_up
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -25,29 +26,19 @@ from annotator.types.errors import FrameError
 LOOKED_FOR = "folders color/ (or image/ and a camera_*.json) and depth/"
 
 
-@dataclass(frozen=True)
-class RgbdFolder:
+@dataclass(frozen=True, eq=False)
+class RgbdFolder(KeyedFrames):
     """A `Recording` of an Open3D RGB-D folder.
 
     A folder's frames are taken to be in time order, as the convention has it; their times are not known.
+
+    Attributes:
+        color: the folder of the colour images.
     """
 
-    path: Path
     color: Path
-    keys: tuple[str, ...]
-    format: str = "rgbd_folder"
-    is_sequence: bool = True
-
-    @property
-    def root(self) -> Path:
-        return self.path
-
-    @property
-    def name(self) -> str:
-        return self.path.resolve().name
-
-    def __len__(self) -> int:
-        return len(self.keys)
+    format: ClassVar[str] = "rgbd_folder"
+    is_sequence: ClassVar[bool] = True
 
     def frame(self, i: int) -> Frame:
         """Frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
@@ -56,7 +47,7 @@ class RgbdFolder:
             FrameError: a missing or broken file, sizes that disagree, or no depth at all.
             IndexError: there is no such frame.
         """
-        key = frame_key(self.keys, i)
+        key = self.key(i)
         depth_folder = self.path / "depth"
         color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
         depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
@@ -91,7 +82,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     if not (color.is_dir() and depth.is_dir()):
         return NotFound(LOOKED_FOR)
     keys = stems(color, IMAGE_SUFFIXES) | stems(depth, (".png",))
-    return RgbdFolder(path, color, sorted_keys(path, keys, f"images in {color.name}/ and depth/"))
+    return RgbdFolder(path, sorted_keys(path, keys, f"images in {color.name}/ and depth/"), color)
 
 
 def _depth_m(path: Path, described: RgbdCamera) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32, Int32
@@ -18,7 +19,7 @@ from annotator.recordings.cloud_columns import RawCloud, from_columns
 from annotator.recordings.cloud_file import read_cloud
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd_calib import read_extracted_calibration
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -29,26 +30,17 @@ CLOUD_REMEDY = "extract it again from the data set"
 ON_PIXEL_PX = 0.05
 
 
-@dataclass(frozen=True)
-class SunRgbdExtracted:
-    """A `Recording` of VoteNet's layout."""
+@dataclass(frozen=True, eq=False)
+class SunRgbdExtracted(KeyedFrames):
+    """A `Recording` of VoteNet's layout.
 
-    path: Path
+    Attributes:
+        clouds: the folder of the clouds.
+    """
+
     clouds: Path
-    keys: tuple[str, ...]
-    format: str = "sunrgbd_extracted"
-    is_sequence: bool = False
-
-    @property
-    def root(self) -> Path:
-        return self.path
-
-    @property
-    def name(self) -> str:
-        return self.path.resolve().name
-
-    def __len__(self) -> int:
-        return len(self.keys)
+    format: ClassVar[str] = "sunrgbd_extracted"
+    is_sequence: ClassVar[bool] = False
 
     def frame(self, i: int) -> Frame:
         """Frame `i`; labels are in upright depth (`T_camera_label`).
@@ -59,7 +51,7 @@ class SunRgbdExtracted:
             FrameError: a missing or broken file.
             IndexError: there is no such frame.
         """
-        key = frame_key(self.keys, i)
+        key = self.key(i)
         suffixes = (".mat",) if self.clouds.name == "depth" else (".npz",)
         image_path = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffixes[0]}")
         cloud_path = frame_file(self.clouds, key, suffixes, f"image/{image_path.name}")
@@ -86,7 +78,7 @@ def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
         # a folder of clouds with KITTI's calibration looks the same but for what is in calib/
         if names and calibrated and not _is_kitti(path / "calib" / f"{min(calibrated)}.txt"):
             keys = names | stems(path / "image", IMAGE_SUFFIXES)
-            return SunRgbdExtracted(path, clouds, sorted_keys(path, keys, LOOKED_FOR))
+            return SunRgbdExtracted(path, sorted_keys(path, keys, LOOKED_FOR), clouds)
     return NotFound(LOOKED_FOR)
 
 

@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32, UInt16
@@ -20,7 +21,7 @@ from jaxtyping import Float32, UInt16
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, looking_at, sorted_keys
-from annotator.recordings.recording import NotFound, frame_key
+from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd_calib import read_scene_calibration
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -35,30 +36,17 @@ DEPTH_FOLDERS = ("depth", "depth_bfx")
 BETWEEN = "__"
 
 
-@dataclass(frozen=True)
-class SunRgbdScenes:
+@dataclass(frozen=True, eq=False)
+class SunRgbdScenes(KeyedFrames):
     """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
 
     Attributes:
         scenes: the folders, in the order of the keys.
     """
 
-    path: Path
     scenes: tuple[Path, ...]
-    keys: tuple[str, ...]
-    format: str = "sunrgbd_scenes"
-    is_sequence: bool = False
-
-    @property
-    def root(self) -> Path:
-        return self.path
-
-    @property
-    def name(self) -> str:
-        return self.path.resolve().name
-
-    def __len__(self) -> int:
-        return len(self.keys)
+    format: ClassVar[str] = "sunrgbd_scenes"
+    is_sequence: ClassVar[bool] = False
 
     def scene(self, key: str) -> Path:
         """The folder of a frame."""
@@ -71,7 +59,7 @@ class SunRgbdScenes:
             FrameError: a missing or broken file, or no depth at all.
             IndexError: there is no such frame.
         """
-        key = frame_key(self.keys, i)
+        key = self.key(i)
         scene = self.scenes[i]
         calibration = read_scene_calibration(scene / MARK, _latest(scene, ("extrinsics",), (".txt",)))
         rgb = read_rgb(_latest(scene, ("image",), IMAGE_SUFFIXES))
@@ -100,7 +88,7 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
     if not path.is_dir():
         return NotFound(LOOKED_FOR)
     if _is_scene(str(path)):
-        return SunRgbdScenes(path, (path,), (path.resolve().name,))
+        return SunRgbdScenes(path, (path.resolve().name,), (path,))
     with looking_at(path):
         is_of_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
         levels = MOST_LEVELS if is_of_set else 1
@@ -108,7 +96,7 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
     if not found:
         return NotFound(LOOKED_FOR)
     keys = sorted_keys(path, set(found), LOOKED_FOR)
-    return SunRgbdScenes(path, tuple(Path(found[key]) for key in keys), keys)
+    return SunRgbdScenes(path, keys, tuple(Path(found[key]) for key in keys))
 
 
 def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
