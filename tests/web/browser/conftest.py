@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import pytest
 from browser_page import sign_in
 from live_server import Live, running
+from review_desk import Desk, begin
 
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
@@ -164,6 +165,20 @@ def signed_in(shared_page_3d: Page, shop: Shop) -> Page:
 def room(shop: Shop) -> Project:
     """A project of the test's own on the file's server."""
     return shop.new_project()
+
+
+@pytest.fixture
+def desk(shared_page: Page, shop: Shop) -> Desk:
+    """A signed-in operator in Review of a project with proposals; the worst one is selected. Without the 3D view."""
+    return begin(shared_page, shop)
+
+
+@pytest.fixture
+def desk_3d(shared_page_3d: Page, shop: Shop) -> Desk:
+    """The same with the 3D view."""
+    desk = begin(shared_page_3d, shop)
+    desk.page.locator('[data-testid=viewport][data-state="ready"]').wait_for()
+    return desk
 
 
 def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3d: bool) -> Iterator[Page]:

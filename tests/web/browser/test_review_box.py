@@ -1,0 +1,164 @@
+"""Review in a real browser: the selected box is changed in the views along its axes, by numbers, and in 3D."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from browser_page import seen_by_viewer
+from review_desk import Desk, middle
+from scipy.spatial.transform import Rotation
+
+from annotator.types import ReviewState
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+@pytest.mark.parametrize("view", ["top", "front", "side"])
+def test_a_dragged_edge_moves_one_face_by_as_many_metres(desk: Desk, wait_for, view: str) -> None:
+    before = desk.label.box
+    rect = desk.box(view).bounding_box()
+    assert rect is not None
+    pull = 31.0
+    right = (rect["x"] + rect["width"], rect["y"] + rect["height"] / 2)
+    desk.drag((right[0] - 1, right[1]), (right[0] - 1 + pull, right[1]))
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    after = desk.label.box
+    changed = np.flatnonzero(np.abs(after.size_m - before.size_m) > 1e-9)
+    assert len(changed) == 1
+    side = int(changed[0])
+    px_m = before.size_m[side] / (rect["width"] - 2)  # the line around the box is 2 px wide
+    assert after.size_m[side] - before.size_m[side] == pytest.approx(pull * px_m, rel=0.02)
+    # the face on the other side stayed where it was
+    shift = before.rotation.T @ (after.center_m - before.center_m)
+    assert abs(shift[side]) == pytest.approx((after.size_m[side] - before.size_m[side]) / 2, abs=1e-6)
+    assert np.abs(np.delete(shift, side)).max() < 1e-6
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-6)
+
+
+def test_while_an_edge_is_dragged_nothing_is_asked_and_all_pictures_follow(desk: Desk) -> None:
+    page = desk.page
+    rect = desk.box("top").bounding_box()
+    assert rect is not None
+    start = (rect["x"] + rect["width"] - 1, rect["y"] + rect["height"] / 2)
+    image = page.get_by_test_id("editor-overlay")
+    lines = image.evaluate_all("found => found.map((one) => one.innerHTML)")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/api/projects/" in request.url else None)
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + 20, start[1], steps=4)
+    page.wait_for_timeout(150)
+    assert asked == []
+    assert image.evaluate_all("found => found.map((one) => one.innerHTML)") != lines
+    assert "not saved" in page.get_by_test_id("label-state").inner_text()
+    page.keyboard.press("Escape")
+    page.mouse.up()
+    desk.settled()
+    assert page.get_by_test_id("label-state").inner_text() == "proposed"
+    assert desk.label.state is ReviewState.PROPOSED
+
+
+def test_arrow_keys_move_the_box_of_the_focused_view_as_one_edit(desk: Desk, wait_for) -> None:
+    before, revision = desk.label.box, desk.project.frames.get(desk.frame).revision
+    with desk.page.expect_response(lambda response: response.url.endswith("/ortho")) as answer:
+        desk.page.reload()
+    desk.settled()
+    front = next(view for view in answer.value.json()["views"] if view["name"] == "front")
+    desk.page.mouse.click(*middle(desk.box("front")))
+    desk.press("ArrowRight", "ArrowRight", "ArrowRight")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    shift = np.array(front["axes"]) @ (desk.label.box.center_m - before.center_m)
+    np.testing.assert_allclose(shift, [3 * front["metres_per_px"], 0, 0], atol=1e-6)
+    assert desk.project.frames.get(desk.frame).revision == revision + 1
+
+
+def test_the_rotation_handle_turns_the_box_about_its_centre(desk: Desk, wait_for) -> None:
+    before = desk.label.box
+    handle = middle(desk.page.get_by_test_id("ortho-top").get_by_test_id("rotate-handle"))
+    center = middle(desk.box("top"))
+    angle = np.radians(30)
+    arm = np.subtract(handle, center)
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ arm
+    desk.drag(handle, (center[0] + turned[0], center[1] + turned[1]))
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    after = desk.label.box
+    turn = Rotation.from_matrix(before.rotation.T @ after.rotation).as_rotvec()
+    assert np.linalg.norm(turn) == pytest.approx(angle, abs=np.radians(1.5))
+    assert abs(turn[2]) == pytest.approx(np.linalg.norm(turn), rel=1e-3)  # seen from the top: about the box's own z
+    np.testing.assert_allclose(after.center_m, before.center_m, atol=1e-6)
+    np.testing.assert_allclose(after.size_m, before.size_m, atol=1e-9)
+    desk.settled()  # new pictures, along the new axes: the box is a rectangle again
+
+
+def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None:
+    before, revision = desk.label.box, desk.project.frames.get(desk.frame).revision
+    field = desk.page.get_by_test_id("field-size-length")
+    field.fill("1.25")
+    assert "not saved" in desk.page.get_by_test_id("label-state").inner_text()
+    field.press("Enter")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    assert desk.label.box.size_m[0] == pytest.approx(1.25)
+    assert desk.project.frames.get(desk.frame).revision == revision + 1
+    desk.settled()
+    yaw = desk.page.get_by_test_id("field-yaw")
+    wanted = float(yaw.input_value()) + 20
+    yaw.fill(f"{wanted:.1f}")
+    yaw.press("Tab")
+    wait_for(lambda: desk.project.frames.get(desk.frame).revision == revision + 2, 5)
+    turn = Rotation.from_matrix(before.rotation.T @ desk.label.box.rotation).magnitude()
+    assert np.degrees(turn) == pytest.approx(20, abs=0.2)
+
+
+def test_escape_takes_back_a_number_that_is_not_saved(desk: Desk) -> None:
+    field = desk.page.get_by_test_id("field-center-x")
+    was = field.input_value()
+    field.fill("9.5")
+    field.press("Escape")
+    assert field.input_value() == was
+    assert desk.label.state is ReviewState.PROPOSED
+
+
+def test_keys_work_when_the_focus_is_in_the_3d_view(desk_3d: Desk, wait_for) -> None:
+    desk, page = desk_3d, desk_3d.page
+    first = desk.uid
+    where = page.get_by_test_id("viewport").bounding_box()
+    assert where is not None
+    page.mouse.click(where["x"] + 8, where["y"] + where["height"] - 8)
+    page.get_by_test_id("viewport-frame").content_frame.locator("body").evaluate("body => window.focus()")
+    desk.press("Space")
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
+
+
+def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(desk_3d: Desk, wait_for) -> None:
+    desk, page = desk_3d, desk_3d.page
+    with page.expect_response(lambda response: '"gizmo":"translate"' in (response.request.post_data or "")) as answer:
+        desk.press("t")
+    expect(page.get_by_test_id("gizmo-translate")).to_have_attribute("aria-pressed", "true")
+    bench = desk.live.server.app.state.workbenches.get(answer.value.url.split("/")[-2], "Ada")
+    node = bench._server.scene.get_handle_by_name("/selected")
+    rect = page.get_by_test_id("viewport").bounding_box()
+    assert rect is not None
+    box, uid = desk.label.box, desk.uid
+    page.wait_for_timeout(1000)  # the gizmo is on the screen
+
+    def on_axis(axis: int, share: float) -> tuple[float, float]:
+        return seen_by_viewer(bench, rect, box.center_m + share * node.scale * box.rotation[:, axis])
+
+    # of the three arrows the one that is seen longest: taken at its middle, and pulled outwards
+    lengths = [np.linalg.norm(np.subtract(on_axis(axis, 1.0), on_axis(axis, 0.0))) for axis in range(3)]
+    axis = int(np.argmax(lengths))
+    start, end = on_axis(axis, 0.6), on_axis(axis, 1.0)
+    page.mouse.move(*start)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    page.mouse.move(*end, steps=8)
+    expect(page.get_by_test_id("label-state")).to_have_text("not saved")
+    assert desk.label.state is ReviewState.PROPOSED
+    page.mouse.up()
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED, 10)
+    after = desk.project.labels.get(uid).label.box
+    moved = after.center_m - box.center_m
+    assert np.linalg.norm(moved) > 0.05
+    np.testing.assert_allclose(moved / np.linalg.norm(moved), box.rotation[:, axis], atol=2e-3)
+    np.testing.assert_allclose(after.size_m, box.size_m, atol=1e-9)
+    np.testing.assert_allclose(after.rotation, box.rotation, atol=1e-6)

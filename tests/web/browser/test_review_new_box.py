@@ -1,0 +1,104 @@
+"""Review in a real browser: boxes that are fitted, drawn on the image, or copied from the frame before."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from browser_page import drag_box
+from drawing import Scene
+from review_desk import FRAMES, Desk
+
+from annotator.project import Change
+from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.workflows.detectors_ready import Readiness, ReadyDetector
+
+if TYPE_CHECKING:
+    from annotator.workflows.detectors import Detectors
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+def test_fitting_again_starts_from_the_box(desk: Desk, wait_for) -> None:
+    frame, label = desk.frame, desk.label
+    off = OrientedBox.from_parts(label.box.center_m + np.array([0.15, 0, 0]), label.box.rotation, label.box.size_m)
+    change = Change(desk.project.frames.get(frame).revision, "Bob")
+    desk.project.labels.edit(frame, label.uid, change, label=label.label, box=off)
+    desk.page.reload()
+    desk.page.locator(f'[data-testid="frame-box"][data-uid="{label.uid}"]').click()
+    desk.settled()
+    with desk.page.expect_response(lambda response: response.url.endswith("/refit")) as answer:
+        desk.press("g")
+    assert answer.value.ok
+    fitted = np.array(answer.value.json()["box"]["center"])
+    wait_for(lambda: np.abs(desk.label.box.center_m - fitted).max() < 1e-6, 5)
+
+
+def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for) -> None:
+    frames = [stored.id for stored in desk.project.frames.of()]
+    for label in desk.project.labels.of_frame(frames[FRAMES - 1]):
+        change = Change(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
+        desk.project.labels.accept(frames[FRAMES - 1], label.uid, change)
+    before = desk.project.labels.of_frame(frames[FRAMES - 1])
+    desk.page.goto(f"/#/{desk.name}/review/{frames[FRAMES]}")
+    desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
+    desk.press("c")
+    wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before), 5)
+
+
+def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
+    """Presses B and drags a box on the image."""
+    desk.press("b")
+    expect(desk.page.get_by_test_id("act-draw")).to_have_attribute("aria-pressed", "true")
+    drag_box(desk.page, "review-image", box, 320, 240)
+
+
+def test_a_new_box_is_drawn_on_the_image(
+    desk: Desk, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, wait_for
+) -> None:
+    page, known = desk.page, {stored.label.uid for stored in desk.project.labels.select()}
+    ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
+    detectors = desk.live.context.annotation.detectors
+    monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: ready)
+    index = desk.project.frames.get(desk.frame).index
+    assert index is not None
+    scene = Scene.of(generated / "people", index, ("person",))
+    draw_on_image(desk, scene.image_box(0))
+    expect(page.get_by_test_id("label-state")).to_have_text("new")
+    desk.settled()
+    desk.press("t")  # gizmo and views work on it as on any other box
+    field = page.get_by_test_id("field-size-length")
+    field.fill("0.9")
+    field.press("Enter")
+    assert {stored.label.uid for stored in desk.project.labels.select()} == known
+    desk.press("n")  # nobody has accepted it: it is not left behind without a word
+    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box that nobody has accepted")
+    page.get_by_test_id("dialog-stay").click()
+    page.locator("dialog").wait_for(state="detached")
+    desk.press("Space")
+    wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1, 5)
+    (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
+    assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
+    assert made.label.box.size_m[0] == pytest.approx(0.9)
+    assert np.linalg.norm(made.label.box.center_m - scene.objects[0].box.center_m) < 0.1
+    statistics = desk.live.client.get(f"{desk.api}/statistics").json()
+    assert statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 3  # the drag, the number, Space
+
+    # without a detector, Label goes on with it
+    monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))
+    desk.settled()
+    frame = desk.frame
+    draw_on_image(desk, scene.image_box(1))
+    expect(page).to_have_url(re.compile(f"/label/{frame}$"))
+    expect(page.get_by_test_id("toast-warn")).to_contain_text("There is no pseudo-view detector yet")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
+    page.wait_for_selector(".label-mode:not([data-saving])")
+    state = desk.live.client.get(f"{desk.api}/frames/{frame}").json()
+    assert [len(drawn["views"]) for drawn in state["objects"]] == [0]
+    (kept,) = state["image_boxes"]["boxes"]
+    assert all(abs(kept[edge] - scene.image_box(1)[edge]) < 0.6 for edge in ("x_min", "y_min", "x_max", "y_max"))

@@ -1,0 +1,107 @@
+"""Review in a real browser: the queue of proposals, and the keys it is worked off with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from review_desk import FRAMES, Desk
+
+from annotator.types import ReviewState
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+def test_one_key_accepts_a_right_proposal_and_counts_one_action(desk: Desk, wait_for) -> None:
+    first, items = desk.uid, desk.page.get_by_test_id("queue-item").count()
+    desk.press("Space")
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
+    expect(desk.page.get_by_test_id("queue-item")).to_have_count(items - 1)
+    desk.settled()
+    assert desk.uid != first
+    assert desk.project.labels.get(first).label.author == "Ada"
+    statistics = desk.live.client.get(f"{desk.api}/statistics").json()
+    assert statistics["effort"]["actions_a_box"] == 1
+    assert statistics["accepted_untouched"] == 1
+
+
+def test_the_queue_is_worked_off_with_one_key_a_proposal(desk: Desk, wait_for) -> None:
+    items = desk.page.get_by_test_id("queue-item").count()
+    assert items >= 2 * FRAMES
+    for left in range(items - 1, -1, -1):
+        desk.press("Space")
+        expect(desk.page.get_by_test_id("queue-item")).to_have_count(left)
+        desk.settled()
+    desk.page.get_by_test_id("review-done").wait_for()
+    labels = desk.project.labels.select()
+    assert {stored.label.state for stored in labels} == {ReviewState.ACCEPTED}
+    assert desk.live.client.get(f"{desk.api}/statistics").json()["effort"]["actions_a_box"] == 1
+
+
+def test_an_edit_is_undone_and_done_again(desk: Desk, wait_for) -> None:
+    before, uid = desk.label.box, desk.uid
+    desk.press("f")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    turned = desk.label.box
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.PROPOSED, 5)
+    np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, before.size_m)
+    desk.settled()
+    desk.press("Control+Shift+z")
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED, 5)
+    np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, turned.size_m)
+
+
+def test_the_heading_turns_by_90_degrees_and_the_body_stays(desk: Desk, wait_for) -> None:
+    before = desk.label.box
+    desk.press("f")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    after = desk.label.box
+    np.testing.assert_allclose(after.size_m, before.size_m[[1, 0, 2]], atol=1e-9)
+    np.testing.assert_allclose(after.rotation[:, 0], before.rotation[:, 1], atol=1e-9)
+    np.testing.assert_allclose(after.center_m, before.center_m, atol=1e-9)
+
+
+def test_reject_delete_tab_and_the_class_by_a_digit(desk: Desk, wait_for) -> None:
+    desk.project.configure(classes=("person", "chair"))
+    desk.page.reload()
+    desk.settled()
+    uids = [row.get_attribute("data-uid") for row in desk.page.get_by_test_id("frame-box").all()]
+    first = desk.uid
+    desk.press("Tab")
+    assert desk.uid == uids[(uids.index(first) + 1) % len(uids)]
+    desk.press("Shift+Tab")
+    assert desk.uid == first
+    desk.press("2")
+    wait_for(lambda: desk.label.label == "chair", 5)
+    desk.settled()
+    second = uids[(uids.index(first) + 1) % len(uids)]
+    desk.press("Tab", "x")
+    wait_for(lambda: desk.project.labels.get(str(second)).label.state is ReviewState.REJECTED, 5)
+    desk.settled()
+    gone = desk.uid
+    frame = desk.frame
+    desk.press("Delete")
+    wait_for(lambda: gone not in {label.uid for label in desk.project.labels.of_frame(frame)}, 5)
+
+
+def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) -> None:
+    page = desk.page
+    other = page.locator('[data-testid="frame-box"]:not([aria-current="true"])').first
+    uid = other.get_attribute("data-uid")
+    other.click()
+    assert desk.uid == uid
+    desk.settled()
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-testid="frame-box"][aria-current="true"]')).to_have_count(0)
+    # pictures are drawn anew with the next frame of the screen, so what is found now may be gone in a moment
+    x, y = page.evaluate(
+        """uid => new Promise((tell) => requestAnimationFrame(() => requestAnimationFrame(() => {
+            const lines = document.querySelector(`[data-testid=editor-overlay][data-id="${uid}"]`);
+            const box = lines.getBoundingClientRect();
+            tell([box.x + box.width / 2, box.y + 0.8 * box.height]);
+        })))""",
+        uid,
+    )
+    page.mouse.click(x, y)
+    page.locator('[data-testid="frame-box"][aria-current="true"]').wait_for()

@@ -1,0 +1,118 @@
+"""An operator's desk in Review, in a real browser: the page, the project behind it, and proposals to look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from browser_page import drag, sign_in
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.outline import box_on_image
+from annotator.project import Change, Project
+from annotator.recordings import open_recording
+from annotator.types import Label, OrientedBox, Proposal, Quality, Source
+from annotator.workflows.truth import load_truth
+
+if TYPE_CHECKING:
+    from conftest import Shop
+    from live_server import Live
+    from playwright.sync_api import Locator, Page
+
+FRAMES = 3
+
+
+@dataclass(eq=False)
+class Desk:
+    """A page in Review, and the project behind it."""
+
+    page: Page
+    live: Live
+    project: Project
+
+    @property
+    def name(self) -> str:
+        """The project's name."""
+        return self.project.path.name
+
+    @property
+    def api(self) -> str:
+        """Where the project is."""
+        return f"/api/projects/{self.name}"
+
+    @property
+    def frame(self) -> int:
+        """The frame that the page shows."""
+        return int(self.page.url.split("/review/")[1].split("?")[0])
+
+    @property
+    def uid(self) -> str:
+        """The label that is selected."""
+        row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
+        found = row.get_attribute("data-uid")
+        assert found is not None
+        return found
+
+    @property
+    def label(self) -> Label:
+        """The selected label as it is stored."""
+        return self.project.labels.get(self.uid).label
+
+    def box(self, view: str) -> Locator:
+        """The rectangle of the selected box in one of the views along its axes."""
+        return self.page.get_by_test_id(f"ortho-{view}").locator("rect.line")
+
+    def settled(self) -> None:
+        """All is saved, and the three views show the box as it is."""
+        from playwright.sync_api import expect
+
+        expect(self.page.get_by_test_id("saving")).to_have_text("")
+        expect(self.page.locator('[data-testid="orthos"][data-shown]:not([data-shown=""])')).to_be_visible()
+        for view in ("top", "front", "side"):
+            self.box(view).wait_for()
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        between = [start[i] + np.outer((0.25, 0.5, 0.75, 1.0), (end[i] - start[i])).ravel() for i in (0, 1)]
+        drag(self.page, start, *zip(*between, strict=True))
+
+
+def begin(page: Page, shop: Shop) -> Desk:
+    """A signed-in operator in Review of a new project with proposals; the worst one is selected."""
+    project = shop.new_project()
+    propose(project, shop.recording)
+    sign_in(page, shop.live.url)
+    page.goto(f"/#/{project.path.name}/review")
+    desk = Desk(page, shop.live, project)
+    page.locator(f"[data-testid=review-image] img.picture[src*='/{desk.name}/']").wait_for()
+    desk.settled()
+    return desk
+
+
+def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
+    """Proposals near the truth, one a true object: the more doubtful, the further off."""
+    opened = open_recording(recording)
+    rng = np.random.default_rng(5)
+    for index, stored in enumerate(project.frames.of()[:frames]):
+        frame = opened.frame(index)
+        proposals = []
+        for truth in load_truth(opened, index, frame):
+            off = rng.uniform(0.2, 1.0)
+            turn = Rotation.from_rotvec(rng.normal(0, 0.05 * off, 3)).as_matrix() @ truth.box.rotation
+            box = OrientedBox.from_parts(truth.box.center_m + rng.normal(0, 0.03 * off, 3), turn, truth.box.size_m)
+            image_box = box_on_image(frame.camera, box, truth.label)
+            if image_box is not None:
+                proposals.append(Proposal(truth.label, 1 - off / 2, box, image_box, (), Quality(off / 3, 0.9, off / 9)))
+        project.proposals.replace(stored.id, proposals, Change(stored.revision, "detectors", Source.AUTO))
+
+
+def middle(element: Locator) -> tuple[float, float]:
+    """The middle of what an element takes of the screen."""
+    box = element.bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
