@@ -109,7 +109,7 @@ def _told(root: Path, result: DemoResult) -> list[str]:
             f"({s.objects} objects in {s.frames} frames that nobody labelled)"
             for s in result.scores
         ),
-        f"written    {result.dataset.counts.objects} boxes in {result.dataset.counts.frames} frames",
+        f"written    {result.dataset.objects} boxes in {result.dataset.frames} frames",
         f"took       {sum(result.seconds.values()):.0f} s: "
         + ", ".join(f"{name} {seconds:.0f}" for name, seconds in result.seconds.items()),
         "",

@@ -2,56 +2,88 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 
 from annotator.cli.output import print_line
+from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named
+from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 from annotator.workflows.import_coco import import_image_boxes, import_view_boxes
+from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 
-
-class Format(StrEnum):
-    """Formats that labels can come in."""
-
-    COCO = "coco"
+# The formats of 2D boxes; those of 3D boxes have a table of their own.
+FLAT = ("coco",)
+# Every value is known here, so that tyro lists them all in the help.
+Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
 
 
 def run(
     project: str,
-    file: Path,
+    path: Path,
     /,
     *,
-    format: Format = Format.COCO,
+    format: Format = Format.COCO,  # type: ignore[attr-defined]
     pictures: Path | None = None,
     kind: BoxKind = BoxKind.SILHOUETTE,
     recording: str | None = None,
     root: Root = None,
 ) -> None:
-    """Take over 2D boxes that were drawn elsewhere, on camera images or on pseudo-views.
+    """Take over boxes that were drawn elsewhere: 3D boxes, or 2D boxes on camera images or on pseudo-views.
+
+    3D boxes come to every frame that has no label yet, as accepted labels.
 
     Args:
         project: the project's name.
-        file: COCO JSON.
-        format: of the file.
-        pictures: folder of pseudo-view pictures that the boxes were drawn on (`annotator views` writes such); without
-            it the boxes are on the camera images, whose names must be those of the project's frames.
-        kind: silhouette = around what is seen; box = the projection of a 3D box.
-        recording: which recording the camera images belong to, where several have frames of the same name.
+        path: the file or folder of labels.
+        format: coco = 2D boxes; the others hold 3D boxes.
+        pictures: coco: folder of pseudo-view pictures that the boxes were drawn on (`annotator views` writes such);
+            without it the boxes are on the camera images, whose names must be those of the project's frames.
+        kind: coco: silhouette = around what is seen; box = the projection of a 3D box.
+        recording: which recording the boxes belong to, where several have frames of the same name.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     if pictures is not None and recording is not None:
         raise ConfigError("--recording says where camera images belong; the boxes on --pictures belong to pseudo-views")
+    if pictures is not None and format not in FLAT:
+        raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {format} holds 3D boxes")
     with open_named(project, root) as opened:
-        if pictures is None:
-            done = import_image_boxes(opened, file, kind, recording)
+        if format in FLAT:
+            _flat(opened, path, pictures, kind, recording)
         else:
-            done = import_view_boxes(opened, file, pictures, kind)
+            _boxes(opened, path, BoxFormat(format), recording)
+
+
+def _flat(project: Project, path: Path, pictures: Path | None, kind: BoxKind, recording: str | None) -> None:
+    if pictures is None:
+        done = import_image_boxes(project, path, kind, recording)
+    else:
+        done = import_view_boxes(project, path, pictures, kind)
     what = "camera images" if pictures is None else "pseudo-views"
     print_line(f"{done.boxes} boxes on {done.pictures} {what}")
-    for label, number in done.other_classes.items():
+    _left_out(done.other_classes, done.unmatched, "images")
+
+
+def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | None) -> None:
+    found = read_labels(format, path)
+    with counted(f"import {format}") as progress:
+        done = import_labels(project, found, recording, progress)
+    classes = ", ".join(f"{number} {name}" for name, number in sorted(done.labels.items())) or "no box"
+    print_line(f"{done.frames} frames: {classes}")
+    if done.already:
+        print_line(f"left alone: {done.already} frames that have labels already")
+    for line in done.unreadable:
+        print_line(f"unreadable: {line}")
+    _left_out(done.other_classes, done.unmatched, "frames")
+
+
+def _left_out(other_classes: Counter[str] | dict[str, int], unmatched: Sequence[str], what: str) -> None:
+    for label, number in other_classes.items():
         print_line(f"left out: {number} boxes of class {label}, which the project does not have")
-    if done.unmatched:
-        names = ", ".join(done.unmatched[:5]) + (" ..." if len(done.unmatched) > 5 else "")
-        print_line(f"left out: {len(done.unmatched)} images that are no frames of the project: {names}")
+    if unmatched:
+        names = ", ".join(unmatched[:5]) + (" ..." if len(unmatched) > 5 else "")
+        print_line(f"left out: {len(unmatched)} {what} that are no frames of the project: {names}")

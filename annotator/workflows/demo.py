@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from annotator.detection.progress import TrainingProgress
-from annotator.formats.rcv.model import RcvManifest
 from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project
 from annotator.recordings import open_recording
 from annotator.recordings.generated import write_generated
@@ -16,7 +15,7 @@ from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 from annotator.workflows.annotate import AnnotateSummary, annotate
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.export import export_dataset
+from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.samples import SampleConfig
@@ -59,7 +58,7 @@ class DemoResult:
     trained: list[Trained]
     annotated: AnnotateSummary
     scores: list[Scores]
-    dataset: RcvManifest
+    dataset: ExportReport
     seconds: dict[str, float]
 
 
@@ -96,7 +95,7 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
         stage("propose")
         unlabelled = {f.id for n, f in enumerate(project.frames.of([stored.id])) if n % plan.every}
         scores = score_project(project, stored.id, unlabelled)
-        dataset = export_dataset(project, out, progress=_counted(tell, "write the dataset"))
+        dataset = export_project(project, out, progress=_counted(tell, "write the dataset"))
         stage("score and export")
     return DemoResult(drawn, trained, annotated, scores, dataset, seconds)
 

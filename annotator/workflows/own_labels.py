@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from annotator.project import Change, NewLabel, Project
-from annotator.types import Source
-from annotator.types.errors import FrameError, StaleRevisionError
+from annotator.project import NewLabel, Project
+from annotator.types.errors import FrameError
 from annotator.workflows.frames import FrameSource
+from annotator.workflows.importing.boxes_3d import create_where_none
 from annotator.workflows.truth import has_truth, load_truth
-
-AUTHOR = "import"
 
 
 @dataclass
@@ -71,20 +68,8 @@ def import_own_labels(
                 truths = []
             found.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
-            if new and _create(project, stored.id, new):
+            if new and create_where_none(project, stored.id, new):
                 found.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))
     return found
-
-
-def _create(project: Project, frame_id: int, new: Sequence[NewLabel]) -> bool:
-    """False where somebody has labelled the frame meanwhile."""
-    while True:
-        revision = project.frames.get(frame_id).revision
-        if project.labels.of_frame(frame_id):
-            return False
-        # the frame was changed between the two lines, perhaps by a box on its image
-        with suppress(StaleRevisionError):
-            project.labels.create(frame_id, new, Change(revision, AUTHOR, Source.IMPORTED))
-            return True

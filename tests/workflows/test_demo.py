@@ -64,7 +64,8 @@ def test_the_whole_loop(
 
     assert len(open_recording(tmp_path / "recording")) == 4
     dataset = read_rcv(tmp_path / f"3D_{label.upper()}")
-    assert dataset.manifest == result.dataset
+    counts = dataset.manifest.counts
+    assert (counts.frames, counts.objects) == (result.dataset.frames, result.dataset.objects)
     # named are the detectors that made boxes; what hardly trained ones propose, if anything, is left to chance
     proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
     assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])

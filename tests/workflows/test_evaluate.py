@@ -16,7 +16,7 @@ from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, 
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluate import Options, Protocol, evaluate_files, read_frame_names
 from annotator.workflows.evaluate_project import Against, Choice, Measured, evaluate_project
-from annotator.workflows.export import ExportFilter, export_dataset
+from annotator.workflows.exporting import ExportFilter, export_project
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.truth import load_truth
 
@@ -254,7 +254,7 @@ def test_rcv_datasets(people: Project, make_project: Callable[..., Project], gen
         label(people, index)
         label(other, index + 1, share=0.2)
     for project, name in ((people, "truth"), (other, "found")):
-        export_dataset(project, tmp_path / name, choose=ExportFilter())
+        export_project(project, tmp_path / name, choose=ExportFilter())
     found = content(evaluate_files(tmp_path / "found", tmp_path / "truth", Protocol.ORIENTED))["classes"]["person"]
     # frames 0 to 2 are true, 1 to 3 detected
     assert (found["objects"], found["detections"], found["matched"]) == (9, 9, 6)
@@ -269,7 +269,7 @@ def test_rcv_datasets_of_other_recordings_have_nothing_in_common(
 ) -> None:
     for project, name in ((people, "truth"), (hands, "found")):
         label(project, 0)
-        export_dataset(project, tmp_path / name)
+        export_project(project, tmp_path / name)
     with pytest.raises(ConfigError, match="have no frame in common"):
         evaluate_files(tmp_path / "found", tmp_path / "truth", Protocol.ORIENTED)
     with pytest.raises(FormatError, match=r"dataset\.json"):

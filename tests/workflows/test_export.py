@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.rcv import RcvOptions, read_rcv
+from annotator.formats.rcv import read_rcv
+from annotator.formats.rcv.model import RcvManifest
 from annotator.project import Change, NewLabel, Project, Role, RunShare
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
-from annotator.workflows.export import ExportFilter, export_dataset
+from annotator.workflows.exporting import ExportFilter, ExportOptions, export_project
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.recordings import add_recordings, register_recording
 from annotator.workflows.truth import load_truth
@@ -33,10 +34,19 @@ def label_all(project: Project, indices: tuple[int, ...], recording: int = 0) ->
         project.labels.reject(stored.id, made.uids[1], Change(made.receipt.revision, "me"))
 
 
+def exported(project: Project, out: Path, **options: object) -> RcvManifest:
+    """Exports to the `rcv` format and reads what the dataset says of itself."""
+    report = export_project(project, out, **options)  # type: ignore[arg-type]
+    manifest = read_rcv(out).manifest
+    assert (report.frames, report.objects) == (manifest.counts.frames, manifest.counts.objects)
+    assert report.objects_by_class == manifest.counts.objects_by_class and report.losses == ()
+    return manifest
+
+
 def test_what_leaves_reads_back(people: Project, tmp_path: Path) -> None:
     label_all(people, (0, 3))
     told: list[tuple[int, int]] = []
-    manifest = export_dataset(people, tmp_path / "out", progress=lambda done, of: told.append((done, of)))
+    manifest = exported(people, tmp_path / "out", progress=lambda done, of: told.append((done, of)))
     assert told == [(1, 2), (2, 2)]
     assert (manifest.counts.frames, manifest.counts.objects) == (2, 4)
     assert manifest.generator.startswith("annotator ")
@@ -69,15 +79,15 @@ def test_only_labels_in_the_chosen_states(
     people: Project, tmp_path: Path, states: tuple[ReviewState, ...], objects: int
 ) -> None:
     label_all(people, (0, 1))
-    manifest = export_dataset(people, tmp_path / "out", choose=ExportFilter(states=states))
+    manifest = exported(people, tmp_path / "out", choose=ExportFilter(states=states))
     assert manifest.counts.objects == objects
     assert {state for state, number in manifest.counts.objects_by_state.items() if number} <= set(states)
 
 
 def test_frames_without_labels_only_where_asked_for(people: Project, tmp_path: Path) -> None:
     label_all(people, (1,))
-    assert export_dataset(people, tmp_path / "few").counts.frames == 1
-    every = export_dataset(people, tmp_path / "all", choose=ExportFilter(empty_frames=True))
+    assert exported(people, tmp_path / "few").counts.frames == 1
+    every = exported(people, tmp_path / "all", choose=ExportFilter(empty_frames=True))
     assert (every.counts.frames, every.counts.objects) == (5, 2)
 
 
@@ -88,8 +98,8 @@ def test_classes_and_recordings_are_chosen(
     label_all(project, (0, 1), recording=0)
     label_all(project, (0, 2), recording=1)
     hands = project.recordings.find("hands")
-    of_class = export_dataset(project, tmp_path / "a", choose=ExportFilter(classes=("hand",)))
-    of_recording = export_dataset(project, tmp_path / "b", choose=ExportFilter(recordings=(hands.id,)))
+    of_class = exported(project, tmp_path / "a", choose=ExportFilter(classes=("hand",)))
+    of_recording = exported(project, tmp_path / "b", choose=ExportFilter(recordings=(hands.id,)))
     assert of_class.counts == of_recording.counts
     assert of_class.counts.objects_by_class == {"person": 0, "hand": 2}
     assert of_class.counts.frames_by_recording == {"hands": 2}
@@ -121,7 +131,7 @@ def test_the_detectors_that_made_the_boxes_are_named_and_no_others(people: Proje
     (rejected,) = people.labels.of_frame(people.frames.of()[2].id)
     people.labels.reject(people.frames.of()[2].id, rejected.uid, Change(1, "me"))
     trained(people, Role.VIEW, "view-2", "v2")  # active by now, and has made nothing
-    found = export_dataset(people, tmp_path / "out").detectors
+    found = exported(people, tmp_path / "out").detectors
     assert [(detector.role, detector.name, detector.fingerprint) for detector in found] == [
         ("image", "image-1", "i1"),
         ("view", "view-1", "v1"),
@@ -132,12 +142,12 @@ def test_the_detectors_that_made_the_boxes_are_named_and_no_others(people: Proje
 def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -> None:
     trained(people, Role.VIEW, "view-1", "v1")
     label_all(people, (0,))
-    assert export_dataset(people, tmp_path / "out").detectors == ()
+    assert exported(people, tmp_path / "out").detectors == ()
 
 
 def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:
     label_all(people, (0,))
-    export_dataset(people, tmp_path / "out", options=RcvOptions(image_format="jpg"))
+    exported(people, tmp_path / "out", options=ExportOptions(image_format="jpg"))
     assert [path.suffix for path in (tmp_path / "out" / "images").iterdir()] == [".jpg"]
 
 
@@ -151,7 +161,7 @@ def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:
 )
 def test_nothing_to_export(people: Project, tmp_path: Path, choose: ExportFilter, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
-        export_dataset(people, tmp_path / "out", choose=choose)
+        exported(people, tmp_path / "out", choose=choose)
     assert not (tmp_path / "out").exists()
 
 
@@ -165,7 +175,7 @@ def test_a_frame_that_fails_leaves_nothing(
     depth.write_bytes(depth.read_bytes()[:500])
     (tmp_path / "place").mkdir()
     with pytest.raises(FrameError, match=r"depth/000003\.png"):
-        export_dataset(project, tmp_path / "place" / "out")
+        exported(project, tmp_path / "place" / "out")
     assert list((tmp_path / "place").iterdir()) == []
 
 
@@ -179,22 +189,22 @@ def test_frames_that_are_gone(
     for name in ("color/000004.jpg", "depth/000004.png"):
         (folder / name).unlink()
     add_recordings(project, [folder])
-    assert export_dataset(project, tmp_path / "a", choose=ExportFilter(empty_frames=True)).counts.frames == 4
+    assert exported(project, tmp_path / "a", choose=ExportFilter(empty_frames=True)).counts.frames == 4
     for name in ("color/000001.jpg", "depth/000001.png"):
         (folder / name).unlink()
     add_recordings(project, [folder])
     with pytest.raises(FrameError, match="frame 000001 is no longer there; bring it back"):
-        export_dataset(project, tmp_path / "b")
+        exported(project, tmp_path / "b")
     assert not (tmp_path / "b").exists()
 
 
 def test_an_older_export_is_replaced_only_where_that_is_said(people: Project, tmp_path: Path) -> None:
     label_all(people, (0,))
-    export_dataset(people, tmp_path / "out")
+    exported(people, tmp_path / "out")
     with pytest.raises(FormatError, match="exists and is not empty"):
-        export_dataset(people, tmp_path / "out")
+        exported(people, tmp_path / "out")
     label_all(people, (1,))
-    export_dataset(people, tmp_path / "out", overwrite=True)
+    exported(people, tmp_path / "out", overwrite=True)
     assert len(read_rcv(tmp_path / "out")) == 2
 
 
@@ -202,7 +212,7 @@ def test_one_key_in_two_recordings(people: Project, own_copy: Callable[[str], Pa
     register_recording(people, open_recording(own_copy("people")))
     label_all(people, (0,), recording=0)
     label_all(people, (0,), recording=1)
-    export_dataset(people, tmp_path / "out")
+    exported(people, tmp_path / "out")
     dataset = read_rcv(tmp_path / "out")
     assert [dataset.frame(i).recording for i in range(2)] == ["people", "people-2"]
     with pytest.raises(ProjectError, match="no recording 'people-3'"):

@@ -3,7 +3,7 @@
 The README.md that every export carries (readme.py) describes the folder; model.py is its JSON to the letter.
 """
 
-from annotator.formats.rcv.export import RcvInfo, RcvItem, export_rcv
+from annotator.formats.rcv.export import RcvInfo, export_rcv
 from annotator.formats.rcv.model import RcvDetector, RcvOptions
 from annotator.formats.rcv.read import RcvDataset, RcvFrame, read_rcv
 
@@ -12,7 +12,6 @@ __all__ = [
     "RcvDetector",
     "RcvFrame",
     "RcvInfo",
-    "RcvItem",
     "RcvOptions",
     "export_rcv",
     "read_rcv",

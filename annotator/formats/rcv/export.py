@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import new_folder
+from annotator.formats.dataset import DatasetItem, FrameIds
 from annotator.formats.rcv.convert import camera_record, labels_record
 from annotator.formats.rcv.model import (
     FORMAT_NAME,
@@ -26,20 +26,12 @@ from annotator.formats.rcv.model import (
 )
 from annotator.formats.rcv.ply import write_ply
 from annotator.formats.rcv.readme import readme_text
-from annotator.types import Frame, Label, ReviewState, Source
+from annotator.types import ReviewState, Source
 from annotator.types.errors import FormatError
 
 MANIFEST = "dataset.json"
 FOLDERS = ("images", "clouds", "labels")
-
-
-@dataclass(frozen=True, eq=False)
-class RcvItem:
-    """One frame to export: the recording's name, the frame, and its labels (only those that should leave)."""
-
-    recording: str
-    frame: Frame
-    labels: Sequence[Label]
+SPLITS = "splits"
 
 
 @dataclass(frozen=True)
@@ -59,7 +51,7 @@ class RcvInfo:
     options: RcvOptions = field(default_factory=RcvOptions)
 
 
-def export_rcv(out: Path, items: Iterable[RcvItem], info: RcvInfo, *, overwrite: bool = False) -> RcvManifest:
+def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwrite: bool = False) -> RcvManifest:
     """Writes the dataset folder `out`, all or not at all, and returns what its `dataset.json` says.
 
     Args:
@@ -81,12 +73,13 @@ def export_rcv(out: Path, items: Iterable[RcvItem], info: RcvInfo, *, overwrite:
             frame_id = tally.add(out, item)
             with _writing(out):
                 _write_frame(part, frame_id, item, info.options)
-        if not tally.ids:
+        if not tally.ids.ids:
             raise FormatError(out, "there is no frame to export; the export was not written")
         manifest = tally.manifest(info)
         with _writing(out):
             (part / "README.md").write_text(readme_text(manifest), encoding="utf-8")
             (part / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
+            _write_splits(part, tally.splits)
     return manifest
 
 
@@ -105,20 +98,27 @@ def _is_dataset(folder: Path) -> bool:
     return manifest.is_file() and f'"{FORMAT_NAME}"' in manifest.read_text(encoding="utf-8", errors="replace")
 
 
-def _require_classes(out: Path, item: RcvItem, classes: tuple[str, ...]) -> None:
+def _require_classes(out: Path, item: DatasetItem, classes: tuple[str, ...]) -> None:
     for label in item.labels:
         if label.label not in classes:
             where = f"{item.recording}, frame {item.frame.key}"
             raise FormatError(out, f"{where}: label {label.label!r} is none of the classes {', '.join(classes)}")
 
 
-def _write_frame(part: Path, frame_id: str, item: RcvItem, options: RcvOptions) -> None:
+def _write_frame(part: Path, frame_id: str, item: DatasetItem, options: RcvOptions) -> None:
     """The frame's three files."""
     image, cloud = f"images/{frame_id}.{options.image_format}", f"clouds/{frame_id}.ply"
     (part / image).write_bytes(_encoded(item.frame.rgb, options))
     write_ply(part / cloud, item.frame.cloud)
     record = labels_record(frame_id, item.recording, item.frame, item.labels, image, cloud)
     (part / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+
+def _write_splits(part: Path, splits: Mapping[str, Sequence[str]]) -> None:
+    """The ids of each part of a divided dataset, one a line."""
+    for name, ids in splits.items():
+        (part / SPLITS).mkdir(exist_ok=True)
+        (part / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
 
 
 def _encoded(rgb: np.ndarray, options: RcvOptions) -> bytes:
@@ -134,8 +134,8 @@ def _encoded(rgb: np.ndarray, options: RcvOptions) -> bytes:
 class _Tally:
     """Ids and counts of the frames so far; the only thing that grows with the number of frames."""
 
-    ids: dict[tuple[str, str], str] = field(default_factory=dict)
-    taken: set[str] = field(default_factory=set)
+    ids: FrameIds = field(default_factory=FrameIds)
+    splits: dict[str, list[str]] = field(default_factory=dict)
     cameras: dict[RcvCamera, list[str]] = field(default_factory=dict)
     points: int = 0
     by_recording: Counter[str] = field(default_factory=Counter)
@@ -144,14 +144,11 @@ class _Tally:
     objects_by_state: Counter[ReviewState] = field(default_factory=Counter)
     objects_by_source: Counter[Source] = field(default_factory=Counter)
 
-    def add(self, out: Path, item: RcvItem) -> str:
-        """Counts the frame and returns its id: `recording-key`, fit for a file name on every system."""
-        origin = (item.recording, item.frame.key)
-        if origin in self.ids:
-            raise FormatError(out, f"{item.recording}, frame {item.frame.key}: the frame comes twice")
-        frame_id = self._free_id("-".join(re.sub(r"[^\w.]+", "_", part) for part in origin).lstrip("."))
-        self.ids[origin] = frame_id
-        self.taken.add(frame_id.casefold())
+    def add(self, out: Path, item: DatasetItem) -> str:
+        """Counts the frame and returns its id."""
+        frame_id = self.ids.add(out, item)
+        if item.split is not None:
+            self.splits.setdefault(item.split, []).append(frame_id)
         recordings = self.cameras.setdefault(camera_record(item.frame.camera), [])
         if item.recording not in recordings:
             recordings.append(item.recording)
@@ -162,14 +159,6 @@ class _Tally:
         self.objects_by_state.update(label.state for label in item.labels)
         self.objects_by_source.update(label.source for label in item.labels)
         return frame_id
-
-    def _free_id(self, wanted: str) -> str:
-        """`wanted`, numbered where different names become the same file name."""
-        candidate, number = wanted, 1
-        while candidate.casefold() in self.taken:
-            number += 1
-            candidate = f"{wanted}-{number}"
-        return candidate
 
     def manifest(self, info: RcvInfo) -> RcvManifest:
         return RcvManifest(
@@ -182,7 +171,7 @@ class _Tally:
             options=info.options,
             cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.items()),
             counts=RcvCounts(
-                frames=len(self.ids),
+                frames=len(self.ids.ids),
                 objects=sum(self.objects_by_class.values()),
                 points=self.points,
                 frames_by_recording=dict(self.by_recording),
@@ -191,5 +180,5 @@ class _Tally:
                 objects_by_state={state: self.objects_by_state[state] for state in ReviewState},
                 objects_by_source={source: self.objects_by_source[source] for source in Source},
             ),
-            frames=tuple(self.ids.values()),
+            frames=tuple(self.ids.ids.values()),
         )

@@ -19,6 +19,7 @@ Written by {generator}; format {format}, version {version}.
 | `images/ID.{image}` | the picture of the colour camera, 8-bit RGB{image_note} |
 | `clouds/ID.ply` | the points, binary little-endian PLY: float `x y z`{cloud_note} |
 | `labels/ID.json` | the frame's origin (recording, key, index, time), its camera, and its objects |
+| `splits/PART.txt` | only where the dataset is divided: the ids of each part, one a line |
 
 `ID` is the recording's name and the frame's key within it.
 

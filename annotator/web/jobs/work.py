@@ -15,7 +15,7 @@ from annotator.web.jobs.desk import Desk, JobStoppedError, Outcome
 from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
 from annotator.workflows.annotate import annotate
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.export import ExportFilter, export_dataset
+from annotator.workflows.exporting import ExportFilter, export_project
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
@@ -140,12 +140,11 @@ def export_work(desk: Desk, request: ExportRequest) -> Outcome:
         None if request.classes is None else tuple(request.classes),
         None if request.recordings is None else tuple(request.recordings),
     )
-    written = export_dataset(desk.project, out, choose=choose, progress=desk.counted("write the dataset"))
+    written = export_project(desk.project, out, choose=choose, progress=desk.counted("write the dataset"))
     _pack(desk, out, packed)
     shutil.rmtree(out)
-    counts = written.counts
-    result = {"file": packed.name, "bytes": packed.stat().st_size, "frames": counts.frames, "objects": counts.objects}
-    return Outcome(f"{counts.objects} boxes in {counts.frames} frames", result)
+    result = {"file": packed.name, "bytes": packed.stat().st_size, "frames": written.frames, "objects": written.objects}
+    return Outcome(f"{written.objects} boxes in {written.frames} frames", result)
 
 
 def _pack(desk: Desk, folder: Path, packed: Path) -> None:

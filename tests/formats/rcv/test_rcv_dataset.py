@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.rcv import RcvDetector, RcvInfo, RcvItem, RcvOptions, export_rcv, read_rcv
+from annotator.formats.dataset import DatasetItem
+from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv, read_rcv
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError, FrameError
 
@@ -75,7 +76,7 @@ def facts(label: Label) -> tuple[object, ...]:
 def test_frame_reads_back_bit_for_bit(tmp_path: Path, rgb: bool, reflectance: bool, n: int) -> None:
     frame = make_frame(rgb=rgb, reflectance=reflectance, n=n)
     label = make_label()
-    export_rcv(tmp_path / "out", [RcvItem("rec", frame, [label])], INFO)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", frame, [label])], INFO)
 
     dataset = read_rcv(tmp_path / "out")
     assert len(dataset) == 1
@@ -115,7 +116,7 @@ def test_import_of_export_is_the_same_any_number_of_times(wanted: list[OrientedB
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(3):
             out = Path(folder, str(turn))
-            export_rcv(out, [RcvItem("rec", make_frame(), labels)], INFO)
+            export_rcv(out, [DatasetItem("rec", make_frame(), labels)], INFO)
             labels = read_rcv(out).labels(0)
     for have, want in zip(labels, first, strict=True):
         assert facts(have) == facts(want)
@@ -125,7 +126,7 @@ def test_import_of_export_is_the_same_any_number_of_times(wanted: list[OrientedB
 def test_json_says_the_box_in_every_form(tmp_path: Path) -> None:
     """A quarter turn about the camera's z: length along y, width along -x."""
     box = make_box((1.0, 2.0, 3.0), (0.0, 0.0, np.pi / 2), (4.0, 2.0, 1.0))
-    export_rcv(tmp_path / "out", [RcvItem("rec", make_frame(), [make_label(box, score=None, track_id=None)])], INFO)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [make_label(box, score=None, track_id=None)])], INFO)
     content = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())
     (entry,) = content["objects"]
     assert entry["center"] == [1.0, 2.0, 3.0]
@@ -142,7 +143,7 @@ def test_json_says_the_box_in_every_form(tmp_path: Path) -> None:
 
 
 def test_the_corner_order_that_is_written_is_the_one_that_is_used(tmp_path: Path) -> None:
-    manifest = export_rcv(tmp_path / "out", [RcvItem("rec", make_frame(), [make_label()])], INFO)
+    manifest = export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [make_label()])], INFO)
     entry = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())["objects"][0]
     signs = np.array([[1 if sign == "+" else -1 for sign in word] for word in manifest.conventions.corner_order])
     by_hand = np.array(entry["center"]) + (signs * np.array(entry["size"]) / 2) @ np.array(entry["rotation"]).T
@@ -154,7 +155,7 @@ def test_open3d_reads_the_cloud(tmp_path: Path, reflectance: bool) -> None:
     import open3d
 
     frame = make_frame(reflectance=reflectance)
-    export_rcv(tmp_path / "out", [RcvItem("rec", frame, [])], INFO)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", frame, [])], INFO)
     cloud = open3d.t.io.read_point_cloud(tmp_path / "out/clouds/rec-000001.ply")
     np.testing.assert_array_equal(cloud.point.positions.numpy(), frame.cloud.xyz_m)
     np.testing.assert_array_equal(cloud.point.colors.numpy(), frame.cloud.rgb)
@@ -165,9 +166,9 @@ def test_open3d_reads_the_cloud(tmp_path: Path, reflectance: bool) -> None:
 def test_manifest_counts_and_names_everything(tmp_path: Path) -> None:
     frames = [make_frame(key) for key in ("000001", "000002")]
     items = [
-        RcvItem("a", frames[0], [make_label(uid="1"), make_label(uid="2", label="Büro | 1", source=Source.MANUAL)]),
-        RcvItem("a", frames[1], []),
-        RcvItem("b/x", frames[0], [make_label(uid="3", state=ReviewState.EDITED)]),
+        DatasetItem("a", frames[0], [make_label(uid="1"), make_label(uid="2", label="Büro | 1", source=Source.MANUAL)]),
+        DatasetItem("a", frames[1], []),
+        DatasetItem("b/x", frames[0], [make_label(uid="3", state=ReviewState.EDITED)]),
     ]
     written = export_rcv(tmp_path / "out", iter(items), INFO)
     manifest = read_rcv(tmp_path / "out").manifest
@@ -185,7 +186,7 @@ def test_manifest_counts_and_names_everything(tmp_path: Path) -> None:
 def test_readme_describes_every_field_and_its_example_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    export_rcv(tmp_path / "out", [RcvItem("rec", make_frame(), [make_label()])], INFO)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [make_label()])], INFO)
     text = (tmp_path / "out/README.md").read_text(encoding="utf-8")
     entry = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())
     for name in (*entry["objects"][0], "up", "camera", "timestamp_ns"):
@@ -200,26 +201,26 @@ def test_readme_describes_every_field_and_its_example_runs(
 def test_frames_are_taken_one_by_one(tmp_path: Path) -> None:
     """When a frame is asked for, all earlier ones are on disk."""
 
-    def items() -> Iterator[RcvItem]:
+    def items() -> Iterator[DatasetItem]:
         for number in range(3):
             (part,) = tmp_path.glob(".out.part-*")
             assert len(list((part / "labels").iterdir())) == number
-            yield RcvItem("rec", make_frame(f"{number:06d}"), [])
+            yield DatasetItem("rec", make_frame(f"{number:06d}"), [])
 
     export_rcv(tmp_path / "out", items(), INFO)
     assert len(read_rcv(tmp_path / "out")) == 3
 
 
 def test_different_names_that_look_alike_get_different_files(tmp_path: Path) -> None:
-    items = [RcvItem(name, make_frame(), []) for name in ("a b", "a/b", "A_B", "../a")]
+    items = [DatasetItem(name, make_frame(), []) for name in ("a b", "a/b", "A_B", "../a")]
     manifest = export_rcv(tmp_path / "out", items, INFO)
     assert len({frame_id.casefold() for frame_id in manifest.frames}) == 4
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
     assert [read_rcv(tmp_path / "out").frame(i).recording for i in range(4)] == ["a b", "a/b", "A_B", "../a"]
 
 
-def failing_items(error: BaseException) -> Iterator[RcvItem]:
-    yield RcvItem("rec", make_frame(), [])
+def failing_items(error: BaseException) -> Iterator[DatasetItem]:
+    yield DatasetItem("rec", make_frame(), [])
     raise error
 
 
@@ -232,7 +233,7 @@ def test_a_failed_export_leaves_nothing(tmp_path: Path, error: BaseException) ->
 
 def test_a_failed_overwrite_leaves_the_old_dataset(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    export_rcv(out, [RcvItem("old", make_frame(), [])], INFO)
+    export_rcv(out, [DatasetItem("old", make_frame(), [])], INFO)
     with pytest.raises(FrameError):
         export_rcv(out, failing_items(FrameError(Path("x.png"), "truncated")), INFO, overwrite=True)
     assert read_rcv(out).frame(0).recording == "old"
@@ -245,18 +246,18 @@ def test_the_disk_that_fills_up_is_told_and_nothing_is_left(tmp_path: Path, monk
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(FormatError, match="No space left"):
-        export_rcv(tmp_path / "out", [RcvItem("rec", make_frame(), [])], INFO)
+        export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [])], INFO)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_existing_folders(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
-    items = [RcvItem("rec", make_frame(), [])]
+    items = [DatasetItem("rec", make_frame(), [])]
     out.mkdir(parents=True)
     export_rcv(out, items, INFO)  # an empty folder is free
     with pytest.raises(FormatError, match="is not empty"):
         export_rcv(out, items, INFO)
-    export_rcv(out, [RcvItem("new", make_frame(), [])], INFO, overwrite=True)
+    export_rcv(out, [DatasetItem("new", make_frame(), [])], INFO, overwrite=True)
     assert read_rcv(out).frame(0).recording == "new"
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
@@ -271,11 +272,11 @@ def test_existing_folders(tmp_path: Path) -> None:
 
 
 def test_what_is_refused(tmp_path: Path) -> None:
-    item = RcvItem("rec", make_frame(), [])
-    cases: list[tuple[list[RcvItem], str]] = [
+    item = DatasetItem("rec", make_frame(), [])
+    cases: list[tuple[list[DatasetItem], str]] = [
         ([], "no frame to export"),
         ([item, item], "rec, frame 000001: the frame comes twice"),
-        ([RcvItem("rec", make_frame(), [make_label(label="cat")])], "label 'cat' is none of the classes hand"),
+        ([DatasetItem("rec", make_frame(), [make_label(label="cat")])], "label 'cat' is none of the classes hand"),
     ]
     for items, says in cases:
         with pytest.raises(FormatError, match=says):
@@ -286,7 +287,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
 def test_jpeg(tmp_path: Path) -> None:
     info = RcvInfo(("hand",), (), "annotator 0.1.0", RcvOptions(image_format="jpg", jpeg_quality=100))
     flat = Frame("k", 0, CAMERA, np.full((4, 6, 3), (200, 100, 50), np.uint8), make_frame().cloud)
-    export_rcv(tmp_path / "out", [RcvItem("rec", flat, [])], info)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", flat, [])], info)
     assert (tmp_path / "out/images/rec-k.jpg").is_file()
     back = read_rcv(tmp_path / "out").frame(0).frame
     assert np.abs(back.rgb.astype(int) - [200, 100, 50]).max() <= 3
@@ -318,7 +319,7 @@ def edit(path: Path, **changes: Any) -> None:
 )
 def test_broken_dataset_says_where(tmp_path: Path, file: str, changes: dict[str, Any], says: str) -> None:
     out = tmp_path / "out"
-    export_rcv(out, [RcvItem("rec", make_frame(), [make_label()])], INFO)
+    export_rcv(out, [DatasetItem("rec", make_frame(), [make_label()])], INFO)
     edit(out / file, **changes)
     with pytest.raises(FormatError, match=re.escape(says)):
         read_rcv(out).frame(0)
@@ -335,7 +336,7 @@ def test_broken_dataset_says_where(tmp_path: Path, file: str, changes: dict[str,
 )
 def test_truncated_and_missing_files_say_which(tmp_path: Path, file: str, says: str) -> None:
     out = tmp_path / "out"
-    export_rcv(out, [RcvItem("rec", make_frame(), [make_label()])], INFO)
+    export_rcv(out, [DatasetItem("rec", make_frame(), [make_label()])], INFO)
     whole = (out / file).read_bytes()
     for end in (0, 20, len(whole) - 3):
         (out / file).write_bytes(whole[:end])
@@ -349,7 +350,7 @@ def test_truncated_and_missing_files_say_which(tmp_path: Path, file: str, says: 
 
 def test_a_foreign_ply_is_refused(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    export_rcv(out, [RcvItem("rec", make_frame(), [])], INFO)
+    export_rcv(out, [DatasetItem("rec", make_frame(), [])], INFO)
     path = out / "clouds/rec-000001.ply"
     path.write_bytes(path.read_bytes().replace(b"float x", b"double x"))
     with pytest.raises(FormatError, match="another layout"):

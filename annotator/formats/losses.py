@@ -1,0 +1,96 @@
+"""What a format could not hold of the labels that were written in it, counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import StrEnum
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+
+class Lost(StrEnum):
+    """What is missing from a dataset, or stands there only nearly.
+
+    TILT: pitch and roll; the nearest upright box was written.
+    SCORE, TRACK, STATE: the label's score, its track id, its state in the review.
+    LENS: the lens's distortion; image and boxes were written for an ideal pinhole camera.
+    DEPTH_COLOR: the colours of points, or other values of theirs.
+    OUTSIDE: objects that are not in the picture, left out where the format needs a 2D box.
+    NAME: characters of a class name that the format cannot hold.
+    TIME: when frames were taken.
+    """
+
+    TILT = "tilt"
+    SCORE = "score"
+    TRACK = "track"
+    STATE = "state"
+    LENS = "lens"
+    DEPTH_COLOR = "point_color"
+    OUTSIDE = "outside"
+    NAME = "name"
+    TIME = "time"
+
+
+# A box that leans by less is upright, radians: angles in files have two to six decimals.
+LEAST_TILT_RAD = 1e-3
+
+_WORDS = {
+    Lost.TILT: "boxes are tilted; the nearest upright ones were written",
+    Lost.SCORE: "boxes have a score",
+    Lost.TRACK: "boxes have a track id",
+    Lost.STATE: "boxes were not reviewed or were corrected, which the format cannot say",
+    Lost.LENS: "frames have a lens distortion; images were straightened for an ideal camera",
+    Lost.DEPTH_COLOR: "clouds have colours",
+    Lost.OUTSIDE: "boxes are not in the picture and were left out",
+    Lost.NAME: "boxes have a class name that was written with other characters",
+    Lost.TIME: "frames have a time",
+}
+
+
+class Loss(BaseModel):
+    """One line of the report.
+
+    Attributes:
+        kind: of what.
+        count: how many boxes (or frames).
+        message: for a person.
+        most: the largest loss, where it can be measured: radians for TILT.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Lost
+    count: int
+    message: str
+    most: float | None = None
+
+
+class Losses:
+    """Counts while a dataset is written."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[Lost] = Counter()
+        self._tilt_rad = 0.0
+
+    def add(self, kind: Lost, count: int = 1) -> None:
+        """So many boxes (or frames) lost this."""
+        self._counts[kind] += count
+
+    def add_tilt(self, tilt_rad: float) -> None:
+        """A box was written upright that leans by so much, if it does."""
+        if tilt_rad > LEAST_TILT_RAD:
+            self._counts[Lost.TILT] += 1
+            self._tilt_rad = max(self._tilt_rad, tilt_rad)
+
+    def report(self) -> tuple[Loss, ...]:
+        """One line a kind, in the order of `Lost`."""
+        return tuple(self._line(kind) for kind in Lost if self._counts[kind])
+
+    def _line(self, kind: Lost) -> Loss:
+        count = self._counts[kind]
+        message = f"{count} {_WORDS[kind]}"
+        if kind is not Lost.TILT:
+            return Loss(kind=kind, count=count, message=message)
+        most = f" (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)"
+        return Loss(kind=kind, count=count, message=message + most, most=self._tilt_rad)

@@ -1,0 +1,52 @@
+"""Labels out of a project, as a dataset in one of the formats of `table.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from annotator.project import Project
+from annotator.workflows.exporting.choose import ExportFilter, choose_frames
+from annotator.workflows.exporting.job import ExportJob, ExportOptions
+from annotator.workflows.exporting.report import ExportReport
+from annotator.workflows.exporting.split import Split, SplitBy, parse_shares
+from annotator.workflows.exporting.table import WRITERS, ExportFormat
+
+__all__ = [
+    "WRITERS",
+    "ExportFilter",
+    "ExportFormat",
+    "ExportOptions",
+    "ExportReport",
+    "Split",
+    "SplitBy",
+    "export_project",
+    "parse_shares",
+]
+
+
+def export_project(
+    project: Project,
+    out: Path,
+    format: ExportFormat = ExportFormat.RCV,
+    *,
+    choose: ExportFilter | None = None,
+    split: Split | None = None,
+    options: ExportOptions | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> ExportReport:
+    """Writes the chosen labels with their images and clouds to `out`; complete, or not at all.
+
+    Args:
+        split: how the dataset is divided; None = not.
+        progress: called with (frames written, frames to write).
+
+    Raises:
+        ConfigError: no label fits the filter, or the frames cannot be divided so.
+        FormatError: `out` is taken or cannot be written.
+        RecordingError: a frame that can no longer be read.
+    """
+    choose, writer = choose or ExportFilter(), WRITERS[format]
+    chosen = choose_frames(project, choose, choose.states or writer.states, split)
+    return writer.write(ExportJob(project, out, tuple(chosen), options or ExportOptions(), overwrite, progress))

@@ -1,0 +1,49 @@
+"""The formats that labels can leave in: a new one is one line here, and one file beside this one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib import import_module
+
+from annotator.project import REVIEWED
+from annotator.types import ReviewState
+from annotator.workflows.exporting.job import ExportJob
+from annotator.workflows.exporting.report import ExportReport
+
+NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
+
+
+class ExportFormat(StrEnum):
+    """Formats that labels can leave in."""
+
+    RCV = "rcv"
+
+
+@dataclass(frozen=True)
+class Writer:
+    """How a format is written.
+
+    Attributes:
+        summary: for people, a few words.
+        states: which labels leave where nobody says so: reviewed ones; in a format that holds the state of each, all
+            but rejected ones.
+        module: beside this one, with a function `write(job: ExportJob) -> ExportReport`.
+    """
+
+    summary: str
+    states: tuple[ReviewState, ...]
+    module: str
+
+    def write(self, job: ExportJob) -> ExportReport:
+        """Writes the dataset; complete, or not at all."""
+        function: Callable[[ExportJob], ExportReport] = import_module(
+            f"annotator.workflows.exporting.{self.module}"
+        ).write
+        return function(job)
+
+
+WRITERS: dict[ExportFormat, Writer] = {
+    ExportFormat.RCV: Writer("images, coloured PLY clouds and fully oriented boxes", NOT_REJECTED, "rcv"),
+}

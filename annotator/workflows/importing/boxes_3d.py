@@ -1,0 +1,135 @@
+"""3D boxes from elsewhere, onto the frames of a project."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.types import Source
+from annotator.types.errors import FormatError, FrameError, StaleRevisionError
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.importing.label_set import LabelSet
+
+AUTHOR = "import"
+
+
+@dataclass
+class ImportedLabels:
+    """What was taken over.
+
+    Attributes:
+        frames: that got labels, or have none in the dataset either.
+        labels: by class.
+        other_classes: left out because the project has no such class, by class.
+        already: frames left alone because they have labels.
+        unmatched: names of labelled frames that the project does not have.
+        unreadable: frames that cannot be read, as `key: reason`.
+    """
+
+    frames: int = 0
+    labels: Counter[str] = field(default_factory=Counter)
+    other_classes: Counter[str] = field(default_factory=Counter)
+    already: int = 0
+    unmatched: tuple[str, ...] = ()
+    unreadable: list[str] = field(default_factory=list)
+
+
+def import_labels(
+    project: Project,
+    found: LabelSet,
+    recording: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> ImportedLabels:
+    """Takes over the boxes of every frame that has no label yet; each becomes an accepted label, imported.
+
+    Args:
+        recording: name of the recording that plain frame names belong to, where several have frames of that name.
+        progress: called with (frames looked at, frames).
+
+    Raises:
+        FormatError: none of the labelled frames is one of the project's, or a name fits several.
+        NotFoundError: no such recording.
+        RecordingError: a recording is not where it was.
+    """
+    matched, unmatched = match_frames(project, found.path, found.frames, recording)
+    source, done = FrameSource(project), ImportedLabels(unmatched=tuple(unmatched))
+    classes = set(project.config.classes)
+    for number, (name, stored) in enumerate(matched, 1):
+        if project.labels.of_frame(stored.id):
+            done.already += 1
+        else:
+            try:
+                truths = found.truths(name, source.read(stored))
+            except FrameError as error:
+                done.unreadable.append(f"{stored.key}: {error}")
+            else:
+                done.other_classes.update(t.label for t in truths if t.label not in classes)
+                new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
+                if create_where_none(project, stored.id, new):
+                    done.frames += 1
+                    done.labels.update(label.label for label in new)
+                else:
+                    done.already += 1
+        if progress is not None:
+            progress(number, len(matched))
+    return done
+
+
+def match_frames(
+    project: Project, path: Path, names: Sequence[str], recording: str | None = None
+) -> tuple[list[tuple[str, StoredFrame]], list[str]]:
+    """Each name with the project's frame, in the project's order, and the names of frames that it does not have.
+
+    Args:
+        path: where the names come from, for messages.
+        names: "RECORDING/KEY", or "KEY" alone; all different.
+        recording: the only recording to look in.
+
+    Raises:
+        FormatError: a name fits frames of several recordings, two names fit one frame, or none fits any.
+        NotFoundError: no such recording.
+    """
+    chosen = None if recording is None else [project.recordings.find(recording).id]
+    of_id = {each.id: each.name for each in project.recordings.all()}
+    by_name: dict[str, list[StoredFrame]] = {}
+    order: dict[int, int] = {}
+    for place, frame in enumerate(project.frames.of(chosen)):
+        order[frame.id] = place
+        for name in (frame.key, f"{of_id[frame.recording_id]}/{frame.key}"):
+            by_name.setdefault(name, []).append(frame)
+    matched: dict[int, tuple[str, StoredFrame]] = {}
+    unmatched = []
+    for name in names:
+        # the recording may have another name here than where the dataset was made
+        frames = by_name.get(name) or by_name.get(name.rpartition("/")[2], [])
+        if len(frames) > 1:
+            several = ", ".join(of_id[frame.recording_id] for frame in frames)
+            raise FormatError(path, f"{name} is a frame of several recordings ({several}); name one (--recording)")
+        if not frames:
+            unmatched.append(name)
+        elif frames[0].id in matched:
+            raise FormatError(path, f"{matched[frames[0].id][0]} and {name} are both the frame {frames[0].key}")
+        else:
+            matched[frames[0].id] = (name, frames[0])
+    if not matched:
+        shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+        raise FormatError(path, f"none of its frames ({shown or 'it has none'}) is a frame of the project")
+    return sorted(matched.values(), key=lambda pair: order[pair[1].id]), unmatched
+
+
+def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel]) -> bool:
+    """Gives a frame its imported labels; False where somebody has labelled it meanwhile."""
+    while True:
+        revision = project.frames.get(frame_id).revision
+        if project.labels.of_frame(frame_id):
+            return False
+        if not new:
+            return True
+        # the frame was changed between the two lines, perhaps by a box on its image
+        with suppress(StaleRevisionError):
+            project.labels.create(frame_id, new, Change(revision, AUTHOR, Source.IMPORTED))
+            return True

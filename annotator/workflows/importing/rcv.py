@@ -1,0 +1,32 @@
+"""Labels of an `rcv` dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.formats.rcv import read_rcv
+from annotator.project import REVIEWED
+from annotator.types import Frame, Label, Truth
+
+
+@dataclass(frozen=True)
+class RcvLabels:
+    """The labels that somebody has accepted or edited; proposals nobody looked at and rejected boxes stay behind."""
+
+    path: Path
+    labels: dict[str, tuple[Label, ...]]
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.labels)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return [Truth(label.label, label.box, label.track_id) for label in self.labels[name] if label.state in REVIEWED]
+
+
+def read(path: Path) -> RcvLabels:
+    """Raises FormatError: no `rcv` dataset, or a label file that does not follow the format."""
+    dataset = read_rcv(path)
+    return RcvLabels(path, dict(dataset.named_labels(i) for i in range(len(dataset))))

@@ -1,0 +1,30 @@
+"""The formats of 3D boxes that labels can come in: a new one is one line here, and one file beside this one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from importlib import import_module
+from pathlib import Path
+
+from annotator.workflows.importing.label_set import LabelSet
+
+
+class BoxFormat(StrEnum):
+    """Formats of 3D boxes."""
+
+    RCV = "rcv"
+
+
+# The module beside this one, with a function `read(path: Path) -> LabelSet`.
+READERS: dict[BoxFormat, str] = {BoxFormat.RCV: "rcv"}
+
+
+def read_labels(format: BoxFormat, path: Path) -> LabelSet:
+    """The labels at `path`, all of them read and checked.
+
+    Raises:
+        FormatError: they do not follow the format.
+    """
+    read: Callable[[Path], LabelSet] = import_module(f"annotator.workflows.importing.{READERS[format]}").read
+    return read(path)
