@@ -9,13 +9,13 @@ number over the recording). Other keys are left alone.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from annotator.formats.json_file import read_json
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
@@ -38,31 +38,42 @@ class BoxEntry(BaseModel):
     track: int | None = None
 
 
-ENTRIES = TypeAdapter(list[BoxEntry])
-
-
 def read_boxes(path: Path) -> dict[str, list[Truth]]:
     """The true objects of every frame in the file, by frame key; a frame may have none.
 
     Raises:
         FormatError: the file is missing or not JSON, or an entry is no box; names the frame.
     """
-    frames = _read_json(path)
-    return {key: [_truth(entry, path, key) for entry in _entries(value, path, key)] for key, value in frames.items()}
+    return {
+        key: [entry_truth(entry, path, key, number) for number, entry in enumerate(entries)]
+        for key, entries in read_entries(path).items()
+    }
 
 
-def _read_json(path: Path) -> dict[str, object]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_twins)
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(path, f"the boxes cannot be read ({error})") from error
-    except json.JSONDecodeError as error:
-        raise FormatError(path, f"not JSON ({error.msg})", error.lineno) from error
-    except KeyError as error:
-        raise FormatError(path, f"the key {error} is there twice; keep one of them") from error
+def read_entries(path: Path) -> dict[str, list[object]]:
+    """What the file has of every frame, by frame key; whether it is a box is `entry_truth`'s to say.
+
+    Raises:
+        FormatError: the file is missing, or is no JSON object.
+    """
+    content = read_json(path, _no_twins)
     if not isinstance(content, dict):
         raise FormatError(path, "must be an object with one entry a frame")
-    return content
+    return {key: value if isinstance(value, list) else [value] for key, value in content.items()}
+
+
+def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
+    """The object that an entry of a frame is; `number` counts the frame's entries from 0.
+
+    Raises:
+        FormatError: it is no box; names the frame.
+    """
+    try:
+        return _truth(BoxEntry.model_validate(value), path, key)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in (key, number, *first["loc"]))
+        raise FormatError(path, f"{where}: {first['msg']}") from error
 
 
 def _no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -73,15 +84,6 @@ def _no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
             raise KeyError(key)
         content[key] = value
     return content
-
-
-def _entries(value: object, path: Path, key: str) -> list[BoxEntry]:
-    try:
-        return ENTRIES.validate_python(value if isinstance(value, list) else [value])
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in (key, *first["loc"]))
-        raise FormatError(path, f"{where}: {first['msg']}") from error
 
 
 def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:

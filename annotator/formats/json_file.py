@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,6 +11,9 @@ from pydantic import BaseModel, ValidationError
 
 from annotator.files import write_atomic
 from annotator.types.errors import FormatError
+
+# The largest that is in use, COCO's training labels, has 450 MB.
+MAX_BYTES = 2**30
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -21,20 +25,43 @@ def read_model(path: Path, model: type[Model]) -> Model:
         FormatError: the file cannot be read, is no JSON (with the line), or does not fit the model (with the
             place within the file, such as `annotations.3.bbox`).
     """
+    content = read_json(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise FormatError(path, _first_problem(error)) from error
+
+
+def read_json(path: Path, pairs_hook: Callable[[list[tuple[str, object]]], object] | None = None) -> object:
+    """The content of a JSON file.
+
+    Args:
+        pairs_hook: makes an object of its pairs in place of `dict`; a KeyError of it says which key is there twice.
+
+    Raises:
+        FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is no JSON (with the line).
+    """
+    try:
+        with path.open("rb") as stream:
+            # what is not read cannot fill the memory
+            data = stream.read(MAX_BYTES + 1)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    if len(data) > MAX_BYTES:
+        raise FormatError(path, f"is longer than {MAX_BYTES // 2**20} MiB; split it")
+    try:
+        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=pairs_hook)
     except UnicodeDecodeError as error:
         raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
     except json.JSONDecodeError as error:
         raise FormatError(path, f"is not valid JSON: {error.msg} (column {error.colno})", error.lineno) from error
     except RecursionError as error:
         raise FormatError(path, "is nested too deeply to be a label file") from error
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        raise FormatError(path, _first_problem(error)) from error
+    except KeyError as error:
+        raise FormatError(path, f"the key {error} is there twice; keep one of them") from error
+    except ValueError as error:
+        # an integer of thousands of digits
+        raise FormatError(path, f"has a number that cannot be read ({error})") from error
 
 
 def _first_problem(error: ValidationError) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.text_folder import text_rows
 from annotator.types import Box2D, OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -77,7 +78,7 @@ def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> K
     Raises:
         FormatError: too few or too many fields, or a field that is no number.
     """
-    return _parse_fields(text.split(), path, line)
+    return parse_fields(text.split(), path, line)
 
 
 def label_box(row: KittiLabel) -> OrientedBox:
@@ -106,8 +107,8 @@ def read_object_labels(path: Path, T_camera_label: RigidTransform | None) -> lis
     Raises:
         FormatError: the file is missing, or a row is not a label; names file and line.
     """
-    rows = ((line, _parse_fields(fields, path, line)) for line, fields in _rows(path))
-    return [_truth(row, None, T_camera_label, path, line) for line, row in rows if row.label != DONT_CARE]
+    rows = ((line, parse_fields(fields, path, line)) for line, fields in text_rows(path))
+    return [row_truth(row, None, T_camera_label, path, line) for line, row in rows if row.label != DONT_CARE]
 
 
 def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> dict[int, list[Truth]]:
@@ -116,21 +117,21 @@ def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> d
     A frame without objects has no entry. Arguments and errors as in `read_object_labels`.
     """
     frames: dict[int, list[Truth]] = {}
-    for line, fields in _rows(path):
-        frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
-        row = _parse_fields(fields[TRACKING_FIELDS:], path, line)
+    for line, fields in text_rows(path):
+        frame, track_id, row = parse_tracking_fields(fields, path, line)
         if row.label != DONT_CARE:
-            frames.setdefault(frame, []).append(_truth(row, track_id, T_camera_label, path, line))
+            frames.setdefault(frame, []).append(row_truth(row, track_id, T_camera_label, path, line))
     return frames
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """The fields of all rows that are not blank, with their 1-based line numbers."""
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(path, f"the label file cannot be read ({error})") from error
-    return [(line, row.split()) for line, row in enumerate(text.splitlines(), start=1) if row.strip()]
+def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int, int, KittiLabel]:
+    """Frame number, track id and row of a line of a tracking file.
+
+    Raises:
+        FormatError: as `parse_label_line`.
+    """
+    frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
+    return frame, track_id, parse_fields(fields[TRACKING_FIELDS:], path, line)
 
 
 def _leading(fields: list[str], path: Path, line: int) -> list[str]:
@@ -139,7 +140,8 @@ def _leading(fields: list[str], path: Path, line: int) -> list[str]:
     return fields[:TRACKING_FIELDS]
 
 
-def _parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
+def parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
+    """As `parse_label_line`, of a row that is split already."""
     if len(fields) not in (FIELDS, FIELDS + 1):
         raise FormatError(path, f"a label row has {FIELDS} fields (or one more, a score), not {len(fields)}", line)
     values = [_number(field, path, line) for field in fields[1:]]
@@ -169,7 +171,12 @@ def _size_m(row: KittiLabel) -> Float64[np.ndarray, "3"]:
     return np.array([row.length, row.width, row.height])
 
 
-def _truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int) -> Truth:
+def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int) -> Truth:
+    """The object of a row in the camera frame, where `T` leads from rectified camera 0 (None for identity).
+
+    Raises:
+        FormatError: a size that is not positive.
+    """
     if (_size_m(row) <= 0).any():
         raise FormatError(
             path, f"height width length must be positive, not {row.height} {row.width} {row.length}", line

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.json_file import read_model
+from annotator.formats.text_folder import text_rows
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -69,12 +70,12 @@ def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None) -> 
     Raises:
         FormatError: the file is missing, or a row is not a label; names file and line.
     """
-    try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(path, f"the label file cannot be read ({error})") from error
-    rows = [(number, line.split()) for number, line in enumerate(lines, start=1) if line.strip()]
-    return [_truth(*_row(path, number, fields), T_camera_label, path, number) for number, fields in rows]
+    return [extracted_truth(fields, T_camera_label, path, line) for line, fields in text_rows(path)]
+
+
+def extracted_truth(fields: list[str], T_camera_label: RigidTransform | None, path: Path, line: int) -> Truth:
+    """The object of one row of a `label/KEY.txt`; arguments and errors as of `read_extracted_labels`."""
+    return _truth(*_row(path, line, fields), T_camera_label, path, line)
 
 
 def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:

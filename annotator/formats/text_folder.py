@@ -63,6 +63,15 @@ def read_text(file: Path) -> str:
     return _text(file, content)
 
 
+def text_rows(file: Path) -> list[tuple[int, list[str]]]:
+    """The words of all lines of a text file that are not blank, with their 1-based line numbers.
+
+    Raises:
+        FormatError: as `read_text`.
+    """
+    return [(line, row.split()) for line, row in enumerate(read_text(file).splitlines(), 1) if row.strip()]
+
+
 def _of_archive(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
     try:
         with zipfile.ZipFile(path) as archive:

@@ -47,7 +47,7 @@ def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, fram
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        pytest.param("{", "boxes.json:1: not JSON", id="not-json"),
+        pytest.param("{", "boxes.json:1: is not valid JSON", id="not-json"),
         pytest.param("[]", "one entry a frame", id="a-list"),
         pytest.param('{"a": [], "a": []}', "'a' is there twice", id="twin-frames"),
         pytest.param({"a": {"label": "hand"}}, "a.0.center: Field required", id="missing-key"),
