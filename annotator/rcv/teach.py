@@ -130,7 +130,7 @@ class _Scene:
     def shows_doubtful(self, keep: np.ndarray, whole: _Scene) -> bool:
         """True where these points show enough of a doubtful object to be labelled, if it is one."""
         pairs = zip(self.doubts, whole.doubts, strict=True)
-        return any(_is_shown(int((mask & keep).sum()), int(all_of.sum())) for mask, all_of in pairs)
+        return any(is_shown(int((mask & keep).sum()), int(all_of.sum())) for mask, all_of in pairs)
 
 
 def _draw(
@@ -151,7 +151,7 @@ def _draw(
         scene, xyz = whole, whole.frame.cloud.xyz_m
         keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_frame(up), None
         own = whole.masks[list(whole.objects).index(target)]
-        if not _is_shown(int((own & keep).sum()), int(own.sum())):
+        if not is_shown(int((own & keep).sum()), int(own.sum())):
             return []  # most of it is behind the camera or out of the picture: its rest would be taught as background
     elif choice < FRUSTUM_SHARE + WIDE_SHARE:
         crop = _camera_crop(target.box, up, rng)
@@ -171,7 +171,7 @@ def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[i
     objects: list[int] = []
     for index, (item, mask, total) in enumerate(zip(scene.objects, scene.masks, totals, strict=True)):
         shown = mask & keep
-        if not _is_shown(int(shown.sum()), total):
+        if not is_shown(int(shown.sum()), total):
             continue
         if kind is BoxKind.BOX:
             box = project_box(view, item.box, item.label)
@@ -183,7 +183,8 @@ def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[i
     return TaughtView(view, tuple(boxes), tuple(objects))
 
 
-def _is_shown(points: int, total: int) -> bool:
+def is_shown(points: int, total: int) -> bool:
+    """True where a picture that draws so many of an object's points, of `total` in the whole cloud, shows it."""
     return points >= max(MIN_POINTS, MIN_SHARE * total)
 
 
