@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from annotator.types import Frame, Truth
 
 
+@runtime_checkable
 class LabelSet(Protocol):
     """The boxes of a dataset, read and checked as a whole before anything is stored."""
 
