@@ -1,34 +1,36 @@
 """Labels that look wrong: warnings for an operator to look at, never errors.
 
-- size: a side of the box differs from the median of its class by more than
-  `SIZE_FACTOR` (length and width may be exchanged); said once there are `LEAST_FOR_MEDIAN` reviewed boxes;
+- size: a side of the box differs from the median of its class by more than is usual there
+  (`checking.box_rules.UsualSize`; length and width may be exchanged); said once there are enough reviewed boxes;
 - empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
 - heading: from the frame before in a sequence, a box of the same track (else the nearest of its class within its own
-  length) has turned by more than `HEADING_JUMP_RAD`;
-- duplicate: two boxes of one class overlap by `DUPLICATE_IOU` or more (exact 3D IoU);
+  length) has turned by more than 60 degrees;
+- duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
 - class: the project does not have the label's class (any more).
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.geometry.iou import iou_3d_matrix
-from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Label, OrientedBox, ReviewState
+from annotator.workflows.checking.box_rules import (
+    LEAST_POINTS,
+    OVERLAP_IOU,
+    few_points_message,
+    heading_jumps,
+    odd_sizes,
+    overlaps,
+    usual_sizes,
+)
 from annotator.workflows.point_counts import PointCounts
 
-SIZE_FACTOR = 1.6
-LEAST_FOR_MEDIAN = 5
-LEAST_POINTS = 5
-HEADING_JUMP_RAD = float(np.deg2rad(60))
-DUPLICATE_IOU = 0.3
 LOOKED_AT = (*REVIEWED, ReviewState.PROPOSED)
 
 CountPoints = Callable[[StoredFrame, Sequence[OrientedBox]], Sequence[int] | None]
@@ -133,7 +135,7 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     stored = project.labels.select(states=LOOKED_AT)
     for entry in stored:
         by_frame[entry.frame_id].append(entry.label)
-    medians = _medians(stored)
+    usual = usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
     classes = set(project.config.classes)
     before = _frames_before(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
     found: list[Warned] = []
@@ -144,9 +146,9 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
         earlier = by_frame.get(before.get(frame.id, -1), [])
         lines = [
             *_class(labels, classes),
-            *_size(labels, medians),
-            *_heading(labels, earlier),
-            *_duplicates(labels),
+            *_lines(Kind.SIZE, labels, odd_sizes(labels, usual)),
+            *_lines(Kind.HEADING, labels, heading_jumps(labels, earlier)),
+            *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
             *_empty(labels, count_points(frame, [label.box for label in labels])),
         ]
         name = recordings[frame.recording_id].name
@@ -157,13 +159,9 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
 Line = tuple[Kind, str, str]
 
 
-def _medians(stored: Sequence[StoredLabel]) -> Mapping[object, np.ndarray]:
-    """Median sizes of reviewed boxes, by class, where there are enough."""
-    sizes: dict[object, list[np.ndarray]] = defaultdict(list)
-    for entry in stored:
-        if entry.label.state in REVIEWED:
-            sizes[entry.label.label].append(entry.label.box.size_m)
-    return {key: np.median(values, axis=0) for key, values in sizes.items() if len(values) >= LEAST_FOR_MEDIAN}
+def _lines(kind: Kind, labels: Sequence[Label], places: Iterable[tuple[int, str]]) -> Iterator[Line]:
+    """The findings of a rule about boxes, with the labels' uids."""
+    return ((kind, labels[number].uid, message) for number, message in places)
 
 
 def _frames_before(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
@@ -182,58 +180,13 @@ def _class(labels: Sequence[Label], classes: set[str]) -> Iterator[Line]:
             yield Kind.CLASS, label.uid, f"the project has no class {label.label!r}"
 
 
-def _size(labels: Sequence[Label], medians: Mapping[object, np.ndarray]) -> Iterator[Line]:
-    for label in labels:
-        usual = medians.get(label.label)
-        if usual is None:
-            continue
-        ratio = np.sort(label.box.size_m[:2]) / np.sort(usual[:2])
-        ratio = np.append(ratio, label.box.size_m[2] / usual[2])
-        if (np.abs(np.log(ratio)) > np.log(SIZE_FACTOR)).any():
-            yield Kind.SIZE, label.uid, f"{label.label} of {_sides(label.box.size_m)}; the median is {_sides(usual)}"
-
-
-def _sides(size_m: np.ndarray) -> str:
-    return " x ".join(f"{side:.2f}" for side in size_m) + " m"
-
-
-def _heading(labels: Sequence[Label], earlier: Sequence[Label]) -> Iterator[Line]:
-    for label in labels:
-        other = _predecessor(label, earlier)
-        if other is None:
-            continue
-        cosine = float(np.clip(label.box.rotation[:, 0] @ other.box.rotation[:, 0], -1, 1))
-        angle = float(np.arccos(cosine))
-        if angle > HEADING_JUMP_RAD:
-            message = f"{label.label} has turned by {np.rad2deg(angle):.0f} degrees since the frame before"
-            yield Kind.HEADING, label.uid, message
-
-
-def _predecessor(label: Label, earlier: Sequence[Label]) -> Label | None:
-    same = [other for other in earlier if other.label == label.label]
-    if label.track_id is not None:
-        tracked = next((other for other in same if other.track_id == label.track_id), None)
-        if tracked is not None:
-            return tracked
-    reach = float(label.box.size_m.max())
-    near = [(float(np.linalg.norm(other.box.center_m - label.box.center_m)), n) for n, other in enumerate(same)]
-    if not near or min(near)[0] > reach:
-        return None
-    nearest = same[min(near)[1]]
-    # two known tracks that differ are two objects
-    return nearest if nearest.track_id is None or label.track_id is None else None
-
-
-def _duplicates(labels: Sequence[Label]) -> Iterator[Line]:
-    for name in dict.fromkeys(label.label for label in labels):
-        same = [label for label in labels if label.label == name]
-        overlap = np.triu(iou_3d_matrix([a.box for a in same], [b.box for b in same]), 1)
-        for first, second in np.argwhere(overlap >= DUPLICATE_IOU):
-            message = f"two boxes of {name} overlap by {overlap[first, second]:.0%} (IoU)"
-            yield Kind.DUPLICATE, same[second].uid, message
+def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:
+    for first, second, iou in overlaps(labels, OVERLAP_IOU):
+        if labels[first].label == labels[second].label:
+            yield second, f"two boxes of {labels[first].label} overlap by {iou:.0%} (IoU)"
 
 
 def _empty(labels: Sequence[Label], points: Sequence[int] | None) -> Iterator[Line]:
     for label, count in zip(labels, points or (), strict=False):
         if count < LEAST_POINTS:
-            yield Kind.EMPTY, label.uid, f"{count} points lie in the box of this {label.label}"
+            yield Kind.EMPTY, label.uid, few_points_message(label.label, count)

@@ -1,0 +1,131 @@
+"""Rules about the boxes of one frame and the one before, without files: what looks wrong by its geometry alone.
+
+Each yields the place of an offending box in its list, with a message for a person.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.geometry.iou import iou_3d_matrix
+from annotator.types import Label, Truth
+
+# How far a side may be from the median of its class, and how many typical deviations where a class varies by itself.
+SIZE_FACTOR = 1.6
+SIZE_DEVIATIONS = 5.0
+# Median absolute deviation to standard deviation, of a normal distribution.
+DEVIATION_OF_MAD = 1.4826
+LEAST_FOR_MEDIAN = 5
+HEADING_JUMP_RAD = float(np.deg2rad(60))
+OVERLAP_IOU = 0.3
+LEAST_POINTS = 5
+
+Boxes = Sequence[Label] | Sequence[Truth]
+Place = tuple[int, str]
+
+
+@dataclass(frozen=True, eq=False)
+class UsualSize:
+    """How large the boxes of a class are.
+
+    Attributes:
+        median_m: longer and shorter side on the ground, height.
+        factor: by how much each of them may differ.
+    """
+
+    median_m: Float64[np.ndarray, "3"]
+    factor: Float64[np.ndarray, "3"]
+
+    def odd(self, size_m: Float64[np.ndarray, "3"]) -> bool:
+        """True for a size that differs by more; length and width may be exchanged."""
+        return bool((np.abs(np.log(_sides(size_m) / self.median_m)) > np.log(self.factor)).any())
+
+
+def usual_sizes(sizes: Iterable[tuple[str, Float64[np.ndarray, "3"]]]) -> dict[str, UsualSize]:
+    """The usual size of each class of which there are at least `LEAST_FOR_MEDIAN` boxes.
+
+    A class whose sizes vary by themselves, such as tables, is allowed `SIZE_DEVIATIONS` of its own deviations.
+    """
+    by_class: dict[str, list[np.ndarray]] = defaultdict(list)
+    for name, size_m in sizes:
+        by_class[name].append(_sides(size_m))
+    return {name: _usual(np.array(sides)) for name, sides in by_class.items() if len(sides) >= LEAST_FOR_MEDIAN}
+
+
+def _usual(sides: Float64[np.ndarray, "n 3"]) -> UsualSize:
+    median = np.median(sides, axis=0)
+    deviation = DEVIATION_OF_MAD * np.median(np.abs(np.log(sides / median)), axis=0)
+    return UsualSize(median, np.maximum(SIZE_FACTOR, np.exp(SIZE_DEVIATIONS * deviation)))
+
+
+def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[Place]:
+    """Boxes whose size is far from the usual one of their class."""
+    for number, each in enumerate(boxes):
+        known = usual.get(each.label)
+        if known is not None and known.odd(each.box.size_m):
+            yield number, odd_size_message(each.label, each.box.size_m, known)
+
+
+def odd_size_message(label: str, size_m: Float64[np.ndarray, "3"], usual: UsualSize) -> str:
+    return f"{label} of {size_text(size_m)}; the median is {size_text(usual.median_m)}"
+
+
+def size_text(size_m: Float64[np.ndarray, "3"]) -> str:
+    return " x ".join(f"{side:.2f}" for side in size_m) + " m"
+
+
+def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -> Iterator[Place]:
+    """Boxes that have turned by more than `HEADING_JUMP_RAD` since the frame before.
+
+    Args:
+        earlier: the boxes of the frame before. A box is followed by its track, else to the nearest of its class
+            within its own length.
+        tracked_only: follow tracks only, where frames may not follow each other in time.
+    """
+    for number, each in enumerate(boxes):
+        other = _predecessor(each, earlier, tracked_only)
+        if other is None:
+            continue
+        cosine = float(np.clip(each.box.rotation[:, 0] @ other.box.rotation[:, 0], -1, 1))
+        angle = float(np.arccos(cosine))
+        if angle > HEADING_JUMP_RAD:
+            yield number, f"{each.label} has turned by {np.rad2deg(angle):.0f} degrees since the frame before"
+
+
+def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]:
+    """Pairs of boxes, the earlier one first, whose exact 3D IoU is at least `least_iou`, with the IoU."""
+    parts = [each.box for each in boxes]
+    matrix = np.triu(iou_3d_matrix(parts, parts), 1) if len(parts) > 1 else np.zeros((0, 0))
+    for first, second in np.argwhere(matrix >= least_iou).tolist():
+        yield first, second, float(matrix[first, second])
+
+
+def few_points_message(label: str, count: int) -> str:
+    """Of a box with fewer than `LEAST_POINTS` points."""
+    return f"{count} points lie in the box of this {label}"
+
+
+def _sides(size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+    return np.array([size_m[:2].max(), size_m[:2].min(), size_m[2]])
+
+
+def _predecessor(each: Label | Truth, earlier: Boxes, tracked_only: bool) -> Label | Truth | None:
+    same = [other for other in earlier if other.label == each.label]
+    if each.track_id is not None:
+        tracked = next((other for other in same if other.track_id == each.track_id), None)
+        if tracked is not None:
+            return tracked
+    if tracked_only:
+        return None
+    reach = float(each.box.size_m.max())
+    near = [(float(np.linalg.norm(other.box.center_m - each.box.center_m)), n) for n, other in enumerate(same)]
+    if not near or min(near)[0] > reach:
+        return None
+    nearest = same[min(near)[1]]
+    # two known tracks that differ are two objects
+    return nearest if nearest.track_id is None or each.track_id is None else None
