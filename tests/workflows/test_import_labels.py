@@ -1,0 +1,108 @@
+"""3D boxes from elsewhere come onto the right frames, or nothing does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.project import Change, NewLabel, Project
+from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
+from annotator.types.errors import FormatError
+from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
+from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+
+BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
+
+
+@dataclass(frozen=True)
+class Given:
+    """Labels as a test gives them."""
+
+    boxes: dict[str, list[Truth]]
+    path: Path = Path("given")
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.boxes)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return self.boxes[name]
+
+
+@pytest.fixture
+def people(make_project: Callable[..., Project], generated: Path) -> Project:
+    return make_project(generated / "people")
+
+
+def test_what_leaves_as_rcv_comes_back(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    frames = people.frames.of()
+    rng = np.random.default_rng(0)
+    for number, stored in enumerate(frames[:3]):
+        boxes = [OrientedBox.from_parts(rng.normal(size=3), np.eye(3), rng.uniform(0.1, 2, 3)) for _ in range(2)]
+        new = [NewLabel("person", box, track_id=number) for box in boxes]
+        made = people.labels.create(stored.id, new, Change(0, "me", Source.MANUAL))
+        people.labels.reject(stored.id, made.uids[1], Change(made.receipt.revision, "me"))
+    every = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED), empty_frames=True)
+    split = Split({"train": 0.6, "val": 0.4}, SplitBy.FRAMES, 7)
+    report = export_project(people, tmp_path / "out", choose=every, split=split)
+    assert report.splits == {"train": 3, "val": 2}
+    listed = {path.stem: path.read_text().split() for path in (tmp_path / "out" / "splits").iterdir()}
+    assert {part: len(ids) for part, ids in listed.items()} == report.splits
+    other = make_project(generated / "people")
+    done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
+    assert (done.frames, done.labels, done.already, done.unmatched) == (5, {"person": 3}, 0, ())
+    for before, after in zip(frames, other.frames.of(), strict=True):
+        kept = [label for label in people.labels.of_frame(before.id) if label.state is ReviewState.ACCEPTED]
+        back = other.labels.of_frame(after.id)
+        assert [(label.label, label.track_id, label.source) for label in back] == [
+            (label.label, label.track_id, Source.IMPORTED) for label in kept
+        ]
+        for a, b in zip(kept, back, strict=True):
+            np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(a.box.size_m, b.box.size_m)
+
+
+def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel("person", BOX)], Change(0, "me", Source.MANUAL))
+    given = Given(
+        {
+            f"people/{first.key}": [Truth("person", BOX)],
+            f"elsewhere/{second.key}": [Truth("person", BOX, 4), Truth("horse", BOX)],
+            "people/gone": [],
+        }
+    )
+    done = import_labels(people, given)
+    assert (done.frames, done.already, done.unmatched) == (1, 1, ("people/gone",))
+    assert (done.labels, done.other_classes) == ({"person": 1}, {"horse": 1})
+    assert [label.author for label in people.labels.of_frame(first.id)] == ["me"]
+    assert [label.track_id for label in people.labels.of_frame(second.id)] == [4]
+
+
+def test_a_key_that_two_recordings_have(make_project: Callable[..., Project], generated: Path) -> None:
+    project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
+    key = project.frames.of()[0].key
+    given = Given({key: [Truth("hand", BOX)]})
+    with pytest.raises(FormatError, match=r"is a frame of several recordings \(people, hands\)"):
+        import_labels(project, given)
+    assert import_labels(project, given, "hands").labels == {"hand": 1}
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        (["x/1", "x/2"], r"none of its frames \(x/1, x/2\) is a frame of the project"),
+        (["people/000001", "000001"], "people/000001 and 000001 are both the frame 000001"),
+        ([], "it has none"),
+    ],
+)
+def test_frames_that_do_not_fit_change_nothing(people: Project, names: list[str], problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
+    assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())
