@@ -9,6 +9,7 @@ import numpy as np
 
 from annotator.recordings.cloud_columns import CLOUD_REMEDY, RawCloud, from_columns
 from annotator.recordings.kitti_frame import read_scan
+from annotator.recordings.las_file import parse_las
 from annotator.recordings.numpy_file import parse_npy, parse_npz
 from annotator.recordings.pcd_file import parse_pcd
 from annotator.recordings.ply_file import parse_ply
@@ -19,6 +20,8 @@ PARSERS: dict[str, Callable[[Path, bytes], RawCloud]] = {
     ".pcd": parse_pcd,
     ".npy": parse_npy,
     ".npz": parse_npz,
+    ".las": parse_las,
+    ".laz": parse_las,
 }
 # KITTI's scans have no header, so that their reader looks at the file itself.
 SCAN_SUFFIX = ".bin"
@@ -29,6 +32,7 @@ def read_cloud(path: Path) -> RawCloud:
     """The valid points of a file with one of `CLOUD_SUFFIXES`, in its own frame, metres.
 
     Raises:
+        MissingExtraError: a LAS or LAZ file, and what reads it is not installed.
         FrameError: it is missing, damaged, promises more than it holds, or has no valid point.
     """
     suffix = path.suffix.lower()

@@ -1,6 +1,6 @@
-"""Folders of point clouds: PLY, PCD, KITTI's BIN, NPY or NPZ, a file a frame.
+"""Folders of point clouds: PLY, PCD, KITTI's BIN, NPY, NPZ, LAS or LAZ, a file a frame.
 
-KEY.ply|pcd|bin|npy|npz    in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
+KEY.ply (and so on)        in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
 image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
 calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour camera 2
 camera_intrinsic.json      optional instead: as of an RGB-D folder, the clouds are in the camera's frame; or in another,
@@ -8,14 +8,15 @@ camera_intrinsic.json      optional instead: as of an RGB-D folder, the clouds a
 gravity.json               optional, beside camera_intrinsic.json
 
 Without a calibration the clouds are taken for a level LiDAR's (x forward, y left, z up), and a camera is put at its
-place, looking forward. Without images the picture is drawn from the points.
+place, looking forward; where all points are further away than a LiDAR sees, those of a map, it is put among them.
+Without images the picture is drawn from the points.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Never
 
 import numpy as np
 from jaxtyping import Float64
@@ -42,6 +43,8 @@ IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
 VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 # Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+# Coordinates that begin further away are those of a map.
+FARTHEST_SEEN_M = 10_000.0
 Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
@@ -102,13 +105,13 @@ class CloudFolder(KeyedFrames):
         cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
         raw = read_cloud(cloud_path)
         if self.images is None:
-            view = self._view(key, None)
+            view = self._view(key, None) or _level_view(self.path, raw)
             cloud = view.see(raw)
             rgb = virtual_image(view.camera, cloud)
         else:
             image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
             rgb = read_rgb(image_path)
-            view = self._view(key, rgb)
+            view = self._view(key, rgb) or self._refuse(key)
             cloud = _seen(view, view.see(raw), rgb)
             if len(cloud) == 0:
                 raise FrameError(
@@ -118,17 +121,17 @@ class CloudFolder(KeyedFrames):
                 )
         return Frame(key, i, view.camera, rgb, cloud, up=view.up, T_camera_label=view.T_camera_cloud)
 
-    def _view(self, key: str, rgb: np.ndarray | None) -> View:
+    def _view(self, key: str, rgb: np.ndarray | None) -> View | None:
+        """As the folder's calibration has it; None without one."""
         for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
             if path.is_file():
                 return _kitti_view(path, rgb)
         path = self.path / FILE_NAME
-        if path.is_file():
-            return _json_view(path, rgb)
-        if rgb is None:
-            return View(self.path, T_CAMERA_LIDAR, VIRTUAL_CAMERA, UP)
+        return _json_view(path, rgb) if path.is_file() else None
+
+    def _refuse(self, key: str) -> Never:
         raise FrameError(
-            path,
+            self.path / FILE_NAME,
             "the calibration of the images is missing",
             f"write {FILE_NAME} (with cloud_to_camera), or put KITTI's calib/{key}.txt or calib.txt there, or take the "
             "images out of the folder",
@@ -147,6 +150,13 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
                 images = clouds
             return CloudFolder(path, sorted_keys(path, keys, LOOKED_FOR), clouds, images)
     return NotFound(LOOKED_FOR)
+
+
+def _level_view(path: Path, raw: RawCloud) -> View:
+    """A level LiDAR's, from its own place; or from the middle of a cloud that lies on a map, in whole metres."""
+    nearest_m = np.sqrt((raw.xyz_m**2).sum(axis=1).min())
+    place_m = np.floor(np.median(raw.xyz_m, axis=0)) if nearest_m > FARTHEST_SEEN_M else np.zeros(3)
+    return View(path, T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m), VIRTUAL_CAMERA, UP)
 
 
 def _kitti_view(path: Path, rgb: np.ndarray | None) -> View:

@@ -286,7 +286,7 @@ WHOLE = {
 @given(st.data())
 @settings(max_examples=300, deadline=None)
 def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
-    suffix = data.draw(st.sampled_from(sorted(PARSERS)))
+    suffix = data.draw(st.sampled_from(sorted(WHOLE)))
     whole = WHOLE[suffix]
     if suffix == ".npz":
         out = io.BytesIO()

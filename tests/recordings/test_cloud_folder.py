@@ -148,7 +148,7 @@ def test_a_broken_frame_says_why_and_others_are_fine(tmp_path: Path, damage: Cal
 def test_a_folder_without_clouds_is_none(tmp_path: Path):
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "notes.txt").touch()
-    with pytest.raises(RecordingError, match=r"cloud_folder: files of points \(\.ply \.pcd \.npy \.npz \.bin\)"):
+    with pytest.raises(RecordingError, match=r"files of points \(\.ply \.pcd \.npy \.npz \.las \.laz \.bin\)"):
         open_recording(tmp_path)
 
 
