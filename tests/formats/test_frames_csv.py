@@ -1,0 +1,34 @@
+"""frames.csv: what is written reads back, whatever the names hold, and damage is named with its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from annotator.formats.frames_csv import FrameOrigin, dump_frames, parse_frames
+from annotator.types.errors import FormatError
+
+# a NUL and lone surrogates are in no file name
+WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=8)
+
+
+@given(st.lists(st.builds(FrameOrigin, WORDS, WORDS, WORDS, st.none() | WORDS), unique_by=lambda o: o.id))
+def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
+    assert list(parse_frames(Path("frames.csv"), dump_frames(origins)).values()) == origins
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", r"frames\.csv:1: must begin with id,recording,key,split"),
+        ("id,recording,key,split\n1,a,000,\n2,b\n", r"frames\.csv:3: needs id, recording, key, split"),
+        ("id,recording,key,split\n1,a,000,\n1,a,001,\n", r"frames\.csv:3: the id 1 is there twice"),
+        ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is no CSV table"),
+    ],
+)
+def test_damage_is_named_with_its_line(text: str, problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        parse_frames(Path("frames.csv"), text)
