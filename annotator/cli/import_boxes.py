@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 
+from annotator.cli.import_as_2d import import_as_2d
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named
@@ -24,35 +25,54 @@ Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})
 
 def run(
     project: str,
-    path: Path,
+    path: Path | None = None,
     /,
     *,
     format: Format = Format.COCO,  # type: ignore[attr-defined]
     pictures: Path | None = None,
     kind: BoxKind = BoxKind.SILHOUETTE,
     recording: str | None = None,
+    as_2d: bool = False,
+    fraction: float = 1.0,
+    seed: int = 0,
     root: Root = None,
 ) -> None:
     """Take over boxes that were drawn elsewhere: 3D boxes, or 2D boxes on camera images or on pseudo-views.
 
-    3D boxes come to every frame that has no label yet, as accepted labels.
+    3D boxes come to every frame that has no label yet, as accepted labels; with --as-2d they become 2D training boxes
+    on the image and on the pseudo-views of the first two steps, and nothing else is kept of them.
 
     Args:
         project: the project's name.
-        path: the file or folder of labels.
+        path: the file or folder of labels; with --as-2d, those that lie beside the recordings where it is left out.
         format: coco = 2D boxes; the others hold 3D boxes.
         pictures: coco: folder of pseudo-view pictures that the boxes were drawn on (`annotator views` writes such);
             without it the boxes are on the camera images, whose names must be those of the project's frames.
         kind: coco: silhouette = around what is seen; box = the projection of a 3D box.
         recording: which recording the boxes belong to, where several have frames of the same name.
+        as_2d: 3D boxes as 2D boxes alone, the frames stay without 3D labels.
+        fraction: as-2d: share of the labelled frames to take, above 0 and at most 1.
+        seed: as-2d: of the choice of these frames.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     if pictures is not None and recording is not None:
         raise ConfigError("--recording says where camera images belong; the boxes on --pictures belong to pseudo-views")
     if pictures is not None and format not in FLAT:
         raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {format} holds 3D boxes")
+    if not as_2d and (fraction, seed) != (1.0, 0):
+        raise ConfigError("--fraction and --seed choose among the frames of --as-2d")
+    if as_2d and pictures is not None:
+        raise ConfigError("--as-2d makes its pictures from 3D boxes; leave --pictures away")
     with open_named(project, root) as opened:
-        if format in FLAT:
+        if as_2d:
+            unmatched = import_as_2d(opened, path, format, recording, fraction, seed)
+            _left_out({}, unmatched, "frames")
+            print_line(f"next: annotator train {project}")
+        elif path is None:
+            raise ConfigError(
+                f"which labels? annotator import {project} PATH; or --as-2d for those beside the recordings"
+            )
+        elif format in FLAT:
             _flat(opened, path, pictures, kind, recording)
         else:
             _boxes(opened, path, BoxFormat(format), recording)

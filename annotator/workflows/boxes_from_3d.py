@@ -7,7 +7,7 @@ labels. So the detectors learn what the paper's did, from 2D boxes alone.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -16,19 +16,16 @@ from annotator.project.overview import FramePage, read_page
 from annotator.project.payloads import ImageBoxesSet, Payload, ViewBoxesRemoved, ViewBoxesSet
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
-from annotator.types import BoxKind, Frame, Source, Truth
+from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FrameError, StaleRevisionError
 from annotator.workflows.frame_share import share_of
 from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.known_labels import KnownLabels
 from annotator.workflows.rcv_settings import rcv_config
-from annotator.workflows.truth import has_truth, load_truth
 from annotator.workflows.views_out import geometry_of
 
 # Boxes of this author are replaced by a later import, those of all others are left alone.
 AUTHOR = "import of 3D boxes"
-
-Labels = Callable[[StoredFrame, Frame], Sequence[Truth] | None]
-"""The known objects of a frame, boxes in the camera frame; None for a frame that nobody has labelled."""
 
 
 @dataclass
@@ -44,7 +41,6 @@ class BoxesFrom3d:
         without_views: objects on the image with too few points for views, by class.
         outside, hidden: objects that the image does not show: beyond its edges, or behind something; by class.
         other_classes: left out because the project has no such class, by class.
-        unlabelled: frames for which there are no labels.
         drawn: frames that were left alone because somebody has labelled their images already.
         unreadable: frames that could not be read, as `key: reason`.
     """
@@ -58,7 +54,6 @@ class BoxesFrom3d:
     outside: Counter[str] = field(default_factory=Counter)
     hidden: Counter[str] = field(default_factory=Counter)
     other_classes: Counter[str] = field(default_factory=Counter)
-    unlabelled: int = 0
     drawn: int = 0
     unreadable: list[str] = field(default_factory=list)
 
@@ -76,40 +71,12 @@ class BoxesFrom3d:
             counter.update(labels)
 
 
-def labels_beside(project: Project, recordings: Collection[int] | None = None) -> Labels:
-    """The labels that lie beside the project's recordings, such as KITTI's `label_2`.
-
-    Args:
-        recordings: ids of those that are asked for; None = all.
-
-    Raises:
-        ConfigError: none of them brings labels.
-        RecordingError: one of them cannot be read.
-    """
-    source = FrameSource(project)
-    asked = [r.id for r in project.recordings.all() if recordings is None or r.id in recordings]
-    labelled = {i for i in asked if has_truth(source.recording(i))}
-    if not labelled:
-        names = ", ".join(project.recordings.get(i).name for i in asked) or "the project has no recording"
-        raise ConfigError(f"no 3D boxes lie beside the recordings ({names}); name the file or folder that holds them")
-    places = {i: {key: n for n, key in enumerate(source.recording(i).keys)} for i in labelled}
-
-    def labels(stored: StoredFrame, frame: Frame) -> Sequence[Truth] | None:
-        if stored.recording_id not in labelled:
-            return None
-        recording = source.recording(stored.recording_id)
-        return load_truth(recording, places[stored.recording_id][stored.key], frame)
-
-    return labels
-
-
 def boxes_from_3d(
     project: Project,
-    labels: Labels,
+    labels: KnownLabels,
     *,
     fraction: float = 1.0,
     seed: int = 0,
-    recordings: Collection[int] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> BoxesFrom3d:
     """Turns known 3D boxes into 2D boxes of the project, frame by frame; its own of an earlier time are replaced.
@@ -118,10 +85,9 @@ def boxes_from_3d(
     frames that an earlier time had chosen and this one does not.
 
     Args:
-        labels: gives the known objects of a frame.
-        fraction: share of the frames, as `share_of` takes it.
+        labels: the labelled frames and their objects.
+        fraction: share of these frames, as `share_of` takes it.
         seed: of that choice.
-        recordings: ids; None = all.
         progress: called with (frames done, frames chosen).
 
     Raises:
@@ -130,11 +96,10 @@ def boxes_from_3d(
         RecordingError: a recording is not where it was.
     """
     source, config = FrameSource(project), rcv_config(project)
-    names = {recording.id: recording.name for recording in project.recordings.all()}
-    chosen_ids = None if recordings is None else sorted(recordings)
-    present = [stored for stored in project.frames.of(chosen_ids) if stored.index is not None]
-    share = share_of(((names[stored.recording_id], stored.key) for stored in present), fraction, seed)
-    chosen = [stored for stored in present if (names[stored.recording_id], stored.key) in share]
+    recordings = {recording.id: recording.name for recording in project.recordings.all()}
+    names = [(recordings[stored.recording_id], stored.key) for stored in labels.frames]
+    share = share_of(names, fraction, seed)
+    chosen = [stored for stored, name in zip(labels.frames, names, strict=True) if name in share]
     done = BoxesFrom3d(chosen=len(chosen))
     for number, stored in enumerate(chosen, 1):
         try:
@@ -148,16 +113,18 @@ def boxes_from_3d(
 
 
 def _take_over(
-    project: Project, stored: StoredFrame, source: FrameSource, labels: Labels, config: RcvConfig, done: BoxesFrom3d
+    project: Project,
+    stored: StoredFrame,
+    source: FrameSource,
+    labels: KnownLabels,
+    config: RcvConfig,
+    done: BoxesFrom3d,
 ) -> None:
     if _is_drawn(read_page(project, stored.id)):  # asked first: what follows takes time
         done.drawn += 1
         return
     frame = source.read(stored)
-    truths = labels(stored, frame)
-    if truths is None:
-        done.unlabelled += 1
-        return
+    truths = labels.truths(stored, frame)
     settings = project.config
     done.other_classes.update(t.label for t in truths if t.label not in settings.classes)
     own = [truth for truth in truths if truth.label in settings.classes]

@@ -125,6 +125,16 @@ def test_views_and_import_go_round(project: str, tmp_path: Path, capsys: Capture
     assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
 
 
+def test_3d_boxes_come_in_as_2d_ones(project: str, capsys: Capture) -> None:
+    said = run(capsys, "import", project, "--as-2d", "--fraction", "0.2", "--seed", "1")
+    counts = stats(capsys)
+    on_views = counts["view_boxes"]
+    assert said.startswith("1 of 5 labelled frames: 3 person on camera images; ")
+    assert f" person on {on_views['pictures']} pseudo-views, which show {on_views['boxes']} boxes\n" in said
+    assert said.endswith("next: annotator train room\n")
+    assert (counts["image_boxes"]["boxes"], counts["labels"]["total"]) == (3, 0)
+
+
 # --- annotate --------------------------------------------------------------------------------------------------------
 
 
@@ -243,6 +253,12 @@ def test_demo_passes_its_words_on_and_refuses_like_all_others(
         (["import", "room", "dogs.json", "--recording", "x"], "are of class dog"),
         (["import", "room", "dogs.json", "--pictures", "nowhere"], "are of class dog"),
         (["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"], "says where camera images belong"),
+        (["import", "room"], "which labels? annotator import room PATH; or --as-2d for those beside"),
+        (["import", "room", "dogs.json", "--fraction", "0.5"], "choose among the frames of --as-2d"),
+        (["import", "room", "dogs.json", "--as-2d"], "coco holds no 3D boxes; say which format dogs.json has"),
+        (["import", "room", "--as-2d", "--fraction", "2"], "a fraction of 2.0 of the frames cannot be taken"),
+        (["import", "room", "--as-2d", "--pictures", "p"], "leave --pictures away"),
+        (["import", "room", "--as-2d", "--recording", "x"], "no recording 'x'"),
         (["train", "room"], "no boxes on camera images or pseudo-views to learn from"),
         (["train", "room", "--only", "view"], "no boxes on pseudo-views to learn from"),
         (["annotate", "room"], "has no image detector yet; run `annotator train room`"),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from annotator.project import Change, Project, Role, StoredFrame
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
-from annotator.workflows.boxes_from_3d import AUTHOR, Labels, boxes_from_3d, labels_beside
+from annotator.workflows.boxes_from_3d import AUTHOR, boxes_from_3d
 from annotator.workflows.frame_share import share_of
+from annotator.workflows.known_labels import KnownLabels, labels_beside, labels_from
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
 from annotator.workflows.views_out import spans_m
@@ -28,7 +30,7 @@ def no_skip(stored: StoredFrame, error: FrameError) -> None:
 
 def test_2d_boxes_alone_are_kept_and_teach(people: Project) -> None:
     done = boxes_from_3d(people, labels_beside(people), fraction=0.4)
-    assert (done.chosen, done.frames, done.drawn, done.unlabelled, done.unreadable) == (2, 2, 0, 0, [])
+    assert (done.chosen, done.frames, done.drawn, done.unreadable) == (2, 2, 0, [])
     assert people.statistics().labels.total == 0
     on_images, views = people.boxes.on_images(), people.boxes.on_views()
     assert [(x.box_kind, x.source, x.author) for x in on_images] == [(BoxKind.BOX, Source.IMPORTED, AUTHOR)] * 2
@@ -54,8 +56,7 @@ def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
     (on_image,) = people.boxes.on_images()
     stored = people.frames.get(on_image.frame_id)
     labels, frame = labels_beside(people), open_recording(people.recordings.all()[0].path).frame(stored.index or 0)
-    truths = labels(stored, frame)
-    assert truths is not None
+    truths = labels.truths(stored, frame)
     checked = 0
     for view in people.boxes.on_views():
         assert view.geometry is not None
@@ -70,15 +71,15 @@ def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
     assert checked >= 4
 
 
-def moved(labels: Labels, by_m: float) -> Labels:
-    def of(stored: StoredFrame, frame: Frame) -> list[Truth]:
-        shift = np.array([by_m, 0.0, 0.0])
-        return [
-            replace(t, box=OrientedBox.from_parts(t.box.center_m + shift, t.box.rotation, t.box.size_m))
-            for t in labels(stored, frame) or ()
-        ]
+def moved(labels: KnownLabels, by_m: float) -> KnownLabels:
+    shift = np.array([by_m, 0.0, 0.0])
 
-    return of
+    def truths(stored: StoredFrame, frame: Frame) -> list[Truth]:
+        found = labels.truths(stored, frame)
+        boxes = [OrientedBox.from_parts(t.box.center_m + shift, t.box.rotation, t.box.size_m) for t in found]
+        return [replace(t, box=box) for t, box in zip(found, boxes, strict=True)]
+
+    return replace(labels, truths=truths)
 
 
 def test_doing_it_again_changes_nothing_and_other_boxes_replace(people: Project) -> None:
@@ -104,10 +105,10 @@ def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
         """Somebody draws on the second frame while its pictures are made."""
         if stored.id == second.id:
             people.boxes.set_on_image(second.id, mine, BoxKind.SILHOUETTE, Change(second.revision, "me"))
-        return list(beside(stored, frame) or ())
+        return list(beside.truths(stored, frame))
 
     beside = labels_beside(people)
-    done = boxes_from_3d(people, meanwhile)
+    done = boxes_from_3d(people, replace(beside, truths=meanwhile))
     assert (done.chosen, done.drawn, done.frames) == (5, 2, 3)
     for stored in (first, second):
         boxes = people.boxes.on_image(stored.id)
@@ -116,11 +117,32 @@ def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
         assert people.boxes.on_views_of(stored.id) == ()
 
 
+@dataclass(frozen=True)
+class Elsewhere:
+    """A `LabelSet` with one labelled frame of the project, and one that it does not have."""
+
+    beside: KnownLabels
+    path = Path("labels")
+    frames = ("people/000003", "people/000099")
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        assert name == self.frames[0]
+        return list(self.beside.truths(self.beside.frames[3], frame))
+
+
 def test_frames_that_nobody_labelled_teach_nothing(people: Project) -> None:
-    labels, last = labels_beside(people), people.frames.of()[-1]
-    done = boxes_from_3d(people, lambda stored, frame: labels(stored, frame) if stored.id == last.id else None)
-    assert (done.frames, done.unlabelled) == (1, 4)
-    assert [boxes.frame_id for boxes in people.boxes.on_images()] == [last.id]
+    labels = labels_from(people, Elsewhere(labels_beside(people)))
+    assert labels.unmatched == ("people/000099",)
+    done = boxes_from_3d(people, labels)
+    assert (done.chosen, done.frames) == (1, 1)
+    assert [boxes.frame_id for boxes in people.boxes.on_images()] == [people.frames.of()[3].id]
+
+
+def test_without_labels_beside_the_recordings_the_error_names_them(own_copy, make_project) -> None:
+    folder = own_copy("people")
+    (folder / "truth" / "boxes.json").unlink()
+    with pytest.raises(ConfigError, match=r"no 3D boxes lie beside the recordings \(people\)"):
+        labels_beside(make_project(folder))
 
 
 def test_boxes_of_other_classes_are_an_error_that_names_them(people: Project) -> None:
