@@ -2,23 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from annotator.project import Change, Project, Receipt
-from annotator.project.overview import read_page
+from annotator.project.overview import FramePage, read_page
 from annotator.project.payloads import ImageBoxesSet, Payload
-from annotator.workflows.view_followers import view_followers
+from annotator.workflows.labelling import frame_config
+from annotator.workflows.open_frame import OpenFrame
+from annotator.workflows.remeasure import remeasured
+from annotator.workflows.view_followers import changes_kind, image_follower, view_followers
 
 
-def apply_changes(project: Project, frame_id: int, payloads: Sequence[Payload], change: Change) -> Receipt:
+def apply_changes(
+    project: Project,
+    frame_id: int,
+    payloads: Sequence[Payload],
+    change: Change,
+    open_frame: Callable[[], OpenFrame],
+) -> Receipt:
     """Makes changes to one frame and what follows from them, as one action: all or none.
+
+    Args:
+        open_frame: gives the frame itself; called where finished objects are measured anew.
 
     Raises:
         StaleRevisionError: somebody has changed the frame since.
         NotFoundError: no such frame.
+        FrameError: objects are to be measured anew, and the frame cannot be read.
         ProjectError: a label or class that the frame or project does not have.
     """
-    on_image = next((entry for entry in reversed(payloads) if isinstance(entry, ImageBoxesSet)), None)
     # of a page that is read too late or too early, the revision is refused
-    following = [] if on_image is None else view_followers(read_page(project, frame_id), on_image)
-    return project.log.append(frame_id, [*payloads, *following], change)
+    page = read_page(project, frame_id)
+    return project.log.append(frame_id, [*payloads, *_following(project, page, payloads, open_frame)], change)
+
+
+def _following(
+    project: Project, page: FramePage, payloads: Sequence[Payload], open_frame: Callable[[], OpenFrame]
+) -> list[Payload]:
+    on_image = next((entry for entry in reversed(payloads) if isinstance(entry, ImageBoxesSet)), None)
+    found: list[Payload] = []
+    if on_image is None:
+        on_image = image_follower(page, payloads)
+        if on_image is None:
+            return found
+        found.append(on_image)
+    found += view_followers(page, on_image)
+    if changes_kind(page, on_image):
+        opened = open_frame()
+        found += remeasured(page, opened, frame_config(project, opened.frame), on_image)
+    return found

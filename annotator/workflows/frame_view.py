@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,18 +69,19 @@ def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame
         ShownLabel(stored, outline, opened.points_in(stored.label.box), doubt(stored.quality, stored.label.score))
         for stored, outline in zip(page.labels, edges, strict=True)
     )
-    return ShownFrame(page, shown, tuple(_objects(page)))
+    return ShownFrame(page, shown, shown_objects(page))
 
 
-def _objects(page: FramePage) -> Sequence[ShownObject]:
+def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:
+    """The objects that are begun or finished on a frame, in the order of their boxes on its image."""
     if page.image_boxes is None:
-        return []
+        return ()
     views = views_by_object(page.view_boxes)
     uids = {stored.image_box: stored.label.uid for stored in page.labels if stored.image_box is not None}
-    return [
+    return tuple(
         ShownObject(box, _views_of(page.frame.id, box, views), uids.get(box))
         for box in dict.fromkeys(page.image_boxes.boxes)
-    ]
+    )
 
 
 def _views_of(frame_id: int, image_box: Box2D, views: ObjectViews) -> tuple[ViewBoxes, ...]:

@@ -16,12 +16,18 @@ import numpy as np
 
 from annotator.formats.coco import CocoImage, read_coco
 from annotator.project import Change, Project, StoredFrame
+from annotator.project.overview import FramePage, read_page
+from annotator.project.payloads import ImageBoxesSet
+from annotator.project.records import storable
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frames import FrameSource
+from annotator.workflows.view_followers import view_followers
 from annotator.workflows.views_out import ViewPlace, read_places
 
 AUTHOR = "import"
+# Files keep two decimals of a pixel or more; nobody draws the same box again so exactly.
+ROUNDED_PX = 0.01
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,8 @@ class Imported:
 def import_image_boxes(project: Project, path: Path, kind: BoxKind, recording: str | None = None) -> Imported:
     """Boxes on camera images, matched to frames by file name (`000012.jpg` is the frame 000012).
 
-    An image without boxes is taken as one that shows nothing.
+    An image without boxes is taken as one that shows nothing. What follows for the boxes on pseudo-views is done, too:
+    those that were drawn from a box that is not there any more go.
 
     Args:
         kind: what the boxes measure.
@@ -59,9 +66,22 @@ def import_image_boxes(project: Project, path: Path, kind: BoxKind, recording: s
     matched, unmatched = _matched(project, path, images, recording)
     _require_sizes(project, path, matched)
     for image, frame in matched:
-        change = Change(project.frames.get(frame.id).revision, AUTHOR, Source.IMPORTED)
-        project.boxes.set_on_image(frame.id, tally.known(image), kind, change)
+        page = read_page(project, frame.id)
+        with storable(f"{path}: {image.file_name}"):
+            on_image = ImageBoxesSet(boxes=tuple(_as_known(page, tally.known(image))), box_kind=kind)
+        change = Change(page.frame.revision, AUTHOR, Source.IMPORTED)
+        project.log.append(frame.id, [on_image, *view_followers(page, on_image)], change)
     return Imported(tally.pictures, tally.boxes, dict(tally.other), tuple(unmatched))
+
+
+def _as_known(page: FramePage, boxes: Sequence[Box2D]) -> list[Box2D]:
+    """Boxes as the frame has them, where a file has only rounded them: what was drawn from them stays."""
+    known = () if page.image_boxes is None else page.image_boxes.boxes
+    return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
+
+
+def _is_rounded(box: Box2D, known: Box2D) -> bool:
+    return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))
 
 
 def import_view_boxes(project: Project, path: Path, pictures: Path, kind: BoxKind) -> Imported:

@@ -6,8 +6,6 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from annotator.project import Change, Origin, Project, Receipt, StoredLabel, ViewBoxes
 from annotator.project.efforts import draft_id
 from annotator.project.overview import FramePage, read_page
@@ -19,12 +17,13 @@ from annotator.project.payloads import (
     ViewBoxesSet,
 )
 from annotator.project.records import BoxRecord
-from annotator.types import Box2D, BoxKind, OrientedBox
+from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors_ready import ReadyDetector
 from annotator.workflows.labelling import VIEWS_A_STEP, Boxes, Labelling, frame_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
-from annotator.workflows.view_followers import view_followers
+from annotator.workflows.remeasure import remeasured, same_box
+from annotator.workflows.view_followers import changes_kind, view_followers
 from annotator.workflows.views_out import geometry_of
 
 
@@ -96,6 +95,9 @@ def save_object(
         payloads += _new_views(page, wanted) + ([] if label is None else [label])
     redrawn = None if drawn is None else drawn.image_box
     payloads += view_followers(page, on_image, redrawn=redrawn, kept={entry.view for entry in wanted})
+    if changes_kind(page, on_image):
+        others = remeasured(page, opened, frame_config(project, opened.frame), on_image)
+        payloads += [entry for entry in others if entry.uid != uid]
     if not payloads:
         return Saved(None, uid)
     subject = change.subject or _subject(page, image_boxes, drawn, uid)
@@ -153,7 +155,7 @@ def _label_change(
     if uid is not None:
         present = _label(page, uid)
         box = present.label.box if measured is None or _are_drawn(page, wanted) else measured
-        if present.image_box == drawn.image_box and present.label.label == name and _same(present.label.box, box):
+        if present.image_box == drawn.image_box and present.label.label == name and same_box(present.label.box, box):
             return None
         track = present.label.track_id
         return LabelEdited(uid=uid, label=name, box=BoxRecord.of(box), track_id=track, image_box=drawn.image_box)
@@ -185,13 +187,6 @@ def _label(page: FramePage, uid: str) -> StoredLabel:
     if found is None:
         raise NotFoundError(f"frame {page.frame.key} has no label {uid} (any more); reload the frame")
     return found
-
-
-def _same(a: OrientedBox, b: OrientedBox) -> bool:
-    return bool(
-        np.allclose(a.T_camera_box.as_matrix(), b.T_camera_box.as_matrix(), atol=1e-9)
-        and np.allclose(a.size_m, b.size_m, atol=1e-9)
-    )
 
 
 def _subject(page: FramePage, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, uid: str | None) -> str | None:

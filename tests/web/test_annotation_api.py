@@ -11,50 +11,20 @@ import httpx
 import numpy as np
 import pytest
 from drawing import Scene, draw_object
+from room_api import BOX, ROOM, change, propose, state
 
 from annotator.cli.main import main
 from annotator.geometry.iou import iou_3d
 from annotator.project import Change, Project
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 from annotator.web.wire import Box3DJson
 
 if TYPE_CHECKING:
     from live_server import Live
 
-ROOM = "/api/projects/room"
-BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
-
 
 @pytest.fixture
 def project(live: Live) -> Project:
     return live.context.project("room")
-
-
-def propose(project: Project, frame: int, *places: float) -> list[str]:
-    proposals = [
-        Proposal(
-            "person",
-            0.8,
-            OrientedBox.from_parts(np.array([x, 0.0, 3.0]), np.eye(3), np.array([0.8, 0.5, 1.7])),
-            Box2D("person", 1.0, 2.0, 30.0, 40.0),
-            (),
-            Quality(0.1, 0.9, 0.05, 0.8),
-        )
-        for x in places
-    ]
-    change = Change(project.frames.get(frame).revision, "rcv", Source.AUTO)
-    return [uid for uid in project.proposals.replace(frame, proposals, change).uids if uid is not None]
-
-
-def state(client: httpx.Client, frame: int = 1) -> dict[str, Any]:
-    found = client.get(f"{ROOM}/frames/{frame}")
-    assert found.status_code == 200, found.text
-    answer: dict[str, Any] = found.json()
-    return answer
-
-
-def change(client: httpx.Client, revision: int, *changes: dict[str, Any], frame: int = 1) -> httpx.Response:
-    return client.post(f"{ROOM}/frames/{frame}/changes", json={"revision": revision, "changes": list(changes)})
 
 
 def test_a_frame_tells_all_that_is_shown(live: Live, project: Project) -> None:
@@ -189,49 +159,6 @@ def test_an_object_from_nothing_takes_five_drags(live: Live, generated: Path, ca
     assert told["effort"]["by_origin"]["from nothing"] == {"boxes": 2, "seconds_a_box": 12.5, "actions_a_box": 5.0}
     assert main(["stats", "room", "--json", "--root", str(live.settings.projects_root)]) == 0
     assert json.loads(capsys.readouterr().out) == told, "the command line tells the same numbers"
-
-
-def learned(project: Project) -> tuple[int, list[str], int]:
-    """What detectors would learn from: boxes on images, kinds of those on views, 3D labels."""
-    on_images = sum(len(boxes.boxes) for boxes in project.boxes.on_images())
-    kinds = sorted(view.box_kind.value for view in project.boxes.on_views() for _ in view.boxes)
-    return on_images, kinds, len(project.labels.select())
-
-
-def test_an_object_that_is_deleted_teaches_nothing_until_it_is_undone(
-    live: Live, project: Project, generated: Path
-) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    uids = [draw_object(live.client, "room", 1, scene, number)["uid"] for number in range(2)]
-    drawn = state(live.client)
-    assert learned(project) == (2, ["silhouette"] * 8, 2)
-    removal = [
-        {"kind": "delete", "uid": uids[0]},
-        {"kind": "image_boxes", "boxes": [scene.image_box(1)], "box_kind": "silhouette"},
-    ]
-    left = change(live.client, drawn["frame"]["revision"], *removal).json()
-    assert learned(project) == (1, ["silhouette"] * 4, 1)
-    assert left["objects"] == [drawn["objects"][1]]
-    undone = live.client.post(f"{ROOM}/undo", json={}).json()
-    assert undone["done"] == "delete person (frame 000000)"
-    assert (undone["state"]["objects"], undone["state"]["labels"]) == (drawn["objects"], drawn["labels"])
-    assert learned(project) == (2, ["silhouette"] * 8, 2)
-    live.client.post(f"{ROOM}/redo", json={})
-    assert learned(project) == (1, ["silhouette"] * 4, 1)
-
-
-def test_boxes_that_measure_something_else_do_so_on_views_too(live: Live, project: Project, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    revision = draw_object(live.client, "room", 1, scene, 0)["state"]["frame"]["revision"]
-    views = [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()]
-    boxes = {"kind": "image_boxes", "boxes": [scene.image_box(0)], "box_kind": "box"}
-    answer = change(live.client, revision, boxes).json()
-    assert (answer["image_boxes"]["box_kind"], len(answer["objects"][0]["views"])) == ("box", 4)
-    assert learned(project) == (1, ["box"] * 4, 1)
-    assert [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()] == views
-    live.client.post(f"{ROOM}/undo", json={})
-    assert learned(project) == (1, ["silhouette"] * 4, 1)
-    assert state(live.client)["image_boxes"]["box_kind"] == "silhouette"
 
 
 def test_steps_are_answered_without_keeping_anything(live: Live, generated: Path) -> None:

@@ -112,6 +112,23 @@ def test_two_rounds_of_pictures_teach_silhouettes(hands: Project, tmp_path: Path
             assert both > 0.9 * taught.points.sum(), "the drags leave the hand and little else"
 
 
+def test_boxes_on_images_that_come_again_take_their_views_along(hands: Project, tmp_path: Path) -> None:
+    file = coco_of_frames(tmp_path / "c.json", hands, [0])
+    import_image_boxes(hands, file, BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "one", 1, CONFIG)
+    import_view_boxes(hands, draw_on(tmp_path / "one", hands), tmp_path / "one", BoxKind.SILHOUETTE)
+    (first,) = hands.boxes.on_images()
+    import_image_boxes(hands, file, BoxKind.BOX)
+    assert hands.boxes.on_images()[0].boxes == first.boxes, "a file only rounds them"
+    assert [view.box_kind for view in hands.boxes.on_views()] == [BoxKind.BOX] * 4
+    (image,) = read_coco(file)
+    moved = replace(image.boxes[0], x_max=image.boxes[0].x_max + 3)
+    write_coco(file, [replace(image, boxes=(moved, image.boxes[1]))])
+    import_image_boxes(hands, file, BoxKind.BOX)
+    left = {view.geometry.image_box for view in hands.boxes.on_views() if view.geometry is not None}
+    assert (left, len(hands.boxes.on_views())) == ({first.boxes[1]}, 2)
+
+
 def test_pictures_hold_what_the_sidecar_says(hands: Project, tmp_path: Path) -> None:
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [1]), BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "out", 1, CONFIG)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -45,8 +46,10 @@ def frame(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> FrameStateJson
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
 def changes(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: ChangesIn) -> FrameStateJson | JSONResponse:
     """Changes to one frame: all of them, or none; one step for undo."""
+    project = ctx.project(name)
+    open_frame = partial(ctx.annotation.frames.open, project, frame_id)
     try:
-        receipt = apply_changes(ctx.project(name), frame_id, body.payloads(), body.change(who))
+        receipt = apply_changes(project, frame_id, body.payloads(), body.change(who), open_frame)
     except StaleRevisionError as error:
         return stale_answer(ctx, name, frame_id, who, error, body.model_dump(mode="json")["changes"])
     ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
