@@ -44,7 +44,8 @@ class FrameOrigin:
 def dump_frames(origins: Iterable[FrameOrigin]) -> str:
     """The text of the file."""
     stream = io.StringIO()
-    rows = csv.writer(stream, lineterminator="\n")
+    # RFC 4180; with "\n" alone a "\r" in a name would not be quoted
+    rows = csv.writer(stream, lineterminator="\r\n")
     rows.writerow(HEADER)
     rows.writerows((o.id, o.recording, o.key, o.split or "") for o in origins)
     return stream.getvalue()

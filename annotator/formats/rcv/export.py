@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from annotator.files import new_folder
 from annotator.formats.dataset import DatasetItem, FrameIds
+from annotator.formats.ply import write_ply
 from annotator.formats.rcv.convert import camera_record, labels_record
 from annotator.formats.rcv.model import (
     FORMAT_NAME,
@@ -24,8 +22,8 @@ from annotator.formats.rcv.model import (
     RcvManifest,
     RcvOptions,
 )
-from annotator.formats.rcv.ply import write_ply
 from annotator.formats.rcv.readme import readme_text
+from annotator.formats.writing import encoded_image, writing
 from annotator.types import ReviewState, Source
 from annotator.types.errors import FormatError
 
@@ -65,31 +63,22 @@ def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwr
     """
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
         tally = _Tally()
-        with _writing(out):
+        with writing(out):
             for name in FOLDERS:
                 (part / name).mkdir()
         for item in items:
             _require_classes(out, item, info.classes)
             frame_id = tally.add(out, item)
-            with _writing(out):
+            with writing(out):
                 _write_frame(part, frame_id, item, info.options)
         if not tally.ids.ids:
             raise FormatError(out, "there is no frame to export; the export was not written")
         manifest = tally.manifest(info)
-        with _writing(out):
+        with writing(out):
             (part / "README.md").write_text(readme_text(manifest), encoding="utf-8")
             (part / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
             _write_splits(part, tally.splits)
     return manifest
-
-
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    """Turns what the disk says into an error that names the export."""
-    try:
-        yield
-    except OSError as error:
-        raise FormatError(out, f"cannot be written ({error.strerror}); nothing was left behind") from error
 
 
 def _is_dataset(folder: Path) -> bool:
@@ -108,7 +97,7 @@ def _require_classes(out: Path, item: DatasetItem, classes: tuple[str, ...]) -> 
 def _write_frame(part: Path, frame_id: str, item: DatasetItem, options: RcvOptions) -> None:
     """The frame's three files."""
     image, cloud = f"images/{frame_id}.{options.image_format}", f"clouds/{frame_id}.ply"
-    (part / image).write_bytes(_encoded(item.frame.rgb, options))
+    (part / image).write_bytes(encoded_image(item.frame.rgb, options.image_format, options.jpeg_quality))
     write_ply(part / cloud, item.frame.cloud)
     record = labels_record(frame_id, item.recording, item.frame, item.labels, image, cloud)
     (part / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
@@ -119,15 +108,6 @@ def _write_splits(part: Path, splits: Mapping[str, Sequence[str]]) -> None:
     for name, ids in splits.items():
         (part / SPLITS).mkdir(exist_ok=True)
         (part / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
-
-
-def _encoded(rgb: np.ndarray, options: RcvOptions) -> bytes:
-    """The RGB picture (h, w, 3) as the bytes of an image file."""
-    import cv2
-
-    settings = [cv2.IMWRITE_JPEG_QUALITY, options.jpeg_quality] if options.image_format == "jpg" else []
-    _, data = cv2.imencode(f".{options.image_format}", np.ascontiguousarray(rgb[..., ::-1]), settings)
-    return bytes(data.tobytes())
 
 
 @dataclass

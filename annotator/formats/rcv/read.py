@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.formats.json_file import read_model
+from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest
-from annotator.formats.rcv.ply import read_ply
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
 
@@ -62,15 +62,34 @@ class RcvDataset:
             FormatError: one of its files is missing or does not follow the format.
         """
         path, record = self._record(i)
+        return RcvFrame(record.id, record.recording, self._frame(path, record), _labels(path, record))
+
+    def bare_frame(self, i: int) -> Frame:
+        """The same without the labels, whatever is wrong with them."""
+        return self._frame(*self._record(i))
+
+    def place(self, i: int) -> tuple[str, int]:
+        """The recording that frame `i` came from, and its number there.
+
+        Raises:
+            FormatError: as `labels`.
+        """
+        _, record = self._record(i)
+        return record.recording, record.index
+
+    def label_path(self, i: int) -> Path:
+        """The file of frame `i`'s labels and camera."""
+        return self.path / "labels" / f"{self.manifest.frames[i]}.json"
+
+    def _frame(self, path: Path, record: RcvLabels) -> Frame:
         rgb, cloud = _image(self.path / record.image), read_ply(self.path / record.cloud)
         if len(cloud) != record.points:
             raise FormatError(self.path / record.cloud, f"holds {len(cloud)} points, {path.name} says {record.points}")
-        return RcvFrame(record.id, record.recording, _frame(path, record, rgb, cloud), _labels(path, record))
+        return _frame(path, record, rgb, cloud)
 
     def _record(self, i: int) -> tuple[Path, RcvLabels]:
         """The content of frame `i`'s label file, and its path."""
-        frame_id = self.manifest.frames[i]
-        path = self.path / "labels" / f"{frame_id}.json"
+        frame_id, path = self.manifest.frames[i], self.label_path(i)
         record = read_model(path, RcvLabels)
         if record.id != frame_id:
             raise FormatError(path, f"says that its id is {record.id!r}")

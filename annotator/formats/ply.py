@@ -16,10 +16,14 @@ from annotator.types.errors import FormatError
 XYZ = ("x", "y", "z")
 RGB = ("red", "green", "blue")
 HEADER_LIMIT = 4096
+CAMERA_FRAME = "camera frame: x right, y down, z forward, metres"
 
 
-def write_ply(path: Path, cloud: PointCloud) -> None:
+def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> None:
     """Writes the points, with colour and reflectance where they are known.
+
+    Args:
+        comment: the frame of reference of the points, one line of ASCII.
 
     Raises:
         OSError: the file cannot be written.
@@ -34,12 +38,12 @@ def write_ply(path: Path, cloud: PointCloud) -> None:
     if cloud.reflectance is not None:
         rows["reflectance"] = cloud.reflectance
     with path.open("wb") as file:
-        file.write(_header(fields, len(cloud)))
+        file.write(_header(fields, len(cloud), comment))
         file.write(rows.tobytes())
 
 
 def read_ply(path: Path) -> PointCloud:
-    """The points of a file that `write_ply` made.
+    """The points of a file that `write_ply` made, in the camera frame.
 
     Raises:
         FormatError: the file cannot be read, has another layout, or is truncated.
@@ -74,12 +78,12 @@ def _fields(colour: bool, reflectance: bool) -> list[tuple[str, str]]:
     )
 
 
-def _header(fields: list[tuple[str, str]], count: int) -> bytes:
+def _header(fields: list[tuple[str, str]], count: int, comment: str = CAMERA_FRAME) -> bytes:
     words = {"<f4": "float", "u1": "uchar"}
     lines = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment camera frame: x right, y down, z forward, metres",
+        f"comment {comment}",
         f"element vertex {count}",
         *(f"property {words[kind]} {name}" for name, kind in fields),
         "end_header",
