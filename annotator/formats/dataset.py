@@ -29,11 +29,28 @@ class DatasetItem:
 
 
 @dataclass
+class FileNames:
+    """Names fit for files on every system, no two alike even where upper and lower case are the same."""
+
+    _taken: set[str] = field(default_factory=set)
+
+    def add(self, *parts: str) -> str:
+        """One more name, the parts joined by "-"; numbered where different parts become the same name."""
+        wanted = "-".join(re.sub(r"[^\w.]+", "_", part) for part in parts).lstrip(".") or "_"
+        candidate, number = wanted, 1
+        while candidate.casefold() in self._taken:
+            number += 1
+            candidate = f"{wanted}-{number}"
+        self._taken.add(candidate.casefold())
+        return candidate
+
+
+@dataclass
 class FrameIds:
-    """Unique ids of frames, fit for a file name on every system: `recording-key`, in the order of the frames."""
+    """Unique ids of frames, fit for a file name: `recording-key`, in the order of the frames."""
 
     ids: dict[tuple[str, str], str] = field(default_factory=dict)
-    _taken: set[str] = field(default_factory=set)
+    _names: FileNames = field(default_factory=FileNames)
 
     def add(self, out: Path, item: DatasetItem) -> str:
         """The id of one more frame.
@@ -47,15 +64,5 @@ class FrameIds:
         origin = (item.recording, item.frame.key)
         if origin in self.ids:
             raise FormatError(out, f"{item.recording}, frame {item.frame.key}: the frame comes twice")
-        frame_id = self._free("-".join(re.sub(r"[^\w.]+", "_", part) for part in origin).lstrip("."))
-        self.ids[origin] = frame_id
-        self._taken.add(frame_id.casefold())
-        return frame_id
-
-    def _free(self, wanted: str) -> str:
-        """`wanted`, numbered where different names become the same file name."""
-        candidate, number = wanted, 1
-        while candidate.casefold() in self._taken:
-            number += 1
-            candidate = f"{wanted}-{number}"
-        return candidate
+        self.ids[origin] = self._names.add(*origin)
+        return self.ids[origin]
