@@ -25,7 +25,7 @@ HEADING_JUMP_RAD = float(np.deg2rad(60))
 OVERLAP_IOU = 0.3
 LEAST_POINTS = 5
 
-Boxes = Sequence[Label] | Sequence[Truth]
+Boxes = Sequence[Label | Truth]
 Place = tuple[int, str]
 
 

@@ -1,0 +1,90 @@
+"""Rules about one frame's camera and cloud: is this a camera, and is this the cloud that it sees?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from annotator.geometry.projection import project
+from annotator.recordings.kitti_calib import KittiCalibration
+from annotator.types import Camera, Frame
+from annotator.workflows.checking.rules import (
+    CAMERA_OF_OTHER_SIZE,
+    CLOUD_OFF_DEPTH,
+    CLOUD_OFF_IMAGE,
+    CLOUD_SCALE,
+    IMAGE_BARE,
+    IMPOSSIBLE_CAMERA,
+    NO_ROTATION,
+    Rule,
+)
+
+# Focal length as a multiple of the image's width: fields of view from 150 to 2 degrees.
+FOCAL_LENGTHS = (0.13, 30.0)
+# Pixels are square, or were binned in one direction.
+MOST_ASPECT = 2.0
+# Where the principal point may be, as a share of the image: images that were cropped have it far from the middle.
+PRINCIPAL_POINT = (0.2, 0.8)
+MOST_OFF_ROTATION = 1e-2
+# The median distance of a cloud's points, metres.
+DISTANCES_M = (0.05, 300.0)
+SAMPLE = 5000
+MOST_OFF_PIXEL_PX = 1.0
+# A camera of depth sees what is on its image, but for the border.
+LEAST_ON_IMAGE, BORDER_PX = 0.9, 3.0
+CELL_PX = 32
+LEAST_COVERED = 0.02
+
+Breach = tuple[Rule, str]
+
+
+def camera_rules(camera: Camera) -> Iterator[Breach]:
+    """What no camera of these images can be."""
+    size = f"for images of {camera.width_px} x {camera.height_px} px"
+    shares = camera.fx / camera.width_px, camera.fy / camera.width_px
+    low, high = FOCAL_LENGTHS
+    aspect = max(shares) / min(shares)
+    if min(shares) < low or max(shares) > high or aspect > MOST_ASPECT:
+        yield IMPOSSIBLE_CAMERA, f"focal lengths {camera.fx:g} and {camera.fy:g} px {size}"
+    middle = np.array([camera.cx / camera.width_px, camera.cy / camera.height_px])
+    if (middle < PRINCIPAL_POINT[0]).any() or (middle > PRINCIPAL_POINT[1]).any():
+        yield CAMERA_OF_OTHER_SIZE, f"the principal point is ({camera.cx:g}, {camera.cy:g}) {size}; was it for others?"
+
+
+def kitti_rules(calibration: KittiCalibration) -> Iterator[Breach]:
+    """KITTI's matrices are used as they are, so nothing else would notice that they do not turn but skew."""
+    R = calibration.T_rect_lidar[:, :3]
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    if off > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
+        yield NO_ROTATION, f"R0_rect * Tr_velo_to_cam is no rotation (off by {off:.2g}); copy it from the data set"
+
+
+def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[Breach]:
+    """What the cloud of this camera cannot be.
+
+    Args:
+        of_depth_camera: its points all come from pixels of the image.
+    """
+    xyz_m = frame.cloud.xyz_m
+    distance_m = float(np.median(np.linalg.norm(xyz_m, axis=1)))
+    if not DISTANCES_M[0] <= distance_m <= DISTANCES_M[1]:
+        yield CLOUD_SCALE, f"half of the points are nearer than {distance_m:g} m; are they in metres?"
+    chosen = np.linspace(0, len(xyz_m) - 1, min(len(xyz_m), SAMPLE)).astype(np.int64)
+    px = project(frame.camera, xyz_m[chosen])
+    if frame.cloud.pixel_index is not None:
+        v, u = np.divmod(frame.cloud.pixel_index[chosen], frame.camera.width_px)
+        off = np.linalg.norm(px - np.stack([u, v], axis=1), axis=1)
+        typical = float(np.median(np.nan_to_num(off, nan=np.inf)))
+        if typical > MOST_OFF_PIXEL_PX:
+            yield CLOUD_OFF_DEPTH, f"points project {typical:.1f} px away from their own pixels"
+    size = np.array([frame.camera.width_px, frame.camera.height_px])
+    # comparisons with NaN are false: what is behind the camera is not on the image
+    on_image = ((px >= -BORDER_PX) & (px <= size + BORDER_PX)).all(axis=1)
+    if of_depth_camera and on_image.mean() < LEAST_ON_IMAGE:
+        yield CLOUD_OFF_IMAGE, f"{1 - on_image.mean():.0%} of the points of this depth camera fall beside its image"
+    elif frame.depth_m is None:
+        cells = np.unique(np.floor(px[on_image] / CELL_PX).clip(0).astype(np.int64), axis=0)
+        covered = len(cells) / np.prod(np.ceil(size / CELL_PX))
+        if covered < LEAST_COVERED:
+            yield IMAGE_BARE, f"the points cover {covered:.1%} of the image; do calibration and cloud belong together?"

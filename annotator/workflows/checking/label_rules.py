@@ -1,0 +1,128 @@
+"""Rules about one frame's labels: sizes, places, points, and what KITTI's rows say twice."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from annotator.formats.kitti import KittiLabel, label_box
+from annotator.formats.kitti_derived import NEAR_M, derived_box, observation_angle
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.outline import box_on_image
+from annotator.geometry.point_index import PointIndex
+from annotator.types import Frame
+from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_text
+from annotator.workflows.checking.label_files import FoundLabel
+from annotator.workflows.checking.rules import (
+    ALPHA_OFF,
+    BOX_BEHIND_CAMERA,
+    BOX_OUTSIDE_IMAGE,
+    BOX_OVERLAP,
+    BROKEN_LABEL,
+    DUPLICATE_LABEL,
+    EMPTY_BOX,
+    FIELD_RANGE,
+    IMAGE_BOX_OFF,
+    IMPOSSIBLE_SIZE,
+    SPARSE_BOX,
+    TRACK_TWICE,
+    Rule,
+)
+
+SHORTEST_M, LONGEST_M = 0.005, 60.0
+SAME_OBJECT_IOU, SAME_PLACE_IOU = 0.7, 0.9
+LEAST_IMAGE_IOU = 0.4
+MOST_ALPHA_OFF_RAD = 0.3
+UNKNOWN_ALPHA = -10.0
+TRUNCATED = (-1.0, 2.0)
+OCCLUDED = range(-1, 4)
+# A box on the image thinner than this is not on it.
+LEAST_SEEN_PX = 1e-3
+
+Breach = tuple[Rule, int, str]
+"""A rule, the place of the label in its list, and a message."""
+
+
+def rules_without_frame(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+    """What the labels say by themselves, whatever the frame shows."""
+    for number, found in enumerate(labels):
+        size_m = found.truth.box.size_m
+        if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
+            yield IMPOSSIBLE_SIZE, number, f"{found.truth.label} of {size_text(size_m)}"
+        if found.row is not None:
+            for rule, message in _row_rules(found.row):
+                yield rule, number, message
+    yield from _twice(labels)
+
+
+def _twice(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+    truths = [found.truth for found in labels]
+    for first, second, iou in overlaps(truths, OVERLAP_IOU):
+        a, b = truths[first].label, truths[second].label
+        other = f"{a} of line {labels[first].line}" if labels[first].line else f"{a} before"
+        message = f"overlaps the {other} by {iou:.0%} (exact 3D IoU)"
+        if iou >= (SAME_OBJECT_IOU if a == b else SAME_PLACE_IOU):
+            yield DUPLICATE_LABEL, second, f"this {b} {message}; keep one of them"
+        elif a == b:
+            yield BOX_OVERLAP, second, f"this {b} {message}"
+    seen: set[int] = set()
+    for number, truth in enumerate(truths):
+        if truth.track_id is not None and truth.track_id in seen:
+            yield TRACK_TWICE, number, f"track {truth.track_id} is in this frame twice"
+        seen.update(() if truth.track_id is None else (truth.track_id,))
+
+
+def _row_rules(row: KittiLabel) -> Iterator[tuple[Rule, str]]:
+    if not TRUNCATED[0] <= row.truncated <= TRUNCATED[1]:
+        yield FIELD_RANGE, f"truncated is {row.truncated:g}; it must be a share, 0 to 1 (tracking: 0, 1 or 2)"
+    if row.occluded not in OCCLUDED:
+        yield FIELD_RANGE, f"occluded is {row.occluded}; it must be 0, 1, 2 or 3"
+    if row.right <= row.left or row.bottom <= row.top:
+        edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
+        yield BROKEN_LABEL, f"left top right bottom must be in order, not {edges}"
+    off = math.remainder(row.alpha - observation_angle(row.rotation_y, row.x, row.z), 2 * math.pi)
+    if row.alpha != UNKNOWN_ALPHA and abs(off) > MOST_ALPHA_OFF_RAD:
+        yield ALPHA_OFF, f"alpha is {row.alpha:g}; rotation_y {row.rotation_y:g} and the place make it {off:+.2f} less"
+
+
+def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+    """Where the boxes are on the image and in the cloud."""
+    # a cloud that goes on behind the camera was labelled all around
+    all_around = bool((frame.cloud.xyz_m[:, 2] <= 0).any())
+    index = PointIndex.of(frame.cloud.xyz_m) if labels else None
+    for number, found in enumerate(labels):
+        truth = found.truth
+        if not all_around:
+            if (box_corners(truth.box)[:, 2] <= NEAR_M).all():
+                yield BOX_BEHIND_CAMERA, number, f"this {truth.label} is behind the camera"
+                continue
+            if box_on_image(frame.camera, truth.box, truth.label, LEAST_SEEN_PX) is None:
+                yield BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is beside the image"
+                continue
+        count = 0 if index is None else index.count(truth.box)
+        if count < LEAST_POINTS:
+            yield EMPTY_BOX if count == 0 else SPARSE_BOX, number, few_points_message(truth.label, count)
+        if found.row is not None:
+            for rule, message in _image_box(frame, found.row):
+                yield rule, number, message
+
+
+def _image_box(frame: Frame, row: KittiLabel) -> Iterator[tuple[Rule, str]]:
+    derived = derived_box(frame.camera, label_box(row), frame.T_camera_label)
+    labelled = np.array([row.left, row.top, row.right, row.bottom])
+    if derived is None or (labelled[2:] <= labelled[:2]).any():
+        return
+    projected = np.array(derived.clipped)
+    iou = _iou(labelled, projected)
+    if iou < LEAST_IMAGE_IOU:
+        wanted = " ".join(f"{edge:.0f}" for edge in projected)
+        yield IMAGE_BOX_OFF, f"the 2D box of this {row.label} is off its 3D box, at {wanted} (IoU {iou:.2f})"
+
+
+def _iou(a: np.ndarray, b: np.ndarray) -> float:
+    """Of two boxes on an image, left top right bottom."""
+    shared = np.prod(np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None))
+    both = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
+    return float(shared / both) if both > 0 else 0.0

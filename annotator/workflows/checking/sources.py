@@ -1,0 +1,211 @@
+"""What can be checked below a path: recordings with labels of their own, and `rcv` datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from annotator.formats.rcv import read_rcv
+from annotator.formats.rcv.export import FOLDERS, MANIFEST
+from annotator.formats.rcv.read import RcvDataset
+from annotator.recordings import Recording, open_recording
+from annotator.recordings.cloud_folder import CloudFolder
+from annotator.recordings.open import FILE_SUFFIXES
+from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
+from annotator.types import Frame, Truth
+from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
+from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
+
+MOST_LEVELS = 4
+# Where formats keep a frame's calibration, or that of all; the first that is there.
+CALIBRATIONS = (
+    "calib/{key}.txt",
+    "calib.txt",
+    "calib_cam_to_cam.txt",
+    "../calib_cam_to_cam.txt",
+    "camera_intrinsic.json",
+)
+
+
+class Source(Protocol):
+    """A dataset: frames that are read one at a time, and labels."""
+
+    @property
+    def path(self) -> Path:
+        """What was opened."""
+
+    @property
+    def format(self) -> str:
+        """A recording's format, or rcv."""
+
+    @property
+    def keys(self) -> Sequence[str]:
+        """The frames' names."""
+
+    @property
+    def labels(self) -> LabelFiles | None:
+        """The label files, or None without any."""
+
+    @property
+    def has_pictures(self) -> bool:
+        """False where the images are drawn from the clouds."""
+
+    @property
+    def announced(self) -> int | None:
+        """How many objects the dataset says that it has, where it does."""
+
+    def place(self, index: int) -> tuple[str, int]:
+        """The recording that a frame came from, and its number there."""
+
+    @property
+    def in_time_order(self) -> bool:
+        """True where the numbers of a recording's frames are known to be the order of time."""
+
+    def read(self, index: int) -> Frame:
+        """A frame; any AnnotatorError where it cannot be read."""
+
+    def calibration(self, index: int) -> Path:
+        """The file that a frame's camera comes from."""
+
+
+@dataclass(frozen=True)
+class RecordingSource:
+    """A recording."""
+
+    recording: Recording
+    labels: LabelFiles | None
+    announced: None = None
+
+    @property
+    def path(self) -> Path:
+        return self.recording.path
+
+    @property
+    def format(self) -> str:
+        return self.recording.format
+
+    @property
+    def keys(self) -> Sequence[str]:
+        return self.recording.keys
+
+    @property
+    def has_pictures(self) -> bool:
+        return not (isinstance(self.recording, CloudFolder) and self.recording.images is None)
+
+    @property
+    def in_time_order(self) -> bool:
+        return self.recording.is_sequence
+
+    def place(self, index: int) -> tuple[str, int]:
+        return self.recording.name, index
+
+    def read(self, index: int) -> Frame:
+        return self.recording.frame(index)
+
+    def calibration(self, index: int) -> Path:
+        if isinstance(self.recording, SunRgbdScenes):
+            return self.recording.scenes[index] / "intrinsics.txt"
+        places = (self.recording.root / name.format(key=self.keys[index]) for name in CALIBRATIONS)
+        return next((place for place in places if place.is_file()), self.path)
+
+
+@dataclass(frozen=True)
+class RcvSource:
+    """An `rcv` dataset. Its frames come from several recordings, which need not be sequences."""
+
+    dataset: RcvDataset
+    has_pictures: bool = True
+    in_time_order: bool = False
+    format: str = "rcv"
+
+    @property
+    def path(self) -> Path:
+        return self.dataset.path
+
+    @property
+    def keys(self) -> Sequence[str]:
+        return self.dataset.manifest.frames
+
+    @property
+    def announced(self) -> int:
+        return self.dataset.manifest.counts.objects
+
+    @property
+    def labels(self) -> LabelFiles:
+        return RcvLabelFiles(self.dataset)
+
+    def place(self, index: int) -> tuple[str, int]:
+        return self.dataset.place(index)
+
+    def read(self, index: int) -> Frame:
+        return self.dataset.bare_frame(index)
+
+    def calibration(self, index: int) -> Path:
+        return self.dataset.label_path(index)
+
+
+@dataclass(frozen=True)
+class RcvLabelFiles:
+    """The label files of an `rcv` dataset."""
+
+    dataset: RcvDataset
+
+    def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
+        path = self.dataset.label_path(index)
+        if not path.is_file():
+            return FrameLabels(missing=path)
+        try:
+            labels = self.dataset.labels(index)
+        except FormatError as error:
+            return FrameLabels(problems=(error,))
+        return FrameLabels(tuple(FoundLabel(Truth(each.label, each.box, each.track_id), path) for each in labels))
+
+    def problems(self) -> Sequence[AnnotatorError]:
+        return ()
+
+    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
+        frames = set(self.dataset.manifest.frames)
+        for folder in FOLDERS:
+            for file in sorted((self.dataset.path / folder).glob("*")):
+                if file.stem not in frames:
+                    yield file, None, file.stem
+
+
+def find_sources(path: Path) -> Iterator[Source | tuple[Path, AnnotatorError]]:
+    """The datasets at `path`, else those below it; or why one that looks like it cannot be opened.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    found = False
+    for source in _below(path, MOST_LEVELS):
+        found = True
+        yield source
+    if not found:
+        # says what each reader looked for
+        open_recording(path)
+
+
+def _below(path: Path, levels: int) -> Iterator[Source | tuple[Path, AnnotatorError]]:
+    try:
+        yield _open(path)
+        return
+    except UnknownFormatError:
+        pass
+    except (FormatError, RecordingError) as error:
+        yield path, error
+        return
+    if levels == 0 or not path.is_dir():
+        return
+    for child in sorted(path.iterdir()):
+        if not child.name.startswith(".") and (child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
+            yield from _below(child, levels - 1)
+
+
+def _open(path: Path) -> Source:
+    if (path / MANIFEST).is_file():
+        return RcvSource(read_rcv(path))
+    recording = open_recording(path)
+    return RecordingSource(recording, label_files(recording))
