@@ -19,6 +19,7 @@ class ExportFormat(StrEnum):
     """Formats that labels can leave in."""
 
     RCV = "rcv"
+    OPENLABEL = "openlabel"
 
 
 @dataclass(frozen=True)
@@ -46,4 +47,5 @@ class Writer:
 
 WRITERS: dict[ExportFormat, Writer] = {
     ExportFormat.RCV: Writer("images, coloured PLY clouds and fully oriented boxes", NOT_REJECTED, "rcv"),
+    ExportFormat.OPENLABEL: Writer("ASAM OpenLABEL documents; fully oriented boxes", NOT_REJECTED, "openlabel"),
 }

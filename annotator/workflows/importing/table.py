@@ -14,10 +14,14 @@ class BoxFormat(StrEnum):
     """Formats of 3D boxes."""
 
     RCV = "rcv"
+    OPENLABEL = "openlabel"
 
 
 # The module beside this one, with a function `read(path: Path) -> LabelSet`.
-READERS: dict[BoxFormat, str] = {BoxFormat.RCV: "rcv"}
+READERS: dict[BoxFormat, str] = {
+    BoxFormat.RCV: "rcv",
+    BoxFormat.OPENLABEL: "openlabel",
+}
 
 
 def read_labels(format: BoxFormat, path: Path) -> LabelSet:

@@ -1,0 +1,62 @@
+"""From one coordinate system of a document to another, at one frame."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.openlabel.model import CoordinateSystem, Transform, TransformData
+from annotator.formats.openlabel.shapes import transform_from
+
+
+class Coordinates:
+    """The tree of a document's systems, with what one frame changes of it.
+
+    Source: ASAM OpenLABEL 1.0.0: `pose_wrt_parent` and `transform_src_to_dst` both are matrices that multiply column
+    vectors of the child (the source) from the left. A frame's transform holds in place of the pose between the two.
+    """
+
+    def __init__(
+        self, systems: Mapping[str, CoordinateSystem], of_frame: Mapping[str, Transform] | None = None
+    ) -> None:
+        """Raises ValueError: a transform is none; names the coordinate system."""
+        self._edges: dict[str, dict[str, RigidTransform]] = {name: {} for name in systems}
+        for name, system in systems.items():
+            if system.pose_wrt_parent is not None and system.parent:
+                self._connect(f"pose_wrt_parent of {name}", system.parent, name, system.pose_wrt_parent)
+        for name, each in (of_frame or {}).items():
+            self._connect(f"transform {name}", each.dst, each.src, each.transform_src_to_dst)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._edges
+
+    def transform(self, dst: str, src: str) -> RigidTransform:
+        """T_dst_src.
+
+        Raises:
+            ValueError: nothing leads from one to the other.
+        """
+        found = {src: RigidTransform.identity()}
+        waiting = deque([src])
+        while waiting and dst not in found:
+            here = waiting.popleft()
+            for there, T_there_here in self._edges.get(here, {}).items():
+                if there not in found:
+                    found[there] = T_there_here * found[here]
+                    waiting.append(there)
+        if dst not in found:
+            raise ValueError(
+                f"nothing leads from the coordinate system {src!r} to {dst!r}; give each a parent and pose_wrt_parent, "
+                "or the frame a transform"
+            )
+        return found[dst]
+
+    def _connect(self, where: str, dst: str, src: str, data: TransformData) -> None:
+        try:
+            T_dst_src = transform_from(data)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+        self._edges.setdefault(src, {})[dst] = T_dst_src
+        self._edges.setdefault(dst, {})[src] = T_dst_src.inv()

@@ -1,0 +1,187 @@
+"""One recording as an OpenLABEL document, put together frame by frame."""
+
+from __future__ import annotations
+
+import uuid
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.dataset import DatasetItem
+from annotator.formats.openlabel.model import (
+    SCHEMA_VERSION,
+    AttributeKind,
+    Attributes,
+    Content,
+    CoordinateSystem,
+    Cuboid,
+    DataPointer,
+    Document,
+    Frame,
+    FrameInterval,
+    FrameObject,
+    FrameProperties,
+    FrameStream,
+    Metadata,
+    Num,
+    Object,
+    ObjectData,
+    Pinhole,
+    Stream,
+    StreamProperties,
+    Sync,
+    Text,
+)
+from annotator.formats.openlabel.shapes import cuboid_values, pinhole_of, transform_values
+from annotator.types import Label
+
+BASE, CAMERA, CLOUD = "base", "camera", "cloud"
+# Axes of the root, as vehicles have them (ISO 8855): x forward, y left, z up; it turns with the camera.
+T_BASE_CAMERA = RigidTransform.from_rotation(
+    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+)
+# UUIDs of objects and boxes are derived under this one: the same project gives the same file.
+NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
+
+
+@dataclass
+class _Track:
+    """One object over the frames so far."""
+
+    name: str
+    type: str
+    frames: list[int] = field(default_factory=list)
+    attributes: dict[str, AttributeKind] = field(default_factory=dict)
+
+
+@dataclass
+class Scene:
+    """A recording's document as far as it has come; only labels and names are kept, no image and no cloud.
+
+    Attributes:
+        recording: its name.
+        generator: program and version.
+    """
+
+    recording: str
+    generator: str
+    _camera: Pinhole | None = None
+    _frames: dict[int, Frame] = field(default_factory=dict)
+    _tracks: dict[str, _Track] = field(default_factory=dict)
+
+    def add(self, item: DatasetItem, image: str, cloud: str) -> None:
+        """One more frame; `image` and `cloud` are its files, beside the document."""
+        frame, number = item.frame, item.frame.index
+        camera = pinhole_of(frame.camera)
+        self._camera = self._camera or camera
+        time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
+        sync = Sync(frame_stream=number) if time is None else Sync(timestamp=time)
+        # a frame says its intrinsics only where they are others than those of the whole stream
+        own = None if camera == self._camera else camera
+        streams = {
+            CAMERA: FrameStream(uri=image, stream_properties=StreamProperties(intrinsics_pinhole=own, sync=sync)),
+            CLOUD: FrameStream(uri=cloud, stream_properties=StreamProperties(sync=sync)),
+        }
+        self._frames[number] = Frame(
+            frame_properties=FrameProperties(timestamp=time, streams=streams),
+            objects=self._objects(number, item.labels) or None,
+        )
+
+    def document(self) -> Document:
+        """The whole, frames in the order of their numbers."""
+        numbers = sorted(self._frames)
+        pose = transform_values(T_BASE_CAMERA)
+        # readers look for children also where there are none
+        sensor = CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
+        return Document(
+            openlabel=Content(
+                metadata=Metadata(schema_version=SCHEMA_VERSION, name=self.recording, annotator=self.generator),
+                coordinate_systems={
+                    BASE: CoordinateSystem(type="local", parent="", children=(CAMERA, CLOUD)),
+                    CAMERA: sensor,
+                    CLOUD: sensor,
+                },
+                streams={
+                    CAMERA: Stream(
+                        type="camera", uri="images", stream_properties=StreamProperties(intrinsics_pinhole=self._camera)
+                    ),
+                    CLOUD: Stream(type="lidar", uri="clouds"),
+                },
+                objects={uid: _object(track) for uid, track in self._tracks.items()} or None,
+                frames={str(number): self._frames[number] for number in numbers},
+                frame_intervals=_intervals(numbers),
+            )
+        )
+
+    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, FrameObject]:
+        found: dict[str, FrameObject] = {}
+        seen: Counter[str] = Counter()
+        for label in labels:
+            own = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
+            # an object of one identity is there once a frame, whatever the labels say
+            seen[f"{label.label} {own}"] += 1
+            again = seen[f"{label.label} {own}"]
+            uid = _uuid(self.recording, label.label, own, str(again))
+            cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
+            found[uid] = FrameObject(object_data=ObjectData(cuboid=(cuboid,)))
+            if uid not in self._tracks:
+                self._tracks[uid] = _Track(f"{label.label} {len(self._tracks) + 1}", label.label)
+            self._tracks[uid].frames.append(number)
+            self._tracks[uid].attributes |= _kinds(cuboid)
+        return found
+
+
+def _uuid(*parts: str) -> str:
+    return str(uuid.uuid5(NAMESPACE, "\n".join(parts)))
+
+
+def _seconds(time_ns: int) -> str:
+    """Seconds with all nine decimals: a JSON number would lose nanoseconds."""
+    whole, rest = divmod(time_ns, 10**9)
+    return f"{whole}.{rest:09d}"
+
+
+def _cuboid(label: Label, uid: str) -> Cuboid:
+    numbers = {"score": label.score, "track_id": label.track_id}
+    texts = {"state": label.state.value, "source": label.source.value, "author": label.author}
+    return Cuboid(
+        name=f"{CAMERA}__cuboid__{label.label}",
+        val=cuboid_values(label.box),
+        coordinate_system=CAMERA,
+        uid=uid,
+        attributes=Attributes(
+            num=tuple(Num(name=n, val=v) for n, v in numbers.items() if v is not None) or None,
+            text=tuple(Text(name=name, val=value) for name, value in texts.items()),
+        ),
+    )
+
+
+def _kinds(cuboid: Cuboid) -> dict[str, AttributeKind]:
+    attributes = cuboid.attributes or Attributes()
+    kinds: dict[str, AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
+    return kinds | {each.name: "text" for each in attributes.text or () if each.name}
+
+
+def _object(track: _Track) -> Object:
+    intervals = _intervals(sorted(track.frames))
+    pointer = DataPointer(type="cuboid", frame_intervals=intervals, attribute_pointers=track.attributes)
+    return Object(
+        name=track.name,
+        type=track.type,
+        frame_intervals=intervals,
+        object_data_pointers={f"{CAMERA}__cuboid__{track.type}": pointer},
+    )
+
+
+def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
+    """Runs of consecutive frame numbers, which come in order."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return tuple(FrameInterval(frame_start=first, frame_end=last) for first, last in runs)

@@ -1,0 +1,68 @@
+"""Frames, labels and boxes for tests of dataset formats, small and quick to write."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.dataset import DatasetItem
+from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+
+CAMERA = Camera(6, 4, 5.0, 5.5, 2.5, 1.5)
+
+
+def make_box(
+    center: tuple[float, ...] = (0.1, -0.2, 1.5),
+    rotation: tuple[float, ...] = (0.3, -0.4, 0.5),
+    size: tuple[float, ...] = (0.5, 0.25, 1.75),
+) -> OrientedBox:
+    """A box from its centre, rotation vector and size."""
+    return OrientedBox(
+        RigidTransform.from_components(np.array(center), Rotation.from_rotvec(np.array(rotation))), np.array(size)
+    )
+
+
+def make_label(box: OrientedBox | None = None, **changes: Any) -> Label:
+    known: dict[str, Any] = {
+        "uid": "u1", "label": "hand", "box": box or make_box(), "score": None, "source": Source.MANUAL,
+        "state": ReviewState.ACCEPTED, "author": "ann", "time_ns": 1, "track_id": None,
+    }  # fmt: skip
+    return Label(**{**known, **changes})
+
+
+def make_item(
+    labels: Sequence[Label] = (),
+    *,
+    key: str = "000003",
+    index: int = 3,
+    recording: str = "rec",
+    split: str | None = None,
+    up: tuple[float, float, float] | None = (0.0, -1.0, 0.0),
+    camera: Camera = CAMERA,
+    timestamp_ns: int | None = 1_700_000_000_123_456_789,
+) -> DatasetItem:
+    """A frame of 6 x 4 pixels and five coloured points."""
+    rng = np.random.default_rng(index)
+    cloud = PointCloud(rng.normal(size=(5, 3)).astype(np.float32), rng.integers(0, 256, (5, 3), np.uint8))
+    rgb = rng.integers(0, 256, (4, 6, 3), np.uint8)
+    frame = Frame(key, index, camera, rgb, cloud, up=None if up is None else np.array(up), timestamp_ns=timestamp_ns)
+    return DatasetItem(recording, frame, labels, split)
+
+
+def assert_same_box(have: OrientedBox, want: OrientedBox, atol: float = 1e-9) -> None:
+    np.testing.assert_allclose(have.center_m, want.center_m, rtol=1e-9, atol=atol)
+    np.testing.assert_allclose(have.size_m, want.size_m, rtol=1e-9, atol=atol)
+    np.testing.assert_allclose(have.rotation, want.rotation, rtol=0, atol=atol)
+
+
+_numbers = st.floats(-100, 100)
+BOXES = st.builds(
+    make_box,
+    st.tuples(_numbers, _numbers, _numbers),
+    st.tuples(*[st.floats(-4, 4)] * 3),
+    st.tuples(*[st.floats(1e-3, 50)] * 3),
+)

@@ -1,0 +1,247 @@
+"""OpenLABEL: the standard's conventions, what is written reads back, others' documents are understood or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dataset_samples import BOXES, assert_same_box, make_box, make_item, make_label
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.formats.openlabel import read_openlabel, write_openlabel
+from annotator.formats.openlabel.model import Document
+from annotator.formats.openlabel.read import parse
+from annotator.formats.openlabel.scene import Scene
+from annotator.formats.openlabel.write import dump
+from annotator.types import Camera, OrientedBox, ReviewState
+from annotator.types.errors import FormatError
+
+# A quarter turn about the camera's y axis (the right-hand rule takes x to -z): 1 ahead, 4 x 2 x 1.5 m.
+TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
+
+
+def test_a_document_by_hand(tmp_path: Path) -> None:
+    label = make_label(TURNED, score=0.75, track_id=7)
+    assert write_openlabel(tmp_path / "out", [make_item([label])], "annotator 1") == {"hand": 1}
+    content = json.loads((tmp_path / "out" / "rec.json").read_text())["openlabel"]
+    assert content["metadata"] == {"schema_version": "1.0.0", "name": "rec", "annotator": "annotator 1"}
+    assert content["streams"]["camera"]["stream_properties"]["intrinsics_pinhole"] == {
+        "width_px": 6,
+        "height_px": 4,
+        "camera_matrix": [5.0, 0.0, 2.5, 0.0, 0.0, 5.5, 1.5, 0.0, 0.0, 0.0, 1.0, 0.0],
+        "distortion_coeffs": [0.0] * 5,
+    }
+    # the camera's z is the base's x, its x the base's -y, its y the base's -z
+    np.testing.assert_allclose(
+        content["coordinate_systems"]["camera"]["pose_wrt_parent"]["quaternion"], [-0.5, 0.5, -0.5, 0.5], atol=1e-12
+    )
+    frame = content["frames"]["3"]
+    assert frame["frame_properties"]["timestamp"] == "1700000000.123456789"
+    assert frame["frame_properties"]["streams"]["camera"]["uri"] == "images/rec-000003.png"
+    ((uid, dynamic),) = frame["objects"].items()
+    (cuboid,) = dynamic["object_data"]["cuboid"]
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(cuboid["val"], [0, 0.5, 1, 0, half, 0, half, 4, 2, 1.5], atol=1e-12)
+    assert cuboid["coordinate_system"] == "camera"
+    assert {num["name"]: num["val"] for num in cuboid["attributes"]["num"]} == {"score": 0.75, "track_id": 7}
+    texts = {text["name"]: text["val"] for text in cuboid["attributes"]["text"]}
+    assert texts == {"state": "accepted", "source": "manual", "author": "ann"}
+    (pointer,) = content["objects"][uid]["object_data_pointers"].values()
+    assert pointer["frame_intervals"] == [{"frame_start": 3, "frame_end": 3}] == content["frame_intervals"]
+    assert content["objects"][uid]["type"] == "hand"
+    for name in ("images/rec-000003.png", "clouds/rec-000003.ply", "frames.csv"):
+        assert (tmp_path / "out" / name).is_file()
+
+
+def test_the_document_follows_the_schema(tmp_path: Path) -> None:
+    """The standard's own schema, as a package of others brings it, and its rules about references and intervals."""
+    core = pytest.importorskip("openlabel_checker.core", reason="openlabel-checker brings ASAM's schema")
+    other = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
+    items = [
+        make_item([make_label(track_id=1), make_label(track_id=1, uid="u2")], index=0, key="a"),
+        make_item([make_label(track_id=1, uid="u3")], index=2, key="c", camera=other, timestamp_ns=None),
+        make_item(index=5, key="d"),
+    ]
+    write_openlabel(tmp_path / "out", items, "annotator 1")
+    result = core.check_file(str(tmp_path / "out" / "rec.json"))
+    assert len(result.outcomes) > 5
+    assert [issue.message for outcome in result.outcomes for issue in outcome.issues] == []
+
+
+@given(
+    st.lists(
+        st.builds(
+            make_label, BOXES, uid=st.uuids().map(str), label=st.sampled_from(["hand", "Büro | 1"]),
+            score=st.none() | st.floats(0, 1), state=st.sampled_from(ReviewState),
+            track_id=st.none() | st.integers(0, 3),
+        ),
+        max_size=4,
+    )
+)  # fmt: skip
+@settings(max_examples=60)
+def test_what_is_written_reads_back(labels: list[Any]) -> None:
+    scene = Scene("rec", "annotator 1")
+    scene.add(make_item(labels), "images/x.png", "clouds/x.ply")
+    text = dump(scene.document())
+    (frame,) = parse(Path("rec.json"), Document.model_validate_json(text), {})
+    assert (frame.name, frame.of_camera, len(frame.boxes)) == ("x", True, len(labels))
+    for have, want in zip(frame.boxes, labels, strict=True):
+        assert (have.label, have.score, have.state) == (want.label, want.score, want.state)
+        assert have.track_id == want.track_id
+        assert_same_box(have.box, want.box)
+
+
+def test_tracks_keep_their_identity_over_frames() -> None:
+    scene = Scene("rec", "annotator 1")
+    for index in (0, 1, 4):
+        labels = [make_label(uid=f"{index}a", track_id=1), make_label(uid=f"{index}b", track_id=1), make_label()]
+        scene.add(make_item(labels, index=index), f"images/{index}.png", f"clouds/{index}.ply")
+    content = scene.document().openlabel
+    objects = content.objects or {}
+    spans = [[(i.frame_start, i.frame_end) for i in each.frame_intervals or ()] for each in objects.values()]
+    # two of one track in one frame are two objects; a label without a track is one over all frames by its uid
+    assert spans == [[(0, 1), (4, 4)]] * 3
+    assert content.frame_intervals == next(iter(objects.values())).frame_intervals
+
+
+def foreign(**changes: Any) -> dict[str, Any]:
+    """Another program's document: boxes in a LiDAR frame, 9 values, the camera known through the vehicle."""
+    content: dict[str, Any] = {
+        "metadata": {"schema_version": "1.0.0"},
+        "coordinate_systems": {
+            "vehicle": {"type": "local", "parent": "", "children": ["lidar", "cam"]},
+            "lidar": {
+                "type": "sensor", "parent": "vehicle",
+                "pose_wrt_parent": {"euler_angles": [np.pi / 2, 0, 0], "translation": [1, 0, 2]},
+            },
+            "cam": {
+                "type": "sensor", "parent": "vehicle",
+                "pose_wrt_parent": {"matrix4x4": [0, 0, 1, 3, -1, 0, 0, 0, 0, -1, 0, 2, 0, 0, 0, 1]},
+            },
+        },
+        "streams": {"cam": {"type": "camera"}, "lidar": {"type": "lidar"}},
+        "objects": {"12": {"name": "car12", "type": "car"}},
+        "frames": {
+            "0": {
+                "frame_properties": {"streams": {"cam": {"uri": "..\\..\\cam\\000017.png"}}},
+                "objects": {"12": {"object_data": {"cuboid": [
+                    {"name": "c", "coordinate_system": "lidar", "val": [0, -4, 0, 0.1, 0.2, 0.3, 4, 2, 1.5]},
+                ]}}},
+            },
+        },
+    }  # fmt: skip
+    return {"openlabel": {**content, **changes}}
+
+
+def written(tmp_path: Path, content: dict[str, Any]) -> Path:
+    path = tmp_path / "foreign.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_euler_angles_and_other_coordinate_systems(tmp_path: Path) -> None:
+    (frame,) = read_openlabel(written(tmp_path, foreign())).values()
+    (have,) = frame.boxes
+    assert (frame.name, have.label, have.track_id, have.state) == ("000017", "car", 12, None)
+    # lidar: turned left by 90 degrees and at (1, 0, 2), so its (0, -4, 0) is (5, 0, 2) of the vehicle: 2 m ahead
+    Rx, Ry, Rz = (Rotation.from_rotvec(np.eye(3)[axis] * angle) for axis, angle in enumerate((0.1, 0.2, 0.3)))
+    R_vehicle = Rotation.from_rotvec([0, 0, np.pi / 2]) * Rz * Ry * Rx
+    R_cam_vehicle = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    want = OrientedBox.from_parts(
+        np.array([0.0, 0.0, 2.0]), R_cam_vehicle @ R_vehicle.as_matrix(), np.array([4, 2, 1.5])
+    )
+    assert_same_box(have.box, want)
+
+
+def test_a_transform_of_the_frame_holds_in_place_of_the_pose(tmp_path: Path) -> None:
+    content = foreign()
+    content["openlabel"]["frames"]["0"]["frame_properties"]["transforms"] = {
+        "lidar_to_cam": {
+            "src": "lidar", "dst": "cam",
+            "transform_src_to_dst": {"quaternion": [0, 0, 0, 1], "translation": [0, 0, 9]},
+        }
+    }  # fmt: skip
+    (frame,) = read_openlabel(written(tmp_path, content)).values()
+    np.testing.assert_allclose(frame.boxes[0].box.center_m, [0, -4, 9], atol=1e-12)
+
+
+def test_objects_that_stand_still_are_in_the_frames_of_their_interval(tmp_path: Path) -> None:
+    cuboid = {"name": "c", "coordinate_system": "lidar", "val": [1, 2, 3, 0, 0, 0, 1, 1, 1, 1]}
+    still = {
+        "name": "s", "type": "pole", "object_data": {"cuboid": [cuboid]},
+        "frame_intervals": [{"frame_start": 1, "frame_end": 2}],
+    }  # fmt: skip
+    content = foreign(objects={"0": still}, streams={"lidar": {"type": "lidar"}}, frames={"0": {}, "1": {}, "2": {}})
+    frames = read_openlabel(written(tmp_path, content))
+    assert {name: len(frame.boxes) for name, frame in frames.items()} == {"0": 0, "1": 1, "2": 1}
+    assert not frames["1"].of_camera, "without a camera, boxes stay in the coordinates of the cloud"
+
+
+def cuboid_with(**changes: Any) -> dict[str, Any]:
+    content = foreign()
+    content["openlabel"]["frames"]["0"]["objects"]["12"]["object_data"]["cuboid"][0] |= changes
+    return content
+
+
+CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (cuboid_with(val=[0] * 8), CUBOID + r"\.val: Tuple should have at least 9 items"),
+        (cuboid_with(val=[0, 0, 0, 0, 0, 0, 0, 1, 1, 1]), CUBOID + ".*is no unit quaternion"),
+        (cuboid_with(val=[0, 0, 0, 0, 0, 0, 1, -1, 1]), CUBOID + ".*sizes must be positive"),
+        (cuboid_with(val=[0, 0, "a", 0, 0, 0, 1, 1, 1]), CUBOID + r"\.val\.2"),
+        (cuboid_with(coordinate_system="mars"), CUBOID + ".*nothing leads from the coordinate system 'mars' to 'cam'"),
+        (cuboid_with(coordinate_system=None), CUBOID + ": names no coordinate_system"),
+        (cuboid_with(attributes={"num": [{"name": "track_id", "val": 1e300}]}), CUBOID + ": track_id must be"),
+        (foreign(objects={}), r"openlabel\.objects has no 12"),
+        (foreign(streams={}), "has no stream of type camera"),
+        (foreign(metadata={"schema_version": "2.0.0"}), r"openlabel\.metadata\.schema_version"),
+        (foreign(frames={"x": {}}), r"openlabel\.frames\.x"),
+        ({"vcd": {}}, "openlabel: Field required"),
+    ],
+)
+def test_what_does_not_follow_the_standard_is_named(tmp_path: Path, content: dict[str, Any], problem: str) -> None:
+    with pytest.raises(FormatError, match=r"foreign\.json: .*" + problem):
+        read_openlabel(written(tmp_path, content))
+
+
+def test_damaged_files_and_matrices(tmp_path: Path) -> None:
+    content = foreign()
+    content["openlabel"]["coordinate_systems"]["cam"]["pose_wrt_parent"]["matrix4x4"][0] = 1
+    with pytest.raises(FormatError, match=r"pose_wrt_parent of cam: matrix4x4 is no rigid motion"):
+        read_openlabel(written(tmp_path, content))
+    (tmp_path / "foreign.json").write_text('{"openlabel":\n {"metadata": ')
+    with pytest.raises(FormatError, match=r"foreign\.json:2: is not valid JSON"):
+        read_openlabel(tmp_path)
+
+
+def test_two_cameras_with_one_file_name(tmp_path: Path) -> None:
+    content = foreign(streams={"cam": {"type": "camera"}, "lidar": {"type": "camera"}})
+    content["openlabel"]["frames"]["0"]["frame_properties"]["streams"]["lidar"] = {"uri": "left/000017.jpg"}
+    with pytest.raises(FormatError, match="the frame 000017 is here for two sensors"):
+        read_openlabel(written(tmp_path, content))
+
+
+def test_only_an_older_dataset_of_the_format_is_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_openlabel(out, [make_item(split="train"), make_item(split="val", key="b", index=4)], "annotator 1")
+    assert sorted(path.relative_to(out).as_posix() for path in out.rglob("*.json")) == [
+        "train/rec.json",
+        "val/rec.json",
+    ]
+    write_openlabel(out, [make_item()], "annotator 1", overwrite=True)
+    assert [path.name for path in out.rglob("*.json")] == ["rec.json"]
+    (out / "mine.json").write_text("{}")
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        write_openlabel(out, [make_item()], "annotator 1", overwrite=True)
+    with pytest.raises(FormatError, match="no frame to export"):
+        write_openlabel(tmp_path / "none", [], "annotator 1")
+    assert not (tmp_path / "none").exists()

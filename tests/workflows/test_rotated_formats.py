@@ -1,0 +1,69 @@
+"""Formats that hold a full rotation: what leaves a project comes into another one with the same boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.project import Change, NewLabel, Project
+from annotator.types import OrientedBox, ReviewState, Source
+from annotator.workflows.exporting import ExportFormat, ExportOptions, Split, export_project
+from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+
+# Each format's precision, metres and radians.
+CASES = [
+    pytest.param(ExportFormat.OPENLABEL, ExportOptions(), 1e-9, id="openlabel"),
+]
+
+
+def label_freely(project: Project) -> None:
+    """Boxes in any rotation on all frames but the last; of each frame the third is then rejected."""
+    rng = np.random.default_rng(0)
+    for number, stored in enumerate(project.frames.of()[:-1]):
+        boxes = [
+            OrientedBox(
+                RigidTransform.from_components(rng.normal((0, 0, 3)), Rotation.random(rng=rng)),
+                rng.uniform(0.1, 2, 3),
+            )
+            for _ in range(3)
+        ]
+        new = [NewLabel("person", box, track_id=track) for box, track in zip(boxes, (1, None, 2), strict=True)]
+        made = project.labels.create(stored.id, new, Change(0, "me", Source.MANUAL))
+        project.labels.reject(stored.id, made.uids[2], Change(made.receipt.revision, f"me{number}"))
+
+
+@pytest.mark.parametrize(("format", "options", "precision"), CASES)
+def test_what_leaves_comes_back(
+    people: Project,
+    make_project: Callable[..., Project],
+    generated: Path,
+    tmp_path: Path,
+    format: ExportFormat,
+    options: ExportOptions,
+    precision: float,
+) -> None:
+    label_freely(people)
+    split = Split({"train": 0.5, "val": 0.5}, seed=1)
+    report = export_project(people, tmp_path / "out", format, split=split, options=options)
+    assert (report.frames, report.objects, report.splits) == (4, 8, {"train": 2, "val": 2})
+    assert "tilt" not in {loss.kind for loss in report.losses}
+    other = make_project(generated / "people")
+    done = import_labels(other, read_labels(BoxFormat(format), tmp_path / "out"))
+    assert (done.frames, done.labels, done.unmatched) == (4, {"person": 8}, ())
+    assert_same(people, other, precision)
+
+
+def assert_same(before: Project, after: Project, precision: float) -> None:
+    for one, other in zip(before.frames.of(), after.frames.of(), strict=True):
+        wanted = [each for each in before.labels.of_frame(one.id) if each.state is not ReviewState.REJECTED]
+        found = after.labels.of_frame(other.id)
+        assert [each.label for each in found] == [each.label for each in wanted]
+        assert [each.track_id for each in found] == [each.track_id for each in wanted]
+        for have, want in zip(found, wanted, strict=True):
+            np.testing.assert_allclose(have.box.center_m, want.box.center_m, atol=precision)
+            np.testing.assert_allclose(have.box.size_m, want.box.size_m, atol=precision)
+            np.testing.assert_allclose(have.box.rotation, want.box.rotation, atol=precision)
