@@ -1,0 +1,154 @@
+"""Which frames of a data set are learnt from and which are tried, each as a folder of links that is a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from annotator.files import new_folder
+from annotator.recordings import Recording
+from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
+from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.evaluate import read_frame_names
+from annotator.workflows.frame_share import share_of
+
+# Of each format, the folders of one file a frame, and the files that all frames share.
+LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "kitti_object": (("image_2", "velodyne", "calib", "label_2"), ()),
+    "kitti_tracking": (("image_02", "velodyne"), ("calib.txt", "label_02.txt")),
+    "sunrgbd_extracted": (("image", "calib", "depth", "points", "label"), ()),
+    "sunrgbd_scenes": ((), ()),
+}
+TRAIN_SHARE = 0.5
+# VoteNet numbers its frames with so many digits, and its lists do without the zeros.
+VOTENET_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class FrameSplit:
+    """Keys of a recording's frames.
+
+    Attributes:
+        train, val: sorted; they overlap only where there is but one frame.
+        source: who divided them, in words.
+    """
+
+    train: tuple[str, ...]
+    val: tuple[str, ...]
+    source: str
+
+    def limited(self, limit: int | None, seed: int) -> FrameSplit:
+        """At most so many frames on each side, drawn by the seed."""
+        if limit is None:
+            return self
+        return replace(self, train=_drawn(self.train, limit, seed), val=_drawn(self.val, limit, seed))
+
+
+def split_of(recording: Recording, seed: int) -> FrameSplit:
+    """The data set's own lists where they lie beside it, else every frame by chance to one side or the other.
+
+    KITTI: `ImageSets/train.txt` and `val.txt`. SUN RGB-D: VoteNet's `train_data_idx.txt` and `val_data_idx.txt`, or the
+    toolbox's `allsplit.mat`.
+
+    Raises:
+        ConfigError: a format of neither data set; or lists that name none of the frames that are there.
+        FormatError: lists that cannot be read.
+    """
+    if recording.format not in LAYOUTS:
+        raise ConfigError(
+            f"{recording.path}: is a recording of the format {recording.format}; give the root of KITTI's or SUN "
+            "RGB-D's frames"
+        )
+    lists = _own_lists(recording)
+    if lists is not None:
+        source, train, val = lists
+        there = set(recording.keys)
+        sides = [tuple(sorted(there.intersection(names))) for names in (train, val)]
+        if not all(sides):
+            raise ConfigError(f"{source}: names no frame of {recording.path} to {'try' if sides[0] else 'learn from'}")
+        return FrameSplit(sides[0], sides[1], str(source))
+    if len(recording) == 1:
+        return FrameSplit(recording.keys, recording.keys, "one frame alone, learnt from and tried")
+    drawn = _drawn(recording.keys, max(round(TRAIN_SHARE * len(recording)), 1), seed)
+    others = tuple(sorted(set(recording.keys).difference(drawn)))
+    return FrameSplit(drawn, others, f"no lists there: by chance, seed {seed}")
+
+
+def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None:
+    """A folder with links to these frames' files, in the recording's own layout; complete, or not at all.
+
+    Raises:
+        FormatError: it cannot be made.
+    """
+    folders, files = LAYOUTS[recording.format]
+    with new_folder(folder, lambda _: True) as out:
+        if isinstance(recording, SunRgbdScenes):
+            scenes = dict(zip(recording.keys, recording.scenes, strict=True))
+            _link(folder, ((scenes[key], out / key) for key in keys))
+            return
+        wanted = set(keys)
+        for name in folders:
+            source = recording.root / name
+            if source.is_dir():
+                (out / name).mkdir()
+                paths = (path for path in sorted(source.iterdir()) if path.stem in wanted)
+                _link(folder, ((path, out / name / path.name) for path in paths))
+        _link(folder, ((recording.root / name, out / name) for name in files if (recording.root / name).is_file()))
+
+
+def _link(folder: Path, pairs: Iterable[tuple[Path, Path]]) -> None:
+    try:
+        for source, link in pairs:
+            link.symlink_to(source.resolve())
+    except OSError as error:
+        raise FormatError(folder, f"links to the frames cannot be made ({error.strerror})") from error
+
+
+def _drawn(keys: Sequence[str], number: int, seed: int) -> tuple[str, ...]:
+    if number >= len(keys):
+        return tuple(keys)
+    return tuple(sorted(key for _, key in share_of([("", key) for key in keys], number / len(keys), seed)))
+
+
+def _own_lists(recording: Recording) -> tuple[Path, list[str], list[str]] | None:
+    """The file that names the frames to learn from, those frames, and those to try."""
+    root = recording.root
+    for folder in (root, root.parent):
+        train, val = (folder / "ImageSets" / f"{side}.txt" for side in ("train", "val"))
+        if train.is_file() and val.is_file():
+            return train, read_frame_names(train), read_frame_names(val)
+        train, val = (folder / f"{side}_data_idx.txt" for side in ("train", "val"))
+        if train.is_file() and val.is_file():
+            return train, _votenet_keys(train), _votenet_keys(val)
+        for path in (folder / "allsplit.mat", folder / "SUNRGBDtoolbox" / "traintestSUNRGBD" / "allsplit.mat"):
+            if isinstance(recording, SunRgbdScenes) and path.is_file():
+                return (path, *_toolbox_lists(path))
+    return None
+
+
+def _votenet_keys(path: Path) -> list[str]:
+    return [number.zfill(VOTENET_DIGITS) for number in read_frame_names(path)]
+
+
+def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
+    """Keys from the toolbox's cell arrays `alltrain` and `alltest`, whose paths lead through a folder SUNRGBD.
+
+    Raises:
+        FormatError: not such a file.
+    """
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(str(path), variable_names=["alltrain", "alltest"])
+        train, test = (
+            [_scene_key(str(cell.item())) for cell in content[name].ravel()] for name in ("alltrain", "alltest")
+        )
+    # the reader raises whatever a damaged file leads it to
+    except Exception as error:
+        raise FormatError(path, f"is not the toolbox's list of scenes ({str(error)[:100]})") from error
+    return train, test
+
+
+def _scene_key(path: str) -> str:
+    return path.replace("\\", "/").partition("SUNRGBD/")[2].strip("/").replace("/", "__")

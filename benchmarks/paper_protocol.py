@@ -1,0 +1,179 @@
+"""The stages of the paper's protocol, in a project like any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from annotator.detection.progress import TrainingProgress
+from annotator.project import Project, ProjectSettings, Role, Status, create_project, open_project
+from annotator.recordings import Recording, open_recording
+from annotator.types.errors import ConfigError
+from annotator.workflows.annotate import annotate
+from annotator.workflows.boxes_from_3d import boxes_from_3d
+from annotator.workflows.detectors import active_detectors
+from annotator.workflows.evaluate import Protocol
+from annotator.workflows.evaluate_project import Choice, Measured, evaluate_project
+from annotator.workflows.known_labels import labels_beside
+from annotator.workflows.rcv_settings import rcv_config
+from annotator.workflows.recordings import register_recording
+from annotator.workflows.train import TrainPlan, train
+from benchmarks.paper_frames import FrameSplit, link_frames
+from benchmarks.paper_settings import Dataset
+from benchmarks.paper_stages import Facts, Stages
+from benchmarks.paper_tables import sunrgbd_ap
+
+# The names of the project's two recordings.
+TRAIN, VAL = "train", "val"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a run lives.
+
+    Attributes:
+        work: the folder of all runs.
+        name: of this one's project, frames and records.
+    """
+
+    work: Path
+    name: str
+
+    @property
+    def project(self) -> Path:
+        return self.work / "projects" / self.name
+
+    @property
+    def frames(self) -> Path:
+        return self.work / "frames" / self.name
+
+    @property
+    def records(self) -> Path:
+        return self.work / "stages" / self.name
+
+
+def bring_in(recording: Recording, split: FrameSplit, place: Place, classes: tuple[str, ...], view_px: int) -> Facts:
+    """The stage `import`: two recordings of links to the frames, and a project with both.
+
+    Args:
+        view_px: longer side of the project's pseudo-views, pixels.
+    """
+    for side, keys in ((TRAIN, split.train), (VAL, split.val)):
+        link_frames(recording, keys, place.frames / side)
+    if not place.project.is_dir():
+        settings = ProjectSettings(rcv={"view": {"size_px": view_px}})
+        create_project(place.project.parent, place.name, classes, settings=settings).close()
+    with open_project(place.project) as project:
+        for side in (TRAIN, VAL):
+            register_recording(project, open_recording(place.frames / side), name=side)
+    return {"train": len(split.train), "val": len(split.val), "divided": split.source}
+
+
+@dataclass(frozen=True, eq=False)
+class InProject:
+    """The stages after the import.
+
+    Attributes:
+        tell: is told of each epoch.
+    """
+
+    project: Project
+    dataset: Dataset
+    fraction: float
+    seed: int
+    plan: TrainPlan
+    options: Facts
+    stages: Stages
+    tell: Callable[[str], None]
+
+    def run(self) -> Facts:
+        """All of them; what was evaluated, as `Report.content` has it (SUN RGB-D: `sunrgbd_ap`)."""
+        self.stages.run("boxes", {"fraction": self.fraction, "seed": self.seed}, self.boxes)
+        for role in (Role.IMAGE, Role.VIEW):
+            config = self.plan.image if role is Role.IMAGE else self.plan.view
+            settings: Facts = {"config": config.model_dump(mode="json"), "split_seed": self.plan.seed}
+            self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
+        for role in (Role.IMAGE, Role.VIEW):  # a run with other settings may have made its models the active ones
+            number = self.stages.done[f"train-{role.value}"].result["model"]
+            assert isinstance(number, int)  # as `train` has written it
+            self.project.models.activate(number)
+        self.stages.run("propose", self.options, self.propose, self.is_latest)
+        return self.stages.run("evaluate", {}, self.evaluate)
+
+    def _recording(self, side: str) -> int:
+        return self.project.recordings.find(side).id
+
+    def boxes(self) -> Facts:
+        """The 2D boxes of the chosen frames' 3D boxes."""
+        labels = labels_beside(self.project, [self._recording(TRAIN)])
+        done = boxes_from_3d(self.project, labels, fraction=self.fraction, seed=self.seed)
+        return {
+            "frames": done.frames,
+            "image_boxes": dict(done.image_boxes),
+            "objects": dict(done.objects),
+            "views": 4 * done.objects.total(),
+            "view_boxes": done.view_boxes,
+            "without_views": dict(done.without_views),
+            "outside": dict(done.outside),
+            "hidden": dict(done.hidden),
+            "unreadable": list(done.unreadable),
+        }
+
+    def train(self, role: Role) -> Facts:
+        """One detector; an interrupted training goes on."""
+        (trained,) = train(self.project, self.plan, roles=(role,), progress=self._report)
+        return {
+            "model": trained.model.id,
+            "pictures": {"train": trained.manifest.images["train"], "val": trained.manifest.images["val"]},
+            "epochs": trained.result.epochs,
+            "metrics": trained.result.metrics.model_dump(),
+            "start": trained.result.note,
+            "left_out": list(trained.left_out),
+        }
+
+    def is_trained(self, result: Facts) -> bool:
+        """Its weights are still there."""
+        return any(m.id == result["model"] and m.path.is_file() for m in self.project.models.all())
+
+    def propose(self) -> Facts:
+        """RCV on the frames to try.
+
+        Raises:
+            ConfigError: it failed on one of them.
+        """
+        detectors = active_detectors(self.project)
+        config = rcv_config(self.project, options=self.options).model_copy(update={"box_kind": detectors.box_kind})
+        done = annotate(self.project, detectors, config, recordings=[self._recording(VAL)])
+        if done.failed:
+            key, reason = done.failed[0]
+            raise ConfigError(
+                f"{len(done.failed)} frames could not be tried, such as {key}: {reason}; a figure without them would "
+                "flatter, so mend them and begin again: all that is done stays"
+            )
+        run = self.project.jobs.all()[-1]
+        # also of frames that an interrupted try had done
+        results = {r.frame_id: r for r in self.project.jobs.results(key=run.key, status=Status.DONE)}
+        return {
+            "run": run.id,
+            "frames": len(results),
+            "proposals": sum(result.proposals for result in results.values()),
+            "seconds_a_frame": sum(result.seconds for result in results.values()) / len(results),
+        }
+
+    def is_latest(self, result: Facts) -> bool:
+        """The frames show the proposals of the latest pass over them, which may have had other settings."""
+        return result["run"] == self.project.jobs.all()[-1].id
+
+    def evaluate(self) -> Facts:
+        """The proposals against the truth; nothing where there is no proposal at all."""
+        if not self.stages.done["propose"].result["proposals"]:
+            return {}
+        choice = Choice(Measured.PROPOSALS, recordings=(self._recording(VAL),))
+        content = evaluate_project(self.project, Protocol(self.dataset.value), choice).content.model_dump(mode="json")
+        return content if self.dataset is Dataset.KITTI else sunrgbd_ap(content, self.project.config.classes)
+
+    def _report(self, role: Role, step: TrainingProgress) -> None:
+        if step.batch == step.batches:
+            self.tell(f"  {role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s")

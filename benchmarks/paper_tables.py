@@ -1,0 +1,99 @@
+"""The paper's figures (Gui & Luximon, RA-L 2023), and ours beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pydantic import JsonValue
+
+from benchmarks.paper_settings import SUNRGBD_CLASSES, Classes
+from benchmarks.report import Table
+
+DIFFICULTIES = ("easy", "moderate", "hard")
+KITTI_SOURCE = "Tab. III, AP R40 at IoU 0.5, KITTI test set"
+# By share of the training data: class -> (3D, bird's-eye view), each easy, moderate, hard; percent.
+KITTI_ROWS: Mapping[float, Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
+    0.8: {
+        "Pedestrian": {"3d": (40.19, 31.89, 28.32), "bev": (52.26, 42.93, 37.34)},
+        "Cyclist": {"3d": (20.02, 13.93, 12.48), "bev": (28.51, 21.82, 18.94)},
+    },
+    0.5: {
+        "Pedestrian": {"3d": (40.85, 31.60, 27.96), "bev": (51.14, 44.11, 38.39)},
+        "Cyclist": {"3d": (16.66, 13.17, 11.18), "bev": (21.70, 17.70, 15.28)},
+    },
+    0.25: {
+        "Pedestrian": {"3d": (37.50, 30.24, 26.72), "bev": (50.08, 43.52, 38.03)},
+        "Cyclist": {"3d": (13.69, 11.22, 9.45), "bev": (19.55, 15.80, 13.60)},
+    },
+}
+SUNRGBD_SOURCE = "Tab. II, AP at IoU 0.15, SUN RGB-D validation set"
+# Percent; the classes in the order of `SUNRGBD_CLASSES`.
+SUNRGBD_ROW = (65.44, 76.32, 22.48, 70.66, 18.06, 32.02, 56.19, 58.71, 42.85, 6.80)
+SUNRGBD_MAP = 44.95
+SUNRGBD_THRESHOLDS = ("0.15", "0.25", "0.5")
+
+Ap = Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]
+"""KITTI: class, metric, R11 or R40, then easy, moderate, hard; percent."""
+
+
+def paper_of_kitti(fraction: float) -> dict[str, JsonValue]:
+    """The paper's row of a share of the training data; of another share, all its rows."""
+    rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
+    return {
+        "table": KITTI_SOURCE,
+        "rows": {
+            f"{share:g}": {label: {metric: list(ap) for metric, ap in own.items()} for label, own in row.items()}
+            for share, row in rows.items()
+        },
+    }
+
+
+def paper_of_sunrgbd() -> dict[str, JsonValue]:
+    """The paper's row, percent."""
+    names = SUNRGBD_CLASSES[Classes.PAPER]
+    return {"table": SUNRGBD_SOURCE, "AP": dict(zip(names, SUNRGBD_ROW, strict=True)), "mAP": SUNRGBD_MAP}
+
+
+def kitti_table(ours: Ap, fraction: float) -> Table:
+    """Every class and metric of ours, with the paper's R40 below where it has one."""
+    heads = [f"{recall} {level}" for recall in ("R11", "R40") for level in DIFFICULTIES]
+    table = Table("class", "metric", "whose", *heads)
+    rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
+    for label, metrics in ours.items():
+        for metric, ap in metrics.items():
+            table.add(label, metric, "ours", *ap["R11"], *ap["R40"])
+            for share, row in rows.items():
+                if metric in row.get(label, {}):
+                    table.add(label, metric, f"paper, {share:.0%}, test set", "", "", "", *row[label][metric])
+    return table
+
+
+def sunrgbd_ap(report: Mapping[str, Mapping[str, Mapping[str, float]]], classes: Sequence[str]) -> dict[str, JsonValue]:
+    """AP of our classes at each threshold, percent, and the mean of those that the truth has.
+
+    Args:
+        report: by threshold, {"AP": {class: 0..1}}; it may hold classes that nobody asked for.
+    """
+    found: dict[str, JsonValue] = {}
+    for threshold in SUNRGBD_THRESHOLDS:
+        own = {label: 100.0 * ap for label, ap in report[threshold]["AP"].items() if label in classes}
+        mean = sum(own.values()) / len(own) if own else None
+        found[threshold] = {"mAP": mean, "AP": {label: own.get(label) for label in classes}}
+    return found
+
+
+def sunrgbd_table(ours: Mapping[str, Mapping[str, JsonValue]], classes: Sequence[str]) -> Table:
+    """A row a threshold, and the paper's."""
+    table = Table("whose", "IoU", *classes, "mAP")
+    for threshold, found in ours.items():
+        ap = found["AP"]
+        assert isinstance(ap, dict)  # as `sunrgbd_ap` makes it
+        table.add("ours", threshold, *(_cell(ap[label]) for label in classes), _cell(found["mAP"]))
+    paper = dict(zip(SUNRGBD_CLASSES[Classes.PAPER], SUNRGBD_ROW, strict=True))
+    mean = SUNRGBD_MAP if set(classes) == set(paper) else None
+    table.add("paper", "0.15", *(_cell(paper.get(label)) for label in classes), _cell(mean))
+    return table
+
+
+def _cell(value: object) -> object:
+    return "" if value is None else value

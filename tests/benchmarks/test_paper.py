@@ -1,0 +1,319 @@
+"""The paper's protocol from a folder like KITTI's to the figures, with a detector that knows the truth."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from annotator.detection.perfect import PerfectDetector, Scene
+from annotator.detection.trained import TrainingMetrics
+from annotator.project import Project, Role, open_project
+from annotator.recordings import open_recording
+from annotator.types import BoxKind
+from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.evaluate import Protocol, evaluate_files
+from annotator.workflows.samples import gather
+from annotator.workflows.truth import load_truth
+from benchmarks import paper, paper_protocol
+from benchmarks.paper_frames import split_of
+from benchmarks.paper_settings import SUNRGBD_CLASSES, Preset, Trainings
+from benchmarks.paper_stages import Stages
+from benchmarks.paper_tables import KITTI_ROWS, SUNRGBD_MAP, SUNRGBD_ROW
+
+WIDTH, HEIGHT, FOCAL = 620, 188, 360.0
+MIDDLE = np.array([WIDTH, HEIGHT]) / 2
+STAGES = ["import", "boxes", "train-image", "train-view", "propose", "evaluate"]
+# Height, width, length, metres.
+SIZES = {"Pedestrian": (1.8, 0.6, 0.8), "Cyclist": (1.7, 0.6, 1.8), "Car": (1.5, 1.6, 4.0)}
+
+
+def write_frame(root: Path, key: str, rng: np.random.Generator) -> None:
+    """Upright boxes side by side on the ground, with points on all faces, along the camera's axes."""
+    rows, points = [], []
+    x = -6.0
+    for label in ("Pedestrian", "Cyclist", "Pedestrian", "Car", "Pedestrian"):
+        height, width, length = SIZES[label]
+        rotation_y = rng.choice([0.0, np.pi / 2])
+        across, along = (length, width) if rotation_y == 0 else (width, length)
+        x += across / 2
+        size, center = np.array([across, height, along]), np.array([x, 1.6 - height / 2, 13 + rng.uniform(0, 1)])
+        x += across / 2 + 0.8
+        face = rng.uniform(-0.5, 0.5, (300, 3))
+        face[np.arange(300), rng.integers(3, size=300)] = rng.choice([-0.5, 0.5], 300)
+        # the corners, so that no side is measured short
+        corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T
+        points.append(np.concatenate([face, corners]) * size * 0.999 + center)
+        px = FOCAL * (corners * size + center)[:, :2] / (corners * size + center)[:, 2:]
+        left, top = px.min(axis=0) + MIDDLE
+        right, bottom = px.max(axis=0) + MIDDLE
+        place = f"{left:.2f} {top:.2f} {right:.2f} {bottom:.2f} {height} {width} {length}"
+        rows.append(f"{label} 0.00 0 0.00 {place} {center[0]:.4f} 1.6 {center[2]:.4f} {rotation_y:.6f}")
+    xyz = np.concatenate(points)
+    scan = np.c_[xyz[:, 2], -xyz[:, 0], -xyz[:, 1], np.ones(len(xyz))].astype("<f4")
+    P2 = np.array([[FOCAL, 0, WIDTH / 2, 0], [0, FOCAL, HEIGHT / 2, 0], [0, 0, 1, 0]])
+    Tr = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]])
+    matrices = {"P2": P2, "R0_rect": np.eye(3), "Tr_velo_to_cam": Tr}
+    calib = "".join(f"{name}: {' '.join(f'{v:.9e}' for v in m.ravel())}\n" for name, m in matrices.items())
+    image = rng.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    (root / "image_2" / f"{key}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+    (root / "velodyne" / f"{key}.bin").write_bytes(scan.tobytes())
+    (root / "calib" / f"{key}.txt").write_text(calib)
+    (root / "label_2" / f"{key}.txt").write_text("\n".join(rows) + "\n")
+
+
+@pytest.fixture(scope="module")
+def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight frames: 0 to 3 to learn from, 4 and 5 to try, 6 and 7 in neither list."""
+    root = tmp_path_factory.mktemp("kitti")
+    for folder in ("image_2", "velodyne", "calib", "label_2"):
+        (root / "training" / folder).mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for number in range(8):
+        write_frame(root / "training", f"{number:06d}", rng)
+    (root / "ImageSets").mkdir()
+    for side, numbers in (("train", range(4)), ("val", range(4, 6))):
+        (root / "ImageSets" / f"{side}.txt").write_text("".join(f"{number:06d}\n" for number in numbers))
+    return root
+
+
+@dataclass
+class Knowing:
+    """Stands in for training and for what it gives: a detector that knows the frames to try."""
+
+    trainings: int = 0
+
+    def train(self, project: Project, plan: object, *, roles: tuple[Role, ...], progress: object) -> list[Any]:
+        self.trainings += 1
+        material = gather(project, roles)
+        assert material.kind is BoxKind.BOX and not material.labels, "2D boxes alone teach"
+        weights = project.models_folder / f"perfect-{roles[0]}.pt"
+        weights.write_bytes(b"perfect")
+        model = project.models.register(
+            roles[0], weights, labels=project.config.classes, box_kind=BoxKind.BOX, metrics={}, fingerprint="perfect"
+        )
+        pictures = len(material.images) if roles[0] is Role.IMAGE else len(material.views)
+        metrics = TrainingMetrics(map50=1.0, map50_95=1.0, precision=1.0, recall=1.0, measured_on="train")
+        result = SimpleNamespace(epochs=1, metrics=metrics, note="knows it all")
+        manifest = SimpleNamespace(images={"train": pictures, "val": 0})
+        return [SimpleNamespace(model=model, manifest=manifest, result=result, left_out=())]
+
+    def detectors(self, project: Project) -> Detectors:
+        assert {model.role for model in project.models.all()} == set(Role)
+        recording = open_recording(project.recordings.find("val").path)
+        frames = [recording.frame(index) for index in range(len(recording))]
+        scenes = [
+            Scene.of(frame, [t for t in load_truth(recording, index, frame) if t.label in project.config.classes])
+            for index, frame in enumerate(frames)
+        ]
+        perfect = PerfectDetector(scenes)
+        return Detectors(perfect, perfect)
+
+
+@pytest.fixture
+def knowing(monkeypatch: pytest.MonkeyPatch) -> Knowing:
+    found = Knowing()
+    monkeypatch.setattr(paper_protocol, "train", found.train)
+    monkeypatch.setattr(paper_protocol, "active_detectors", found.detectors)
+    return found
+
+
+def of_truth(kitti: Path, folder: Path, numbers: range) -> dict[str, Any]:
+    """What the protocol gives for the true rows themselves."""
+    truth, found = folder / "truth", folder / "found"
+    for path in (truth, found):
+        path.mkdir(parents=True)
+    for number in numbers:
+        rows = (kitti / "training" / "label_2" / f"{number:06d}.txt").read_text()
+        (truth / f"{number:06d}.txt").write_text(rows)
+        (found / f"{number:06d}.txt").write_text(rows.replace("\n", " 1.0\n"))
+    content: dict[str, Any] = evaluate_files(found, truth, Protocol.KITTI).content.model_dump(mode="json")
+    return content
+
+
+def test_kitti_from_frames_to_figures_and_again(
+    kitti: Path, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(*words: str) -> tuple[dict[str, Any], list[str]]:
+        arguments = ["kitti", "--root", kitti, "--work", tmp_path / "work", "--axes", "camera", *words, "--json"]
+        monkeypatch.setattr(sys, "argv", ["paper", *map(str, arguments)])
+        paper.main()
+        lines = capsys.readouterr().out.splitlines()
+        return json.loads(lines[-1]), lines[:-1]
+
+    first, lines = run("--fraction", "0.5")
+    assert first["skipped"] == []
+    assert list(first["seconds"]) == STAGES
+    assert first["stages"]["import"] == {"train": 4, "val": 2, "divided": str(kitti / "ImageSets" / "train.txt")}
+    boxes = first["stages"]["boxes"]
+    assert (boxes["frames"], boxes["objects"]) == (2, {"Pedestrian": 6, "Cyclist": 2, "Car": 2})
+    assert (boxes["views"], first["stages"]["train-view"]["pictures"]["train"]) == (40, 40)
+    assert first["stages"]["train-image"]["pictures"]["train"] == 2
+    assert (first["stages"]["propose"]["frames"], first["stages"]["propose"]["proposals"]) == (2, 10)
+    assert first["paper"]["rows"] == {
+        "0.5": {k: {m: list(v) for m, v in r.items()} for k, r in KITTI_ROWS[0.5].items()}
+    }
+    expected = of_truth(kitti, tmp_path, range(4, 6))
+    assert set(first["ours"]) == {"Car", "Pedestrian", "Cyclist"}
+    for label, metrics in first["ours"].items():
+        for metric in ("bbox", "bev", "3d"):
+            assert metrics[metric] == expected[label][metric], (label, metric)
+            assert metrics[metric]["R11"][0] > 0
+    table = "\n".join(lines)
+    assert "paper, 50%, test set" in table
+    assert "31.600" in table
+    with open_project(Path(first["project"])) as project:
+        train_id = project.recordings.find("train").id
+        assert not [x for x in project.labels.select() if project.frames.get(x.frame_id).recording_id == train_id]
+
+    again, _ = run("--fraction", "0.5")
+    assert again["skipped"] == STAGES
+    assert again == {**first, "skipped": STAGES}
+    assert knowing.trainings == 2
+    other, _ = run("--fraction", "0.5", "--axes", "eigenvectors")
+    assert other["skipped"] == STAGES[:4]
+    back, _ = run("--fraction", "0.5")
+    # the frames show the other axes' proposals: they are made anew, and what they were worth is known
+    assert back["skipped"] == [*STAGES[:4], "evaluate"]
+    assert back["ours"] == first["ours"]
+    little, _ = run("--fraction", "0.5", "--limit", "1")
+    assert little["stages"]["import"]["train"] == little["stages"]["import"]["val"] == 1
+    assert knowing.trainings == 4
+
+
+def test_frames_that_cannot_be_tried_stop_it_and_a_repaired_one_goes_on(
+    kitti: Path, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = Path(shutil.copytree(kitti, tmp_path / "kitti"))
+    scan = root / "training" / "velodyne" / "000005.bin"
+    whole = scan.read_bytes()
+    args = paper.Arguments(paper.Dataset.KITTI, root, tmp_path / "work", axes=paper.Strategy.CAMERA)
+    known: list[Detectors] = []
+
+    def damaging(project: Project) -> Detectors:
+        known.append(knowing.detectors(project))
+        scan.write_bytes(whole[:-3])
+        return known[0]
+
+    monkeypatch.setattr(paper_protocol, "active_detectors", damaging)
+    with pytest.raises(ConfigError, match="1 frames could not be tried, such as 000005"):
+        paper.run(args)
+    scan.write_bytes(whole)
+    monkeypatch.setattr(paper_protocol, "active_detectors", lambda _: known[0])
+    result: Any = paper.run(args)
+    assert result["skipped"] == STAGES[:4]
+    assert result["stages"]["propose"]["proposals"] == 10
+
+
+@pytest.mark.shared
+def test_sun_rgbd_on_a_real_frame(shared: Path, knowing: Knowing, tmp_path: Path) -> None:
+    root = shared / "data" / "sunrgbd" / "sunrgbd_trainval"
+    args = paper.Arguments(paper.Dataset.SUNRGBD, root, tmp_path)
+    result: Any = paper.run(args)
+    assert result["stages"]["import"] == {
+        "train": 1,
+        "val": 1,
+        "divided": "one frame alone, learnt from and tried",
+    }
+    assert result["stages"]["boxes"]["image_boxes"] == {"bed": 1, "night_stand": 1, "dresser": 1, "lamp": 1}
+    assert result["axes"] == "consensus"
+    assert set(result["ours"]) == {"0.15", "0.25", "0.5"}
+    for found in result["ours"].values():
+        present = {label: ap for label, ap in found["AP"].items() if ap is not None}
+        assert set(present) == {"bed", "night_stand", "dresser", "lamp"}
+        assert found["mAP"] == pytest.approx(sum(present.values()) / 4)
+    assert result["ours"]["0.25"]["mAP"] == 100.0
+    assert result["paper"]["mAP"] == 44.95
+
+
+def test_the_papers_tables_add_up() -> None:
+    assert np.mean(SUNRGBD_ROW) == pytest.approx(SUNRGBD_MAP, abs=0.01)
+    assert {len(names) for names in SUNRGBD_CLASSES.values()} == {len(SUNRGBD_ROW)} == {10}
+
+
+def test_the_papers_trainings() -> None:
+    trainings = Trainings(Preset.PAPER, image_size=1280)
+    assert (trainings.view.model, trainings.view.image_size_px, trainings.view_px) == ("yolov5x6", 640, 640)
+    assert (trainings.image.image_size_px, trainings.image.epochs) == (1280, 300)
+    assert Trainings(Preset.PRODUCT, epochs=2).view.epochs == 2
+
+
+def test_without_lists_every_frame_is_on_one_side(kitti: Path, tmp_path: Path) -> None:
+    (tmp_path / "training").symlink_to(kitti / "training")
+    recording = open_recording(tmp_path)
+    split = split_of(recording, 3)
+    assert sorted([*split.train, *split.val]) == list(recording.keys)
+    assert len(split.train) == len(split.val) == 4
+    assert split == split_of(recording, 3) != split_of(recording, 4)
+    little = split.limited(2, 0)
+    assert (len(little.train), len(little.val)) == (2, 2)
+    assert set(little.train) < set(split.train)
+    (tmp_path / "ImageSets").mkdir()
+    for side in ("train", "val"):
+        (tmp_path / "ImageSets" / f"{side}.txt").write_text("000000\n" if side == "train" else "999999\n")
+    with pytest.raises(ConfigError, match=r"train\.txt: names no frame of .* to try"):
+        split_of(recording, 0)
+
+
+def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    for folder, suffix in (("image", "jpg"), ("calib", "txt"), ("depth", "mat")):
+        (tmp_path / "extracted" / folder).mkdir(parents=True)
+        for number in (1, 2, 5051):
+            (tmp_path / "extracted" / folder / f"{number:06d}.{suffix}").write_text("1 0 0 0 1 0 0 0 1\n")
+    (tmp_path / "extracted" / "train_data_idx.txt").write_text("5051\n5052\n")
+    (tmp_path / "extracted" / "val_data_idx.txt").write_text("1\n2\n")
+    split = split_of(open_recording(tmp_path / "extracted"), 0)
+    assert (split.train, split.val) == (("005051",), ("000001", "000002"))
+
+    raw = tmp_path / "SUNRGBD"
+    names = ["kv1/NYUdata/NYU0001", "kv2/kinect2data/000002_2014", "xtion/a/b"]
+    for name in names:
+        for folder in ("image", "extrinsics"):
+            (raw / name / folder).mkdir(parents=True)
+        (raw / name / "intrinsics.txt").write_text("")
+    cells = np.empty((1, 3), object)
+    cells[0, :] = [f"/somewhere/data/SUNRGBD/{name}" for name in names]
+    savemat(raw / "allsplit.mat", {"alltrain": cells[:, :2], "alltest": cells[:, 2:]})
+    split = split_of(open_recording(raw), 0)
+    assert split.train == ("kv1__NYUdata__NYU0001", "kv2__kinect2data__000002_2014")
+    assert split.val == ("xtion__a__b",)
+    (raw / "allsplit.mat").write_bytes(b"no such file")
+    with pytest.raises(FormatError, match="is not the toolbox's list of scenes"):
+        split_of(open_recording(raw), 0)
+
+
+def test_a_stage_is_done_again_where_its_settings_or_its_outcome_are_gone(tmp_path: Path) -> None:
+    def through(number: int, kept: bool = True) -> tuple[list[str], object]:
+        stages = Stages(tmp_path, lambda _: None)
+        stages.run("one", {"number": number}, lambda: {"made": number}, lambda _: kept)
+        two = stages.run("two", {}, lambda: {"of": stages.done["one"].result["made"]})
+        return stages.skipped, two["of"]
+
+    assert through(1) == ([], 1)
+    assert through(1) == (["one", "two"], 1)
+    assert through(2) == ([], 2)
+    assert through(1) == (["one", "two"], 1)
+    assert through(1, kept=False) == (["two"], 1)
+
+    def fails() -> dict[str, Any]:
+        raise ConfigError("no")
+
+    stages = Stages(tmp_path, lambda _: None)
+    with pytest.raises(ConfigError):
+        stages.run("three", {}, fails)
+    assert stages.run("three", {}, lambda: {"now": True}) == {"now": True}
+    (record,) = tmp_path.glob("three-*.json")
+    record.write_text("{")
+    with pytest.raises(FormatError, match="remove it, and the stage is done again"):
+        Stages(tmp_path, lambda _: None).run("three", {}, dict)
