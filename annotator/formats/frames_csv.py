@@ -82,3 +82,17 @@ def read_frames(folder: Path) -> dict[str, FrameOrigin]:
     """
     path = folder / FRAMES_CSV
     return parse_frames(path, read_text(path)) if path.exists() else {}
+
+
+def has_frames(folder: Path) -> bool:
+    """True where a folder has the file; other datasets have files of that name about other things.
+
+    Raises:
+        FormatError: it cannot be read.
+    """
+    path = folder / FRAMES_CSV
+    if not path.is_file():
+        return False
+    head = read_text(path).partition("\n")[0]
+    # a head that is damaged is still ours, so that reading it says so
+    return not head.strip() or "recording" in head.split(",")

@@ -25,6 +25,7 @@ from annotator.types.errors import FormatError
 
 DONT_CARE = "DontCare"
 FIELDS = 15
+DECIMALS = 2
 TRACKING_FIELDS = 2
 
 
@@ -79,6 +80,23 @@ def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> K
         FormatError: too few or too many fields, or a field that is no number.
     """
     return parse_fields(text.split(), path, line)
+
+
+def dump_label_line(row: KittiLabel) -> str:
+    """A row as text, numbers with two decimals as in KITTI's own files; `parse_label_line` reads it.
+
+    Args:
+        row: its label must be one word.
+    """
+    numbers = (row.alpha, row.left, row.top, row.right, row.bottom, row.height, row.width, row.length)
+    place = (row.x, row.y, row.z, row.rotation_y)
+    score = () if row.score is None else (f"{row.score:.6g}",)
+    return " ".join((row.label, _decimal(row.truncated), str(row.occluded), *map(_decimal, (*numbers, *place)), *score))
+
+
+def _decimal(value: float) -> str:
+    # no "-0.00": what is read and written again shall not change
+    return f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}"
 
 
 def label_box(row: KittiLabel) -> OrientedBox:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from enum import StrEnum
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
+
+from annotator.formats.dataset import DatasetItem
+from annotator.types import ReviewState
 
 
 class Lost(StrEnum):
@@ -19,6 +23,12 @@ class Lost(StrEnum):
     OUTSIDE: objects that are not in the picture, left out where the format needs a 2D box.
     NAME: characters of a class name that the format cannot hold.
     TIME: when frames were taken.
+    SOLID: 3D boxes, of which their outlines on the image were written.
+    KIND: that 2D boxes are those of 3D boxes, and not of what is seen of the objects.
+    SAME: boxes that a file cannot tell from others of their class.
+    OPEN: images whose objects nobody has reviewed to the end, left out.
+    GRAVITY: the direction of gravity, where it is not the image's downwards.
+    LEVEL: gravity was not known; where the format needs it, the image's downwards was taken for it.
     """
 
     TILT = "tilt"
@@ -30,10 +40,18 @@ class Lost(StrEnum):
     OUTSIDE = "outside"
     NAME = "name"
     TIME = "time"
+    SOLID = "solid"
+    KIND = "kind"
+    SAME = "same"
+    OPEN = "open"
+    GRAVITY = "gravity"
+    LEVEL = "level"
 
 
 # A box that leans by less is upright, radians: angles in files have two to six decimals.
 LEAST_TILT_RAD = 1e-3
+# Against gravity, in the camera frame of a camera that looks straight ahead.
+IMAGE_UP = np.array([0.0, -1.0, 0.0])
 
 _WORDS = {
     Lost.TILT: "boxes are tilted; the nearest upright ones were written",
@@ -45,6 +63,12 @@ _WORDS = {
     Lost.OUTSIDE: "boxes are not in the picture and were left out",
     Lost.NAME: "boxes have a class name that was written with other characters",
     Lost.TIME: "frames have a time",
+    Lost.SOLID: "boxes are 3D boxes; their outlines on the image were written",
+    Lost.KIND: "boxes reach around all of the object, not only around what is seen; import them with --kind box",
+    Lost.SAME: "boxes are the same as another one of their class and were left out",
+    Lost.OPEN: "images with reviewed boxes also have proposals that wait for a review, and were left out",
+    Lost.GRAVITY: "frames know where gravity points, and it is not down the image",
+    Lost.LEVEL: "frames do not know where gravity points; it was taken to point down the image",
 }
 
 
@@ -94,3 +118,24 @@ class Losses:
             return Loss(kind=kind, count=count, message=message)
         most = f" (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)"
         return Loss(kind=kind, count=count, message=message + most, most=self._tilt_rad)
+
+
+def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> None:
+    """Counts what one frame and its labels have of `kinds`.
+
+    Args:
+        kinds: what the format does not hold; TILT, OUTSIDE, NAME and LEVEL are found only while it is written.
+    """
+    frame = item.frame
+    has = {
+        Lost.LENS: not frame.camera.is_ideal,
+        Lost.DEPTH_COLOR: frame.cloud.rgb is not None,
+        Lost.TIME: frame.timestamp_ns is not None,
+        Lost.GRAVITY: frame.up is not None and float(np.linalg.norm(frame.up - IMAGE_UP)) > LEAST_TILT_RAD,
+        Lost.SCORE: sum(label.score is not None for label in item.labels),
+        Lost.TRACK: sum(label.track_id is not None for label in item.labels),
+        Lost.STATE: sum(label.state is not ReviewState.ACCEPTED for label in item.labels),
+    }
+    for kind in kinds:
+        if has[kind]:
+            losses.add(kind, int(has[kind]))

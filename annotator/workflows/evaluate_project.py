@@ -10,12 +10,13 @@ from annotator.evaluation.oriented_protocol import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report, sunrgbd_report
 from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.formats.kitti import KittiLabel
+from annotator.formats.kitti_row import kitti_row
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Label, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.evaluate import SURE, Named, Options, Protocol, box_table, kitti_of
 from annotator.workflows.frames import FrameSource
-from annotator.workflows.kitti_view import kitti_row, true_kitti_rows
+from annotator.workflows.kitti_view import rows_of_truth, true_kitti_rows
 from annotator.workflows.truth import has_truth, load_truth
 
 
@@ -116,7 +117,7 @@ class _Source:
         frame = self._frames.read(stored)
         found = [kitti_row(*named, frame) for named in self._found(stored)]
         if self._choice.against is Against.REVIEWED:
-            return found, [kitti_row(*named, frame) for named in self._there(stored)]
+            return found, rows_of_truth(((label, box) for label, box, _ in self._there(stored)), frame)
         recording = self._frames.recording(stored.recording_id)
         return found, true_kitti_rows(recording, recording.keys.index(stored.key), frame)
 

@@ -19,6 +19,9 @@ class ExportFormat(StrEnum):
     """Formats that labels can leave in."""
 
     RCV = "rcv"
+    KITTI = "kitti"
+    COCO = "coco"
+    YOLO = "yolo"
     OPENLABEL = "openlabel"
 
 
@@ -30,12 +33,14 @@ class Writer:
         summary: for people, a few words.
         states: which labels leave where nobody says so: reviewed ones; in a format that holds the state of each, all
             but rejected ones.
+        flat: 2D boxes on pictures, which need no 3D label (`choose_pictures.py`).
         module: beside this one, with a function `write(job: ExportJob) -> ExportReport`.
     """
 
     summary: str
     states: tuple[ReviewState, ...]
     module: str
+    flat: bool = False
 
     def write(self, job: ExportJob) -> ExportReport:
         """Writes the dataset; complete, or not at all."""
@@ -47,5 +52,8 @@ class Writer:
 
 WRITERS: dict[ExportFormat, Writer] = {
     ExportFormat.RCV: Writer("images, coloured PLY clouds and fully oriented boxes", NOT_REJECTED, "rcv"),
+    ExportFormat.KITTI: Writer("a KITTI object folder: training, ImageSets; upright boxes", REVIEWED, "kitti"),
+    ExportFormat.COCO: Writer("2D boxes on camera images and pseudo-views", REVIEWED, "coco", flat=True),
+    ExportFormat.YOLO: Writer("the same as Ultralytics trains on it", REVIEWED, "yolo", flat=True),
     ExportFormat.OPENLABEL: Writer("ASAM OpenLABEL documents; fully oriented boxes", NOT_REJECTED, "openlabel"),
 }

@@ -14,12 +14,14 @@ class BoxFormat(StrEnum):
     """Formats of 3D boxes."""
 
     RCV = "rcv"
+    KITTI = "kitti"
     OPENLABEL = "openlabel"
 
 
 # The module beside this one, with a function `read(path: Path) -> LabelSet`.
 READERS: dict[BoxFormat, str] = {
     BoxFormat.RCV: "rcv",
+    BoxFormat.KITTI: "kitti",
     BoxFormat.OPENLABEL: "openlabel",
 }
 

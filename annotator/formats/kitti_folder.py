@@ -1,0 +1,164 @@
+"""Writes a KITTI object folder that detectors can train on.
+
+training/image_2/ID.png  velodyne/ID.bin  calib/ID.txt  label_2/ID.txt,  ImageSets/{train,val,test,trainval}.txt, and
+frames.csv, which says where each frame came from.
+
+The LiDAR's axes (x forward, y left, z up; float32 x y z reflectance, 0 where unknown) are those of rectified camera 0
+in another order (x right, y down, z forward), and P2 = K [I | t] shifts that camera to the colour camera:
+`px = P2 * R0_rect * Tr_velo_to_cam * X_lidar` with R0_rect the identity (KITTI object devkit, readme.txt). All pictures
+lie in `training/`, those of a part called `test`, too: their labels are known.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.spatial.transform import RigidTransform
+
+from annotator.files import new_folder
+from annotator.formats.dataset import DatasetItem
+from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
+from annotator.formats.kitti import DONT_CARE, dump_label_line
+from annotator.formats.kitti_row import is_in_picture, label_frame, rounded_box, upright_box, upright_row
+from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.formats.numbered import CLASS_NAMES, ClassWords
+from annotator.formats.writing import encoded_image, writing
+from annotator.geometry.occlusion import Sight
+from annotator.geometry.straighten import straightened
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FormatError
+
+PARTS = ("image_2", "velodyne", "calib", "label_2")
+TRAINING, IMAGE_SETS = "training", "ImageSets"
+# A part of that name is no part of trainval.txt.
+TEST = "test"
+NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY)
+# Rectified camera 0 <- LiDAR: x right = -y left, y down = -z up, z forward = x.
+CAMERA_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+def write_kitti(
+    out: Path,
+    items: Iterable[DatasetItem],
+    ids: Mapping[tuple[str, str], str],
+    classes: Sequence[str],
+    losses: Losses,
+    *,
+    overwrite: bool = False,
+) -> Counter[str]:
+    """Writes the folder `out`, all or not at all, one frame in memory at a time.
+
+    Args:
+        out: a folder that is missing or empty; with `overwrite`, an older dataset of this form may be replaced.
+        items: the frames; an error from here leaves nothing behind.
+        ids: the file name of each (recording, key) (`six_digit_ids`).
+        classes: all class names.
+        losses: what the format does not hold is counted here.
+
+    Returns:
+        How many boxes were written, by class.
+
+    Raises:
+        FormatError: `out` is taken, there is no frame, or the disk refuses.
+    """
+    words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
+    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
+        with writing(out):
+            for name in PARTS:
+                (part / TRAINING / name).mkdir(parents=True)
+        for item in items:
+            frame_id = ids[item.recording, item.frame.key]
+            origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
+            rows = _rows(item, words, counts, losses)
+            with writing(out):
+                _write_frame(part / TRAINING, frame_id, item.frame, rows)
+        if not origins:
+            raise FormatError(out, "there is no frame to export; the export was not written")
+        with writing(out):
+            _write_sets(part / IMAGE_SETS, origins)
+            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8")
+            if changed := words.dump():
+                (part / CLASS_NAMES).write_text(changed, encoding="utf-8")
+    return counts
+
+
+def _is_dataset(folder: Path) -> bool:
+    """True for a former export: KITTI's own folders have no frames.csv."""
+    return has_frames(folder) and (folder / TRAINING / "label_2").is_dir()
+
+
+def _rows(item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses) -> str:
+    """The label file of a frame. Everything in a row follows from its own rounded 3D box, so that it reads back so."""
+    count_lost(losses, item, NOT_HELD)
+    sight, lines = Sight(item.frame.cloud.xyz_m), []
+    for label in item.labels:
+        upright, tilt_rad = upright_box(label.box, item.frame)
+        row = upright_row(words[label.label], rounded_box(upright), None, item.frame, sight)
+        if not is_in_picture(row):
+            losses.add(Lost.OUTSIDE)
+            continue
+        losses.add_tilt(tilt_rad)
+        if words.is_changed(label.label):
+            losses.add(Lost.NAME)
+        counts[label.label] += 1
+        lines.append(dump_label_line(row) + "\n")
+    return "".join(lines)
+
+
+def _write_frame(training: Path, frame_id: str, frame: Frame, rows: str) -> None:
+    """The frame's four files."""
+    camera, rgb = straightened(frame.camera, frame.rgb)
+    T = label_frame(frame)
+    (training / "image_2" / f"{frame_id}.png").write_bytes(encoded_image(rgb, "png"))
+    (training / "velodyne" / f"{frame_id}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
+    (training / "calib" / f"{frame_id}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
+    (training / "label_2" / f"{frame_id}.txt").write_text(rows, encoding="utf-8")
+
+
+def lidar_points(cloud: PointCloud, T_camera_label: RigidTransform | None) -> Float32[np.ndarray, "n 4"]:
+    """The points as a scan: x forward, y left, z up of rectified camera 0, metres, and the reflectance."""
+    xyz = cloud.xyz_m.astype(np.float64)
+    if T_camera_label is not None:
+        xyz = T_camera_label.inv().apply(xyz)
+    reflectance = np.zeros(len(xyz)) if cloud.reflectance is None else cloud.reflectance
+    return np.column_stack([xyz @ CAMERA_LIDAR, reflectance]).astype("<f4")
+
+
+def calibration_text(camera: Camera, T_camera_label: RigidTransform | None) -> str:
+    """The file `calib/ID.txt`: all seven lines of KITTI's, since some programs count them.
+
+    Args:
+        camera: ideal.
+        T_camera_label: from rectified camera 0, a shift; None for identity.
+    """
+    shift = np.zeros(3) if T_camera_label is None else T_camera_label.translation
+    K, still = camera.matrix, np.zeros((3, 1))
+    P0, P2 = np.hstack([K, still]), np.column_stack([K, K @ shift])
+    matrices = {
+        "P0": P0,
+        "P1": P0,
+        "P2": P2,
+        "P3": P2,
+        "R0_rect": np.eye(3),
+        "Tr_velo_to_cam": np.hstack([CAMERA_LIDAR, still]),
+        "Tr_imu_to_velo": np.eye(3, 4),
+    }
+    # + 0.0: no negative zeros
+    return "".join(
+        f"{name}: {' '.join(f'{value + 0.0:.12e}' for value in matrix.ravel())}\n" for name, matrix in matrices.items()
+    )
+
+
+def _write_sets(folder: Path, origins: Sequence[FrameOrigin]) -> None:
+    """The names of each part's frames, one a line; of an undivided dataset all in train and trainval."""
+    folder.mkdir()
+    parts: dict[str, list[str]] = {}
+    for origin in origins:
+        parts.setdefault(origin.split or "train", []).append(origin.id)
+    parts["trainval"] = [origin.id for origin in origins if origin.split != TEST]
+    for name, ids in parts.items():
+        (folder / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")

@@ -1,0 +1,74 @@
+"""KITTI labels of many frames at once: a `label_2` folder, the dataset around it, or a tracking file.
+
+The boxes are in rectified camera 0, as in `kitti.py`. A `frames.csv` above the label files (which our exports have)
+says what each file's frame is called in a project; without it the file's name is the frame's key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from annotator.formats.frames_csv import FRAMES_CSV, has_frames, read_frames
+from annotator.formats.kitti import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
+from annotator.formats.numbered import read_class_names
+from annotator.formats.text_folder import text_files, text_rows
+from annotator.types import Truth
+from annotator.types.errors import FormatError
+
+PLACES = ("training/label_2", "label_2", "label_02.txt")
+
+Frames = dict[str, tuple[Truth, ...]]
+"""The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
+
+
+def read_kitti_labels(path: Path) -> Frames:
+    """The objects of all frames, in file order, DontCare left out.
+
+    Args:
+        path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
+            file `label_02.txt`, where every frame with a row counts as labelled.
+
+    Raises:
+        FormatError: there are no labels, a row is none (with its line), or frames.csv lacks a label file.
+    """
+    place = next((path / name for name in PLACES if (path / name).exists()), path)
+    if place.is_file() and place.suffix == ".txt":
+        return _tracked(place)
+    root = _root(place)
+    origins = {} if root is None else read_frames(root)
+    names = {} if root is None else read_class_names(root)
+    found: Frames = {}
+    for key, file, text in text_files(place):
+        if root is not None and key not in origins:
+            raise FormatError(
+                root / FRAMES_CSV, f"does not name the frame {key}, which has labels; add it, or remove {file}"
+            )
+        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
+        rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
+        found[origins[key].name if key in origins else key] = _objects(rows, file, names)
+    return found
+
+
+def _root(labels: Path) -> Path | None:
+    """The dataset that label files belong to: the folder with frames.csv, at most two above."""
+    above = labels.resolve()
+    return next((folder for folder in (above, *above.parents[:2]) if has_frames(folder)), None)
+
+
+def _objects(rows: Iterable[tuple[int, KittiLabel]], file: Path, names: dict[str, str]) -> tuple[Truth, ...]:
+    truths = [row_truth(row, None, None, file, line) for line, row in rows if row.label != DONT_CARE]
+    return tuple(Truth(names.get(truth.label, truth.label), truth.box) for truth in truths)
+
+
+def _tracked(file: Path) -> Frames:
+    """The objects of a tracking file; its frames are named as KITTI names their images."""
+    found: dict[str, list[Truth]] = {}
+    for line, fields in text_rows(file):
+        number, track_id, row = parse_tracking_fields(fields, file, line)
+        objects = found.setdefault(f"{number:06d}", [])
+        if row.label != DONT_CARE:
+            objects.append(row_truth(row, track_id, None, file, line))
+    if not found:
+        raise FormatError(file, "has no row")
+    return {name: tuple(objects) for name, objects in found.items()}

@@ -1,0 +1,126 @@
+"""KITTI the whole way: out of a project, into another one, and opened as a recording of its own."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.formats.kitti_row import is_in_picture
+from annotator.project import Project
+from annotator.recordings import open_recording
+from annotator.types import OrientedBox
+from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
+from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.kitti_view import true_kitti_rows
+from annotator.workflows.own_labels import import_own_labels
+from annotator.workflows.truth import load_truth
+
+MakeProject = Callable[..., Project]
+CLASSES = ("Car", "Pedestrian", "Cyclist", "Van")
+ALL = ExportFilter(empty_frames=True)
+
+
+def boxes(project: Project) -> dict[str, list[tuple[str, OrientedBox]]]:
+    return {f.key: [(x.label, x.box) for x in project.labels.of_frame(f.id)] for f in project.frames.of()}
+
+
+def assert_same(found: OrientedBox, expected: OrientedBox, atol: float) -> None:
+    np.testing.assert_allclose(found.T_camera_box.as_matrix(), expected.T_camera_box.as_matrix(), atol=atol)
+    np.testing.assert_allclose(found.size_m, expected.size_m, atol=atol)
+
+
+def test_out_and_into_another_project(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
+    people = make_project(generated / "people")
+    import_own_labels(people, people.recordings.all()[0].id)
+    out = tmp_path / "out"
+    report = export_project(people, out, ExportFormat.KITTI, choose=ALL, split=Split({"train": 0.6, "val": 0.4}))
+    before = boxes(people)
+    assert (report.frames, report.splits) == (5, {"train": 3, "val": 2})
+    lost = {loss.kind.value: loss.count for loss in report.losses}
+    assert report.objects + lost.get("outside", 0) == sum(map(len, before.values())) > 5
+
+    other = make_project(generated / "people")
+    done = import_labels(other, read_labels(BoxFormat.KITTI, out / "training" / "label_2"))
+    assert (done.frames, done.labels["person"], done.unmatched) == (5, report.objects, ())
+    again = export_project(other, tmp_path / "again", ExportFormat.KITTI, choose=ALL)
+    assert "tilt" not in {loss.kind.value for loss in again.losses}
+    for file in (out / "training" / "label_2").iterdir():
+        assert (tmp_path / "again" / "training" / "label_2" / file.name).read_text() == file.read_text()
+
+    # the folder is a recording of KITTI's form with labels of its own, seen by the same camera
+    opened, known = open_recording(out), open_recording(generated / "people")
+    assert (opened.format, opened.keys) == ("kitti_object", known.keys)
+    frame, original = opened.frame(0), known.frame(0)
+    np.testing.assert_array_equal(frame.rgb, original.rgb)
+    np.testing.assert_allclose(frame.camera.matrix, original.camera.matrix, atol=1e-9)
+    assert len(frame.cloud) == len(original.cloud)
+    np.testing.assert_allclose(frame.cloud.xyz_m, original.cloud.xyz_m, atol=1e-6)
+    for truth, (label, box) in zip(load_truth(opened, 0, frame), boxes(other)[opened.keys[0]], strict=True):
+        assert truth.label == label
+        assert_same(truth.box, box, 1e-9)
+    # people walk before each other: what is hidden counts as such, in KITTI's evaluation of other recordings, too
+    hidden = [row.occluded for i in range(5) for row in true_kitti_rows(known, i, known.frame(i)) if is_in_picture(row)]
+    files = sorted((out / "training" / "label_2").iterdir())
+    assert [int(line.split()[2]) for file in files for line in file.read_text().splitlines()] == hidden
+    assert len(set(hidden)) > 1
+
+
+def derived(row: list[str], P2: np.ndarray, size_px: Sequence[int]) -> np.ndarray:
+    """The 2D box of a row by the devkit's formula (golden/kitti_conventions.json), for boxes in front of the camera."""
+    h, w, l, x, y, z, ry = map(float, row[8:15])  # noqa: E741
+    X = np.array([l, l, -l, -l, l, l, -l, -l]) / 2
+    Y = np.array([0, 0, 0, 0, -h, -h, -h, -h])
+    Z = np.array([w, -w, -w, w, w, -w, -w, w]) / 2
+    c, s = math.cos(ry), math.sin(ry)
+    xyz1 = np.stack([c * X + s * Z + x, Y + y, -s * X + c * Z + z, np.ones(8)])
+    if xyz1[2].min() < 0.1:
+        return np.full(4, np.nan)
+    u, v, d = P2 @ xyz1
+    px = np.stack([u / d, v / d]).clip(0, np.array([size_px]).T - 1.0)
+    return np.array([*px.min(axis=1), *px.max(axis=1)])
+
+
+@pytest.mark.shared
+def test_kitti_own_labels_leave_as_they_came(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
+    """2D boxes as derived, 3D numbers to the letter; and ten times around nothing moves."""
+    for entry in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
+        expected = derived(entry["label"].split(), np.array(entry["P2"]).reshape(3, 4), entry["image_size"])
+        if not np.isnan(expected).any():
+            np.testing.assert_allclose(expected, entry["expected"]["box_clipped"], atol=1e-4)
+    original = root = shared / "data" / "kitti"
+    texts: dict[str, str] = {}
+    for trip in range(10):
+        project = make_project(root, classes=CLASSES)
+        import_labels(project, read_labels(BoxFormat.KITTI, root))
+        root = tmp_path / f"trip{trip}"
+        report = export_project(project, root, ExportFormat.KITTI)
+        project.close()
+        for file in sorted((root / "training").glob("label_2/*")):
+            assert texts.setdefault(file.name, file.read_text()) == file.read_text()
+        # once around with all, then with one
+        for file in (root / "training").glob("*/*"):
+            if file.stem != "000008":
+                file.unlink()
+    assert not {"tilt", "outside", "lens"} & {loss.kind.value for loss in report.losses}
+
+    compared = 0
+    for name, text in texts.items():
+        calib = (original / "training" / "calib" / name).read_text().splitlines()
+        P2 = np.array([float(x) for x in calib[2].split()[1:]]).reshape(3, 4)
+        with (original / "training" / "image_2" / f"{name[:6]}.png").open("rb") as image:
+            size_px = struct.unpack(">16x2I", image.read(24))
+        rows = [line.split() for line in (original / "training" / "label_2" / name).read_text().splitlines()]
+        theirs = [row for row in rows if row[0] in CLASSES]
+        for mine, row in zip((line.split() for line in text.splitlines()), theirs, strict=True):
+            assert [mine[0], *mine[8:15]] == [row[0], *row[8:15]]
+            expected = derived(row, P2, size_px)
+            if not np.isnan(expected).any():
+                np.testing.assert_allclose(np.array(mine[4:8], float), expected, atol=0.00501)
+                compared += 1
+    assert compared >= 70
