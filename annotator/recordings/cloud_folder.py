@@ -169,10 +169,7 @@ def _kitti_view(path: Path, rgb: np.ndarray | None) -> View:
         if not (0 < width <= 1 << 14 and 0 < height <= 1 << 14):
             raise FrameError(path, f"P2 is of an image of {width} x {height} pixels", "correct the calibration")
         camera = calibration.camera(width, height)
-    T = np.eye(4)
-    T[:3] = calibration.T_rect_lidar
-    T[:3, 3] += calibration.shift_m
-    return View(path, RigidTransform.from_matrix(T), camera, UP, calibration)
+    return View(path, calibration.T_camera_lidar, camera, UP, calibration)
 
 
 def _json_view(path: Path, rgb: np.ndarray | None) -> View:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.types import Camera
 from annotator.types.errors import FrameError
@@ -21,6 +21,8 @@ P2_NAMES = ("P2",)
 RECTIFICATION_NAMES = ("R0_rect", "R_rect")
 LIDAR_NAMES = ("Tr_velo_to_cam", "Tr_velo_cam")
 RAW_P2_NAMES, RAW_RECTIFICATION_NAMES = ("P_rect_02",), ("R_rect_00",)
+# Files have four digits or more.
+MOST_OFF_ROTATION = 1e-2
 REMEDY = "copy the calibration file again from the data set"
 
 
@@ -48,6 +50,12 @@ class KittiCalibration:
     def T_camera_label(self) -> RigidTransform:
         """From rectified camera 0, where the labels are, to colour camera 2."""
         return RigidTransform.from_translation(self.shift_m)
+
+    @property
+    def T_camera_lidar(self) -> RigidTransform:
+        """From the LiDAR to colour camera 2, as a rotation to the last digit; `to_camera` follows the file instead."""
+        rotation = Rotation.from_matrix(self.T_rect_lidar[:, :3])
+        return RigidTransform.from_components(self.T_rect_lidar[:, 3] + self.shift_m, rotation)
 
     def camera(self, width_px: int, height_px: int) -> Camera:
         """Colour camera 2, for an image of this size."""
@@ -106,7 +114,10 @@ def _calibration(path: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> 
     K = P2[:, :3]
     if K[0, 1] != 0 or K[1, 0] != 0 or tuple(K[2]) != (0, 0, 1) or not (K[0, 0] > 0 and K[1, 1] > 0):
         raise FrameError(path, "P2 is no pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
-    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr)
+    T = R0 @ Tr
+    if np.abs(T[:, :3] @ T[:, :3].T - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(T[:, :3]) < 0:
+        raise FrameError(path, "the way from the LiDAR to the camera is no rotation and shift", REMEDY)
+    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), T)
 
 
 def _rows(text: str) -> dict[str, list[str]]:

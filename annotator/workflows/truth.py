@@ -12,9 +12,11 @@ from jaxtyping import UInt8
 
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.kitti import read_object_labels, read_tracking_labels
+from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.masks import read_mask
 from annotator.formats.sunrgbd_labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
+from annotator.recordings.kitti_raw import KittiRaw
 from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
 from annotator.types import Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
@@ -40,6 +42,8 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     file = label_file(recording, recording.keys[index])
     if file is None:
         raise RecordingError(f"{recording.path}: has no true boxes; looked for {_looked_for(recording)}")
+    if isinstance(recording, KittiRaw):
+        return _from_tracklets(file, recording, recording.keys[index])
     return _READERS[recording.format](file, recording.keys[index], frame)
 
 
@@ -101,11 +105,22 @@ def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
 
 
 def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
+    T = frame.T_camera_label
+    found = _tracks(path, *_version(path)).get(_frame_number(path, key), ())
+    return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in found]
+
+
+def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
+    """In the LiDAR's frame, unlike all other labels of KITTI's."""
+    T = recording.calibration(key).T_camera_lidar
+    found = _tracklets(path, *_version(path)).get(_frame_number(path, key), ())
+    return [replace(truth, box=truth.box.transformed(T)) for truth in found]
+
+
+def _frame_number(path: Path, key: str) -> int:
     if not key.isdecimal():
         raise FormatError(path, f"counts frames by number, and {key!r} is none; name the images by their frame numbers")
-    T = frame.T_camera_label
-    found = _tracks(path, *_version(path)).get(int(key), ())
-    return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in found]
+    return int(key)
 
 
 def _from_extracted(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -133,6 +148,12 @@ def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
     return read_tracking_labels(path, None)
 
 
+@lru_cache(maxsize=4)
+def _tracklets(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
+    """The same for a raw drive's tracklets, in the LiDAR's frame."""
+    return read_tracklets(path)
+
+
 def _looked_for(recording: Recording) -> str:
     return " or ".join(_PLACES.get(recording.format, ())) or f"labels of the format {recording.format}"
 
@@ -141,6 +162,7 @@ _PLACES = {
     "rgbd_folder": (f"{TRUTH_FOLDER}/boxes.json", "boxes.json"),
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
+    "kitti_raw": ("tracklet_labels.xml",),
     "sunrgbd_extracted": ("label",),
     "sunrgbd_scenes": (SCENE_LABELS,),
 }

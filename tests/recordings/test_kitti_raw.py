@@ -11,7 +11,8 @@ import pytest
 from test_kitti_folders import HEIGHT, P2, R0, TR, TRACKING_CALIB, WIDTH, row
 
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import FormatError, FrameError, RecordingError
+from annotator.workflows.truth import has_truth, load_truth
 
 CAMERAS = "\n".join(["calib_time: 09-Jan-2012 13:57:47", row("R_rect_00:", R0), row("P_rect_02:", P2), ""])
 LIDAR = "\n".join(["calib_time: 15-Mar-2012 11:37:16", row("R:", TR[:, :3]), row("T:", TR[:, 3]), ""])
@@ -108,3 +109,35 @@ def test_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
         path.unlink()
     with pytest.raises(RecordingError, match="no frames; expected image_02/data/KEY"):
         open_recording(drive)
+
+
+TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
+<!DOCTYPE boost_serialization>
+<boost_serialization><tracklets><count>1</count><item>
+<objectType>Car</objectType><h>1.5</h><w>1.6</w><l>4</l><first_frame>1</first_frame><poses><count>2</count>
+<item><tx>9</tx><ty>1</ty><tz>-1.7</tz><rx>0</rx><ry>0</ry><rz>0.3</rz><truncation>0</truncation></item>
+<item><tx>10</tx><ty>1</ty><tz>-1.7</tz><rx>0</rx><ry>0</ry><rz>0.3</rz><truncation>0</truncation></item>
+</poses></item></tracklets></boost_serialization>
+"""
+
+
+def test_tracklets_are_the_drive_s_labels_in_the_camera(drive: Path):
+    assert not has_truth(open_recording(drive))
+    (drive / "tracklet_labels.xml").write_text(TRACKLETS)
+    recording = open_recording(drive)
+    found = [load_truth(recording, i, recording.frame(i)) for i in range(3)]
+    # poses are of frames 1 and 2, the recording has 0, 2 and 3
+    assert [len(truths) for truths in found] == [0, 1, 0]
+    ((truth,),) = found[1:2]
+    assert (truth.label, truth.track_id) == ("Car", 0)
+    shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+    # the matrices are rotations to four digits, and boxes are turned by true ones
+    np.testing.assert_allclose(truth.box.center_m, R0 @ TR @ [10, 1, -1.7 + 0.75, 1] + shift, atol=2e-3)
+    np.testing.assert_allclose(truth.box.size_m, [4, 1.6, 1.5])
+    ahead = R0 @ TR[:, :3] @ [np.cos(0.3), np.sin(0.3), 0]
+    assert truth.box.rotation[:, 0] @ ahead / np.linalg.norm(ahead) > 0.99999
+    assert -truth.box.rotation[1, 2] > 0.999, "its top is up in the camera"
+    images = drive / "image_02" / "data"
+    (images / "0000000003.png").rename(images / "last.png")
+    with pytest.raises(FormatError, match="counts frames by number, and 'last' is none"):
+        load_truth(open_recording(drive), 3, recording.frame(0))
