@@ -3,38 +3,33 @@
 Tracks COLOR (MJPEG, NV12, YUY2 or BGRA), DEPTH and IR (16 bits a pixel, big-endian, depth in millimetres), IMU; the
 calibration is attached. Tags tell when the recording began on the device's clock, and by how much depth was delayed.
 
-A frame's camera is the colour camera; its cloud is what that camera sees of the depth image (`kinect_cloud`).
+A frame's camera is the colour camera; its cloud is what that camera sees of the depth image (`kinect_cloud`), and up is
+known where the accelerometer says that the device stood still (`kinect_imu`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import Float64, UInt8, UInt16
 
+from annotator.recordings.kinect_attachments import REMEDY, tagged_ns, tags_and_calibration
 from annotator.recordings.kinect_calibration import KinectCalibration, Size, parse_calibration
+from annotator.recordings.kinect_captures import Capture, find_captures
 from annotator.recordings.kinect_cloud import seen_cloud
 from annotator.recordings.kinect_color import FORMATS, decode_color
+from annotator.recordings.kinect_imu import blocks_near, parse_samples, up_at_rest
 from annotator.recordings.matroska import Block, MatroskaIndex, Track, read_index
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame
 from annotator.types.errors import FrameError, RecordingError
 
 LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
-REMEDY = "copy the recording again from its source"
-DEFAULT_PERIOD_NS = 33_333_333
-
-
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """The images of one moment; `depth` is None where the file ends before it."""
-
-    color: Block
-    depth: Block | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +42,8 @@ class AzureKinect(KeyedFrames):
     Attributes:
         fourcc: the colour images' format.
         start_ns: device time of the recording's beginning.
-        infrared: the infrared images' blocks, in the order of time.
+        infrared: the infrared images' blocks.
+        inertial: the accelerometer's blocks, in the order of time.
     """
 
     captures: tuple[Capture, ...]
@@ -55,6 +51,7 @@ class AzureKinect(KeyedFrames):
     fourcc: str
     start_ns: int
     infrared: tuple[Block, ...]
+    inertial: tuple[Block, ...]
     format: ClassVar[str] = "azure_kinect"
     is_sequence: ClassVar[bool] = True
 
@@ -79,7 +76,24 @@ class AzureKinect(KeyedFrames):
                 "record the scene again within the sensor's range, or go on with the other frames",
             )
         time_ns = self.start_ns + self.captures[i].color.time_ns
-        return Frame(key, i, self.calibration.color, color, cloud, timestamp_ns=time_ns)
+        return Frame(key, i, self.calibration.color, color, cloud, up=self.up(i), timestamp_ns=time_ns)
+
+    def up(self, i: int) -> Float64[np.ndarray, "3"] | None:
+        """Against gravity in the colour camera's frame, unit length; None where the device moved, or nobody measured.
+
+        Raises:
+            FrameError: the file cannot be read.
+            IndexError: there is no such frame.
+        """
+        key, turn, time_ns = self.key(i), self.calibration.color_from_accelerometer, self.captures[i].color.time_ns
+        # a file that was cut off may end within the last of them
+        blocks = blocks_near(self.inertial, time_ns)
+        contents = zip(self._contents(key, blocks), blocks, strict=True)
+        samples = [parse_samples(data, block.is_laced) for data, block in contents if len(data) == block.size]
+        if turn is None or not samples:
+            return None
+        up = up_at_rest(np.concatenate(samples), self.start_ns + time_ns)
+        return None if up is None else np.asarray(turn.apply(up))
 
     def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         """Colour image `i`, RGB order.
@@ -131,15 +145,22 @@ class AzureKinect(KeyedFrames):
     def _read(self, key: str, what: str, block: Block) -> bytes:
         if block.is_laced:
             raise FrameError(self.path, f"frame {key}: the {what} image shares its block with others", "record it anew")
-        try:
-            with self.path.open("rb") as file:
-                file.seek(block.offset)
-                data = file.read(block.size)
-        except OSError as error:
-            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        (data,) = self._contents(key, [block])
         if len(data) < block.size:
             raise FrameError(self.path, f"frame {key}: the file ends in the middle of its {what} image", REMEDY)
         return data
+
+    def _contents(self, key: str, blocks: Sequence[Block]) -> list[bytes]:
+        """As much of each block as there is."""
+        found = []
+        try:
+            with self.path.open("rb") as file:
+                for block in blocks:
+                    file.seek(block.offset)
+                    found.append(file.read(block.size))
+        except OSError as error:
+            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        return found
 
 
 def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
@@ -161,19 +182,19 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
         raise RecordingError(
             f"{path}: has no tracks COLOR and DEPTH (it has: {have}); record with an Azure Kinect, in a mode with both"
         )
-    tags, attached = _tags_and_calibration(path)
-    captures = _captures(index, color, depth, _nanoseconds(tags, "K4A_DEPTH_DELAY_NS"))
+    tags, attached = tags_and_calibration(path)
+    captures = find_captures(index, color, depth, tagged_ns(tags, "K4A_DEPTH_DELAY_NS"))
     if not captures:
         raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
-    infrared = tracks.get("IR")
     return AzureKinect(
         path=path,
         keys=tuple(f"{number:06d}" for number in captures),
         captures=tuple(captures.values()),
         calibration=_calibration(path, attached, _size(depth), _size(color)),
         fourcc=_fourcc(path, color),
-        start_ns=_nanoseconds(tags, "K4A_START_OFFSET_NS"),
-        infrared=tuple(block for block in index.blocks if infrared and block.track == infrared.number),
+        start_ns=tagged_ns(tags, "K4A_START_OFFSET_NS"),
+        infrared=_blocks(index, tracks.get("IR")),
+        inertial=tuple(sorted(_blocks(index, tracks.get("IMU")), key=lambda block: block.time_ns)),
     )
 
 
@@ -181,28 +202,6 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
 def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
     """Kept, since folders of recordings are looked at again and again."""
     return read_index(path)
-
-
-def _tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
-    """The recording's tags and its attached calibration.
-
-    Raises:
-        RecordingError: the file cannot be read, or has no such attachment.
-    """
-    import av
-
-    try:
-        with av.open(str(path), metadata_errors="replace") as container:
-            tags = {name: value for name, value in container.metadata.items() if name.startswith("K4A_")}
-            for stream in container.streams:
-                is_named = "K4A_CALIBRATION_FILE" in stream.metadata or stream.metadata.get("filename") == (
-                    "calibration.json"
-                )
-                if stream.type == "attachment" and is_named:
-                    return tags, bytes(stream.data)
-    except (av.FFmpegError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be read as Matroska ({error}); {REMEDY}") from error
-    raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect's own recorder")
 
 
 def _calibration(path: Path, attached: bytes, depth: Size, color: Size) -> KinectCalibration:
@@ -228,36 +227,5 @@ def _fourcc(path: Path, track: Track) -> str:
     return fourcc
 
 
-def _nanoseconds(tags: dict[str, str], name: str) -> int:
-    text = tags.get(name, "0")
-    try:
-        return int(text)
-    except ValueError:
-        # older recorders left it out, so that recordings must do without it anyway
-        return 0
-
-
-def _captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: int) -> dict[int, Capture]:
-    """Each colour image with the depth image nearest in time, if within half a period; by the colour image's number."""
-    colors = [block for block in index.blocks if block.track == color.number]
-    depths = [block for block in index.blocks if block.track == depth.number]
-    within_ns = (color.period_ns or depth.period_ns or DEFAULT_PERIOD_NS) // 2
-    times = np.array([block.time_ns - delay_ns for block in depths], np.int64)
-    order = np.argsort(times, kind="stable")
-    captures: dict[int, Capture] = {}
-    for number, block in enumerate(colors):
-        nearest = _nearest(times, order, block.time_ns)
-        if nearest is not None and abs(int(times[nearest]) - block.time_ns) < within_ns:
-            captures[number] = Capture(block, depths[nearest])
-        elif index.is_cut and block is colors[-1]:
-            captures[number] = Capture(block, None)
-    return captures
-
-
-def _nearest(times: np.ndarray, order: np.ndarray, wanted: int) -> int | None:
-    """Which of `times`, sorted by `order`, is nearest to `wanted`."""
-    if len(times) == 0:
-        return None
-    after = int(np.searchsorted(times, wanted, sorter=order))
-    around = order[max(after - 1, 0) : after + 1]
-    return int(around[np.argmin(np.abs(times[around] - wanted))])
+def _blocks(index: MatroskaIndex, track: Track | None) -> tuple[Block, ...]:
+    return tuple(block for block in index.blocks if track and block.track == track.number)

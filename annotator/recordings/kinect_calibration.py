@@ -22,6 +22,7 @@ from annotator.types import Camera
 
 MM_PER_M = 1000.0
 LENS_MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
+ACCELEROMETER = "CALIBRATION_InertialSensorType_Accelerometer"
 DEPTH_PURPOSE, COLOUR_PURPOSE = "CALIBRATION_CameraPurposeDepth", "CALIBRATION_CameraPurposePhotoVideo"
 Size = tuple[int, int]
 # Image size of a mode -> size of the whole sensor in its pixels, and the window's left and upper edge there.
@@ -88,14 +89,23 @@ class _CameraPart(_Part):
         )
 
 
+class _InertialPart(_Part):
+    SensorType: str
+    Rt: _Pose
+
+
 class _Information(_Part):
     Cameras: tuple[_CameraPart, ...]
+    InertialSensors: tuple[_InertialPart, ...] = ()
 
     def camera_for(self, purpose: str) -> _CameraPart:
         for camera in self.Cameras:
             if camera.Purpose == purpose:
                 return camera
         raise ValueError(f"there is no camera {purpose}")
+
+    def accelerometer(self) -> _Pose | None:
+        return next((sensor.Rt for sensor in self.InertialSensors if sensor.SensorType == ACCELEROMETER), None)
 
 
 class _File(_Part):
@@ -110,12 +120,14 @@ class KinectCalibration:
         depth, color: the cameras.
         T_color_depth: from the depth camera's frame to the colour camera's, metres.
         depth_reach: how far from its axis (as x/z, y/z) the depth lens was calibrated; infinite where not known.
+        color_from_accelerometer: from the accelerometer's axes to the colour camera's, where it is described.
     """
 
     depth: Camera
     color: Camera
     T_color_depth: RigidTransform
     depth_reach: float
+    color_from_accelerometer: Rotation | None = None
 
     def depth_to_3d(self, px: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
         """Points in the depth camera's frame, metres; NaN beyond the lens's calibration."""
@@ -156,11 +168,15 @@ def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> Kin
         first = error.errors()[0]
         raise ValueError(f"{'.'.join(str(part) for part in first['loc'])} {first['msg']}".strip()) from error
     depth, color = information.camera_for(DEPTH_PURPOSE), information.camera_for(COLOUR_PURPOSE)
+    accelerometer = information.accelerometer()
     return KinectCalibration(
         depth=depth.camera(depth_size, DEPTH_MODES),
         color=color.camera(color_size, COLOUR_MODES),
         T_color_depth=color.Rt.transform() * depth.Rt.transform().inv(),
         depth_reach=depth.MetricRadius if depth.MetricRadius > 0 else np.inf,
+        color_from_accelerometer=(color.Rt.transform() * accelerometer.transform().inv()).rotation
+        if accelerometer
+        else None,
     )
 
 

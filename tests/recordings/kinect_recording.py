@@ -10,6 +10,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 WIDTH, HEIGHT = 1280, 720
 DEPTH_WIDTH, DEPTH_HEIGHT = 320, 288
@@ -18,6 +19,9 @@ PIXEL_FORMATS = {"MJPG": "yuvj420p", "NV12": "nv12", "YUY2": "yuyv422", "BGRA": 
 # A slight barrel; fx, fy, cx, cy are shares of the sensor's size.
 LENS = [0.5, 0.5, 0.49, 0.49, 0.3, -0.02, 0.001, 0.6, 0.02, -0.001, 0, 0, -1e-4, 2e-4]
 BASELINE_M = 0.032
+# From the device's axes to the accelerometer's, roughly as in the real one: x backwards, z down.
+ACCELEROMETER = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]) @ Rotation.from_euler("x", 6, degrees=True).as_matrix()
+START_NS = 5_000_000
 
 
 def calibration(**changes: object) -> dict[str, object]:
@@ -36,7 +40,9 @@ def calibration(**changes: object) -> dict[str, object]:
         camera("CALIBRATION_CameraPurposeDepth", 0.0),
         camera("CALIBRATION_CameraPurposePhotoVideo", -BASELINE_M),
     ]
-    return {"CalibrationInformation": {"Cameras": cameras}}
+    pose = {"Rotation": ACCELEROMETER.ravel().tolist(), "Translation": [-0.05, 0.003, 0.001]}
+    sensor = {"SensorType": "CALIBRATION_InertialSensorType_Accelerometer", "Rt": pose}
+    return {"CalibrationInformation": {"Cameras": cameras, "InertialSensors": [sensor]}}
 
 
 def picture(number: int) -> np.ndarray:
@@ -66,10 +72,11 @@ def write_recording(
     titles: Sequence[str] = ("COLOR", "DEPTH", "IR"),
     depth_delay_us: int = 0,
     without_depth: Sequence[int] = (),
+    felt: Sequence[tuple[int, Sequence[float]]] = (),
 ) -> Path:
-    """Writes `frames` captures, 30 a second, infrared = depth + 1."""
+    """Writes `frames` captures, 30 a second, infrared = depth + 1; and accelerations: microseconds, m/s^2."""
     with av.open(str(path), "w", format="matroska", options={"allow_raw_vfw": "1"}) as out:
-        out.metadata["K4A_START_OFFSET_NS"] = "5000000"
+        out.metadata["K4A_START_OFFSET_NS"] = str(START_NS)
         out.metadata["K4A_DEPTH_DELAY_NS"] = str(depth_delay_us * 1000)
         color = out.add_stream("mjpeg" if fourcc == "MJPG" else "rawvideo", rate=30)
         color.width, color.height, color.pix_fmt = WIDTH, HEIGHT, PIXEL_FORMATS[fourcc]
@@ -82,6 +89,12 @@ def write_recording(
         for stream, title in zip((color, *raw), titles, strict=True):
             stream.metadata["title"] = title
             stream.codec_context.time_base = Fraction(1, 1_000_000)
+        # any stream of packets will do
+        inertial = out.add_stream("rawvideo", rate=1000) if felt else None
+        if inertial is not None:
+            inertial.width, inertial.height, inertial.pix_fmt = 20, 1, "gray16be"
+            inertial.metadata["title"] = "IMU"
+            inertial.codec_context.time_base = Fraction(1, 1_000_000)
         content = json.dumps(calibration()).encode() + b"\0" if attached is None else attached
         out.add_attachment("calibration.json", "application/octet-stream", content)
         for number in range(frames):
@@ -93,11 +106,22 @@ def write_recording(
                 image = (depth_mm(number) + plus).astype(np.uint16)
                 frame = av.VideoFrame.from_ndarray(image, format="gray16be")
                 _put(out, stream, frame, number * PERIOD_US + depth_delay_us)
+        for time_us, acceleration in felt:
+            packet = av.Packet(imu_sample(time_us, acceleration))
+            packet.stream, packet.pts, packet.dts = inertial, time_us, time_us
+            packet.time_base = Fraction(1, 1_000_000)
+            out.mux(packet)
     if fourcc == "BGRA":
         # the library writes the same pixels without a name
         unnamed = struct.pack("<IiiHHI", 40, WIDTH, -HEIGHT, 1, 32, 0)
         path.write_bytes(path.read_bytes().replace(unnamed, unnamed[:16] + b"BGRA", 1))
     return path
+
+
+def imu_sample(time_us: int, acceleration: Sequence[float]) -> bytes:
+    """One sample as the device's recorder writes it."""
+    time_ns = START_NS + 1000 * time_us
+    return struct.pack("<Q3fQ3f", time_ns, *acceleration, time_ns, 0.01, 0, 0)
 
 
 def _put(out: av.container.OutputContainer, stream: av.VideoStream, frame: av.VideoFrame, time_us: int) -> None:
