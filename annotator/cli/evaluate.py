@@ -54,6 +54,8 @@ def run(
         raise ConfigError("--relaxed belongs to the kitti protocol; the others have their thresholds side by side")
     options = Options(None if frames is None else read_frame_names(frames), relaxed)
     if project is None:
+        if measured is not Measured.LABELS or against is not Against.TRUTH or recordings:
+            raise ConfigError("--measured, --against and --recordings say what of a --project is compared")
         if detections is None or truth is None:
             raise ConfigError("name what was detected and the truth, or a project: annotator evaluate --help")
         report = evaluate_files(detections, truth, protocol, options)
@@ -63,14 +65,14 @@ def run(
         with open_named(project, root) as opened:
             ids = tuple(opened.recordings.find(name).id for name in recordings) or None
             report = evaluate_project(opened, protocol, Choice(measured, against, ids), options)
-    pictures = []
+    # before the curves, whose folder may not be writable: the numbers may have taken minutes
+    _show(report, as_json)
     if curves is not None:
         from annotator.evaluation.curves import draw_curves
 
         pictures = draw_curves(report.pictures, curves)
-    _show(report, as_json)
-    if pictures and not as_json:
-        print_line(f"{curves}: {len(pictures)} pictures")
+        if not as_json:
+            print_line(f"{curves}: {len(pictures)} pictures")
 
 
 def _show(report: Report, as_json: bool) -> None:
@@ -85,6 +87,8 @@ def _show(report: Report, as_json: bool) -> None:
         table.add_row(*map(_cell, row))
     console = Console()
     (console if console.is_terminal else Console(width=WIDTH)).print(table)
+    for note in report.notes:
+        print_line(f"note: {note}")
 
 
 def _cell(value: str | int | float | None) -> str:

@@ -45,12 +45,14 @@ class Report:
         content: the JSON object.
         columns, rows: the table; numbers are rounded for reading, None and NaN are nothing.
         pictures: the curves.
+        notes: what a reader of the numbers must know.
     """
 
     content: BaseModel
     columns: Sequence[str]
     rows: Sequence[Row]
     pictures: Sequence[Picture]
+    notes: Sequence[str] = ()
 
 
 class _Record(BaseModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 import zlib
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 
 from annotator.types.errors import FormatError
 
@@ -18,7 +18,7 @@ def text_files(path: Path, suffix: str = ".txt") -> Iterator[tuple[str, Path, st
     """The text files of a folder or zip archive, by name: key (the name without suffix), path and content.
 
     Of an archive each file's own name counts, in whatever folder it lies; nothing is written anywhere. Other files
-    are passed over.
+    are passed over, and so are hidden ones: a Mac puts `._KEY.txt` beside each file that it packs.
 
     Args:
         path: the folder or the archive.
@@ -40,13 +40,17 @@ def text_files(path: Path, suffix: str = ".txt") -> Iterator[tuple[str, Path, st
 
 def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
     try:
-        files = sorted(file for file in path.iterdir() if file.suffix == suffix)
+        files = sorted(file for file in path.iterdir() if _is_wanted(file, suffix))
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     if not files:
         raise FormatError(path, f"has no {suffix} file; name the folder that holds them")
     for file in files:
         yield file.stem, file, read_text(file)
+
+
+def _is_wanted(file: PurePath, suffix: str) -> bool:
+    return file.suffix == suffix and not file.name.startswith(".")
 
 
 def read_text(file: Path) -> str:
@@ -78,7 +82,7 @@ def _of_archive(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
             named: dict[str, zipfile.ZipInfo] = {}
             for info in archive.infolist()[:MAX_FILES]:
                 name = PurePosixPath(info.filename)
-                if info.is_dir() or name.suffix != suffix:
+                if info.is_dir() or not _is_wanted(name, suffix):
                     continue
                 if name.stem in named:
                     raise FormatError(path, f"has two files called {name.name}")

@@ -223,7 +223,8 @@ def _require_unique(path: Path, keys: Sequence[str]) -> None:
 
 
 def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, int | None], keys: Sequence[str]) -> None:
-    missing = [key for key, position in known.items() if position is not None and key not in set(keys)]
+    present = set(keys)
+    missing = [key for key, position in known.items() if position is not None and key not in present]
     foreign = [key for key in keys if key not in known]
     problems = [f"{what} {_some(found)}" for what, found in (("lacks", missing), ("also has", foreign)) if found]
     if problems:

@@ -137,8 +137,14 @@ def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
 
 def _sunrgbd(detections: Path, truth: Path, options: Options) -> Report:
     found, there = read_box_csv(detections, scored=True), read_box_csv(truth, scored=False)
+    if found and not {row.image for row in found} & {row.image for row in there}:
+        raise ConfigError(
+            f"{detections} and {truth} have no image in common (first images: {found[0].image}, "
+            f"{there[0].image if there else 'none'}); images must have the same names in both"
+        )
     if options.frames is not None:
         names = set(options.frames)
+        _require_some(names, {row.image for row in (*found, *there)}, truth)
         found, there = ([row for row in rows if row.image in names] for rows in (found, there))
     _require_truth(truth, len(there))
     numbers: dict[str, int] = {}
@@ -169,6 +175,8 @@ def _oriented(detections: Path, truth: Path, options: Options) -> Report:
             f"{detections} and {truth} have no frame in common; the recordings must have the same names in both "
             f"(first frames: {next(iter(found), 'none')}, {next(iter(there), 'none')})"
         )
+    if options.frames is not None:
+        _require_some(set(options.frames), {*found, *there}, truth)
     names = [name for name in dict.fromkeys([*there, *found]) if options.frames is None or name in options.frames]
     _require_truth(truth, sum(len(there.get(name, ())) for name in names))
     return oriented_report(
@@ -193,6 +201,15 @@ def _rcv_boxes(path: Path) -> dict[str, list[Named]]:
         kept = (label for label in labels if label.state is not ReviewState.REJECTED)
         found[name] = [(x.label, x.box, SURE if x.score is None else x.score) for x in kept]
     return found
+
+
+def _require_some(names: Collection[str], known: Collection[str], truth: Path) -> None:
+    """A name may stand for a picture without any box, but not all of them."""
+    if not set(names) & set(known):
+        raise ConfigError(
+            f"none of the names to evaluate (first: {min(names, default='none')}) is one of those in {truth} "
+            f"(first: {min(known, default='none')})"
+        )
 
 
 def _require_truth(truth: Path, boxes: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from annotator.evaluation.oriented_protocol import evaluate_oriented
@@ -12,10 +12,11 @@ from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.formats.kitti import KittiLabel
 from annotator.formats.kitti_row import kitti_row
 from annotator.project import REVIEWED, Project, StoredFrame
-from annotator.types import Label, ReviewState
+from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.evaluate import SURE, Named, Options, Protocol, box_table, kitti_of
 from annotator.workflows.frames import FrameSource
+from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.kitti_view import rows_of_truth, true_kitti_rows
 from annotator.workflows.truth import has_truth, load_truth
 
@@ -57,7 +58,8 @@ def evaluate_project(
     """Evaluates boxes of a project, frame by frame as `Choice` says.
 
     Only frames count that somebody or some pass has worked on: with a label, finalised, or (PROPOSALS: and) with an
-    automatic pass. KITTI's protocol needs the pictures' cameras, so it reads every frame.
+    automatic pass. Against the truth, and for KITTI's 2D boxes, every such frame is read. Labels that are the
+    recordings' own boxes, as they were imported, are told in a note: they are compared with themselves.
 
     Args:
         options: its frames are named `RECORDING/KEY`.
@@ -71,12 +73,15 @@ def evaluate_project(
     if (choice.measured, choice.against) == (Measured.LABELS, Against.REVIEWED):
         raise ConfigError("labels cannot be measured against reviewed labels, which they are; measure proposals")
     source = _Source(project, choice, options)
-    if protocol is Protocol.KITTI:
-        return _kitti(source, options.relaxed)
+    report = _kitti(source, options.relaxed) if protocol is Protocol.KITTI else _boxes(source, protocol)
+    return replace(report, notes=source.notes())
+
+
+def _boxes(source: _Source, protocol: Protocol) -> Report:
     compared = list(source.compared())
     found, there = (box_table(side) for side in zip(*compared, strict=True)) if compared else (box_table([]),) * 2
     if len(there) == 0:
-        raise ConfigError(f"project {project.config.name} has no true box in the {len(compared)} frames to evaluate")
+        raise ConfigError(f"there is no true box in the {len(compared)} frames to evaluate")
     if protocol is Protocol.SUNRGBD:
         return sunrgbd_report(evaluate_sunrgbd(found, there))
     return oriented_report(evaluate_oriented(found, there))
@@ -97,6 +102,31 @@ class _Source:
         self._choice = choice
         self._names = None if options.frames is None else set(options.frames)
         self._frames = FrameSource(project)
+        self._labels_seen = 0
+        self._unchanged = 0
+        self._require_names()
+
+    def _require_names(self) -> None:
+        """Names that fit nothing would leave nothing to compare, or another project's frames out."""
+        if self._names is None:
+            return
+        of_id = {recording.id: recording.name for recording in self._project.recordings.all()}
+        known = {f"{of_id[frame.recording_id]}/{frame.key}" for frame in self._project.frames.of()}
+        if missing := sorted(self._names - known):
+            raise ConfigError(
+                f"project {self._project.config.name} has no frame {missing[0]} ({len(missing)} of the "
+                f"{len(self._names)} names are none of its frames); names are RECORDING/KEY"
+            )
+
+    def notes(self) -> tuple[str, ...]:
+        """What must be known of the numbers, once all frames are compared."""
+        if self._choice.against is not Against.TRUTH or not self._unchanged:
+            return ()
+        return (
+            f"{self._unchanged} of the {self._labels_seen} labels are the recordings' own boxes, as they were "
+            "imported, and were compared with themselves; measure proposals (--measured proposals), or add recordings "
+            "with --no-labels",
+        )
 
     def frames(self) -> Iterator[StoredFrame]:
         """Those that are compared, in order."""
@@ -147,7 +177,10 @@ class _Source:
 
     def _found(self, stored: StoredFrame) -> list[Named]:
         if self._choice.measured is Measured.LABELS:
-            return [_named(x) for x in self._labels(stored) if x.state is not ReviewState.REJECTED]
+            labels = [label for label in self._labels(stored) if label.state is not ReviewState.REJECTED]
+            self._labels_seen += len(labels)
+            self._unchanged += sum(label.source is Source.IMPORTED and label.author == AUTHOR for label in labels)
+            return [_named(label) for label in labels]
         latest = self._project.proposals.latest(stored.id)
         proposals = [entry.proposal for entry in latest.objects] if latest is not None else []
         return [(proposal.label, proposal.box, proposal.score) for proposal in proposals]

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from annotator.project import NewLabel, Project
-from annotator.types.errors import FrameError
+from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing.boxes_3d import create_where_none
-from annotator.workflows.truth import has_truth, load_truth
+from annotator.workflows.truth import has_truth, load_truth, one_file_a_frame
 
 
 @dataclass
@@ -43,27 +43,29 @@ def import_own_labels(
 ) -> OwnLabels:
     """Takes over the true boxes of a recording, for every frame that has no label yet.
 
-    A frame that cannot be read is told and left out; a broken label file is an error. Others may work meanwhile: what
-    somebody has labelled by the time that a frame has its turn is left alone.
+    A frame that cannot be read is told and left out, and so is one whose own label file is broken; a broken file that
+    holds the labels of all frames is an error. Others may work meanwhile: what somebody has labelled or finalised by
+    the time that a frame has its turn is left alone.
 
     Args:
         progress: called with (frames looked at, frames).
 
     Raises:
-        FormatError: the label file is broken.
+        FormatError: the one label file of all frames is broken.
     """
     source, found = FrameSource(project), OwnLabels()
     recording = source.recording(recording_id)
     if not has_truth(recording):
         return found
+    excused = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
     classes = set(project.config.classes)
     places = {key: index for index, key in enumerate(recording.keys)}
     frames = [frame for frame in project.frames.of([recording_id]) if frame.key in places]
     for number, stored in enumerate(frames, 1):
-        if not project.labels.of_frame(stored.id):
+        if not stored.finalised and not project.labels.of_frame(stored.id):
             try:
                 truths = load_truth(recording, places[stored.key], source.read(stored))
-            except FrameError as error:
+            except excused as error:
                 found.unreadable.append(f"{stored.key}: {error}")
                 truths = []
             found.other_classes.update(t.label for t in truths if t.label not in classes)

@@ -48,8 +48,15 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
 
 
 def has_truth(recording: Recording) -> bool:
-    """True where the recording has labels of its own."""
+    """True where the recording has labels of its own, if only of some frames."""
     return label_file(recording, recording.keys[0]) is not None
+
+
+def one_file_a_frame(recording: Recording) -> bool:
+    """True where each frame's labels stand in a file of their own, so that one may be broken and the others not."""
+    if isinstance(recording, SunRgbdScenes):
+        return True
+    return any((recording.root / name).is_dir() for name in _PLACES.get(recording.format, ()))
 
 
 def has_masks(recording: Recording) -> bool:
@@ -70,7 +77,8 @@ def label_file(recording: Recording, key: str) -> Path | None:
     """
     if isinstance(recording, SunRgbdScenes):
         labels = recording.scene(key) / SCENE_LABELS
-        return labels if labels.is_file() or (recording.scenes[0] / SCENE_LABELS).is_file() else None
+        labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
+        return labels if labelled else None
     for name in _PLACES.get(recording.format, ()):
         place = recording.root / name
         if place.is_file():

@@ -70,7 +70,7 @@ def test_a_project_in_place_of_files(generated: Path, tmp_path: Path, capsys: Ca
     found = json.loads(said(capsys, *words, "--recordings", "people", "--json"))
     assert found["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
     assert found["classes"]["person"]["objects"] == 15
-    assert "person" in said(capsys, *words)
+    assert "note: 15 of the 15 labels are the recordings' own" in said(capsys, *words)
     assert "no true box" in said(capsys, *words, "--measured", "proposals", code=2)
     assert "measure proposals" in said(capsys, *words, "--against", "reviewed", code=2)
 
@@ -78,6 +78,7 @@ def test_a_project_in_place_of_files(generated: Path, tmp_path: Path, capsys: Ca
 def test_unusable_words_are_said(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
     assert "name what was detected and the truth" in said(capsys, rooms[0], "--protocol", "sunrgbd", code=2)
     assert "one or the other" in said(capsys, *rooms, "--protocol", "sunrgbd", "--project", "x", code=2)
+    assert "say what of a --project" in said(capsys, *rooms, "--protocol", "sunrgbd", "--measured", "proposals", code=2)
     assert "--relaxed belongs to" in said(capsys, *rooms, "--protocol", "sunrgbd", "--relaxed", code=2)
     assert "no such folder" in said(capsys, tmp_path / "a", tmp_path / "b", "--protocol", "kitti", code=2)
     broken = said(capsys, rooms[1], rooms[1], "--protocol", "sunrgbd", code=2)

@@ -58,7 +58,8 @@ def test_labels_have_no_score_and_areas_no_box(tmp_path: Path) -> None:
 
 def test_files_in_folders_of_an_archive_go_by_their_own_names(tmp_path: Path) -> None:
     """Nothing is unpacked, so a name that points elsewhere points nowhere."""
-    path = archive_of(tmp_path / "a.zip", {"data/1.txt": RESULT, "../../2.txt": RESULT, "/etc/3.txt": ""})
+    files = {"data/1.txt": RESULT, "../../2.txt": RESULT, "/etc/3.txt": "", "__MACOSX/data/._1.txt": "\0"}
+    path = archive_of(tmp_path / "a.zip", files)
     assert sorted(read_kitti_folder(path, scored=True)) == ["1", "2", "3"]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.zip"]
 

@@ -152,6 +152,8 @@ def test_scene_labels_are_what_the_toolbox_computes(scene: Path):
 def test_scenes_without_annotations_have_no_truth(scene: Path):
     shutil.rmtree(scene / "annotation3Dfinal")
     assert not has_truth(open_recording(scene))
+    write_scene(scene.with_name(f"{scene.name}-later"))
+    assert has_truth(open_recording(scene.parent)), "if only some have them"
 
 
 def test_depth_values_are_turned_by_three_bits():

@@ -16,6 +16,7 @@ from annotator.rcv.config import Orientation
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
+from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.recordings import add_recordings, move_recording
@@ -209,6 +210,20 @@ def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_co
     file.write_text(json.dumps(content))
     with pytest.raises(FormatError, match=r"boxes\.json"):
         import_own_labels(project, project.recordings.all()[0].id)
+
+
+def test_a_broken_label_file_of_one_frame_leaves_the_others(
+    people: Project, make_project: Callable[..., Project], tmp_path: Path
+) -> None:
+    import_own_labels(people, 1)
+    export_project(people, tmp_path / "out", ExportFormat.KITTI)
+    broken = sorted((tmp_path / "out").rglob("label_2/*.txt"))[1]
+    broken.write_text(broken.read_text().replace("person", "person x", 1))
+    project = make_project(tmp_path / "out")
+    found = import_own_labels(project, 1)
+    assert len(found.unreadable) == 1 and f"{broken}:1: " in found.unreadable[0]
+    labelled = [bool(project.labels.of_frame(frame.id)) for frame in project.frames.of()]
+    assert labelled == [True, False, True, True, True]
 
 
 def test_frames_that_are_gone_are_passed_by(

@@ -107,7 +107,13 @@ def test_sunrgbd_files(tmp_path: Path) -> None:
     chosen = evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["1"]))
     assert content(chosen)["0.25"] == {"mAP": 0.5, "AP": {"bed": 1.0, "chair": 0.0}}
     with pytest.raises(ConfigError, match=r"truth\.csv: has no true box"):
+        evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["2"]))
+    with pytest.raises(ConfigError, match=r"none of the names to evaluate \(first: 7\)"):
         evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["7"]))
+    found, truth = csv_files(tmp_path)
+    truth.write_text(truth.read_text().replace("\n1,", "\n000001,"))
+    with pytest.raises(ConfigError, match="no image in common"):
+        evaluate_files(found, truth, Protocol.SUNRGBD)
 
 
 def test_frame_names_come_from_a_file(tmp_path: Path) -> None:
@@ -158,6 +164,7 @@ def test_labels_against_the_truth_of_the_recording(people: Project) -> None:
     assert found["AP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 0.5})
     assert found["rotation_error_rad"] == pytest.approx(0.0, abs=1e-6)
     as_rooms = content(evaluate_project(people, Protocol.SUNRGBD))
+    assert evaluate_project(people, Protocol.SUNRGBD).notes == ()
     assert as_rooms["0.5"] == {"mAP": pytest.approx(1.0), "AP": {"person": pytest.approx(1.0)}}
 
 
@@ -194,6 +201,7 @@ def test_recordings_and_frames_are_chosen(make_project: Callable[..., Project], 
     assert every["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
     hands = evaluate_project(project, Protocol.ORIENTED, Choice(recordings=(ids["hands"],)))
     assert list(content(hands)["classes"]) == ["hand"]
+    assert [note.split(" are ")[0] for note in hands.notes] == ["10 of the 10 labels"]
     one = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=["people/000002"]))
     assert content(one)["classes"]["person"]["objects"] == 3
 
@@ -206,6 +214,8 @@ def test_what_cannot_be_compared_is_said(people: Project, own_copy, make_project
     label(people, 0)
     with pytest.raises(ConfigError, match="of a class that KITTI evaluates"):
         evaluate_project(people, Protocol.KITTI)
+    with pytest.raises(ConfigError, match=r"has no frame people/7 \(1 of the 2 names"):
+        evaluate_project(people, Protocol.ORIENTED, options=Options(frames=["people/7", "people/000001"]))
     folder = own_copy("people")
     (folder / "truth" / "boxes.json").unlink(missing_ok=True)
     (folder / "boxes.json").unlink(missing_ok=True)

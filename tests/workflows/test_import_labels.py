@@ -14,6 +14,8 @@ from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing.boxes_3d import create_where_none
+from annotator.workflows.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
 
@@ -83,6 +85,17 @@ def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) 
     assert (done.labels, done.other_classes) == ({"person": 1}, {"horse": 1})
     assert [label.author for label in people.labels.of_frame(first.id)] == ["me"]
     assert [label.track_id for label in people.labels.of_frame(second.id)] == [4]
+
+
+def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
+    """Somebody has said that nothing is there."""
+    first, second = people.frames.of()[:2]
+    people.frames.finalise(first.id, Change(0, "me"))
+    given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
+    done = import_labels(people, given)
+    assert (done.frames, done.already) == (1, 1) and people.labels.of_frame(first.id) == ()
+    assert not create_where_none(people, first.id, [NewLabel("person", BOX)])
+    assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
 
 
 def test_a_key_that_two_recordings_have(make_project: Callable[..., Project], generated: Path) -> None:

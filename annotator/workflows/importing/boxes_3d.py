@@ -25,7 +25,7 @@ class ImportedLabels:
         frames: that got labels, or have none in the dataset either.
         labels: by class.
         other_classes: left out because the project has no such class, by class.
-        already: frames left alone because they have labels.
+        already: frames left alone because they have labels or are finalised.
         unmatched: names of labelled frames that the project does not have.
         unreadable: frames that cannot be read, as `key: reason`.
     """
@@ -59,7 +59,7 @@ def import_labels(
     source, done = FrameSource(project), ImportedLabels(unmatched=tuple(unmatched))
     classes = set(project.config.classes)
     for number, (name, stored) in enumerate(matched, 1):
-        if project.labels.of_frame(stored.id):
+        if stored.finalised or project.labels.of_frame(stored.id):
             done.already += 1
         else:
             try:
@@ -122,14 +122,17 @@ def match_frames(
 
 
 def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel]) -> bool:
-    """Gives a frame its imported labels; False where somebody has labelled it meanwhile."""
+    """Gives a frame its imported labels; False where somebody has labelled or finalised it, perhaps meanwhile.
+
+    A finalised frame without labels shows no object, as somebody has said.
+    """
     while True:
-        revision = project.frames.get(frame_id).revision
-        if project.labels.of_frame(frame_id):
+        stored = project.frames.get(frame_id)
+        if stored.finalised or project.labels.of_frame(frame_id):
             return False
         if not new:
             return True
         # the frame was changed between the two lines, perhaps by a box on its image
         with suppress(StaleRevisionError):
-            project.labels.create(frame_id, new, Change(revision, AUTHOR, Source.IMPORTED))
+            project.labels.create(frame_id, new, Change(stored.revision, AUTHOR, Source.IMPORTED))
             return True
