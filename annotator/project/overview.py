@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from sqlalchemy import func, select
+from sqlalchemy import Connection, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
 from annotator.project.frames import StoredFrame, frame_of, read_frame
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
-from annotator.project.schema import frames, image_labels, labels
+from annotator.project.schema import frames, image_labels, labels, recordings
 from annotator.types import ReviewState
 
 
@@ -55,31 +55,41 @@ class FrameRow:
     proposed: tuple[StoredLabel, ...]
 
 
-def read_page(project: Project, frame_id: int) -> FramePage:
-    """Everything about one frame.
+def read_page(project: Project, frame_id: int, known: FramePage | None = None) -> FramePage:
+    """Everything about one frame, as of one moment.
+
+    Args:
+        known: an earlier page of the same frame; what no event has changed since is taken from there.
 
     Raises:
         NotFoundError: no such frame.
     """
-    name = project.recordings.get(project.frames.get(frame_id).recording_id).name
     with project.store.read() as connection:
         frame = read_frame(connection, frame_id)
+        chosen = recordings.c.id == frame.recording_id
+        name: str = connection.execute(select(recordings.c.name).where(chosen)).scalar_one()
+        previous, following = _neighbours(connection, frame)
+        if known is not None and known.frame.revision == frame.revision:
+            return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
         query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
         found = tuple(map(stored_label, connection.execute(query)))
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
-    previous, following = neighbours(project, frame)
     return FramePage(frame, previous, following, name, found, boxes, views)
 
 
 def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
     """Ids of the frames before and after one in its recording; both None for one that is no longer there."""
+    with project.store.read() as connection:
+        return _neighbours(connection, frame)
+
+
+def _neighbours(connection: Connection, frame: StoredFrame) -> tuple[int | None, int | None]:
     if frame.index is None:
         return None, None
     here = select(frames.c.id).where(frames.c.recording_id == frame.recording_id, frames.c.position.is_not(None))
     before = here.where(frames.c.position < frame.index).order_by(frames.c.position.desc()).limit(1)
     after = here.where(frames.c.position > frame.index).order_by(frames.c.position).limit(1)
-    with project.store.read() as connection:
-        return connection.execute(before).scalar(), connection.execute(after).scalar()
+    return connection.execute(before).scalar(), connection.execute(after).scalar()
 
 
 def list_frames(

@@ -41,6 +41,11 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes
     undo, redo = project.history.next(operator)
+    objects, labels = opened.newest(
+        "json",
+        page.frame.revision,
+        lambda: ([_object(name, project, drawn) for drawn in shown.objects], [_label(label) for label in shown.labels]),
+    )
     return FrameStateJson.model_construct(
         frame=_frame(shown),
         image=ImageJson(
@@ -54,8 +59,8 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
         image_boxes=None
         if boxes is None
         else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
-        objects=[_object(name, project, drawn) for drawn in shown.objects],
-        labels=[_label(label) for label in shown.labels],
+        objects=objects,
+        labels=labels,
         open_by=ctx.hub.open_by(name, frame_id, operator),
         history=HistoryJson(undo=undo, redo=redo),
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from annotator.project import Change, Project, Receipt
-from annotator.project.overview import FramePage, read_page
-from annotator.project.payloads import ImageBoxesSet, Payload
+from annotator.project.overview import read_page
+from annotator.project.payloads import ImageBoxesSet, LabelChange, Payload
 from annotator.workflows.labelling import frame_config
 from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.remeasure import remeasured
@@ -31,14 +31,16 @@ def apply_changes(
         FrameError: objects are to be measured anew, and the frame cannot be read.
         ProjectError: a label or class that the frame or project does not have.
     """
-    # of a page that is read too late or too early, the revision is refused
-    page = read_page(project, frame_id)
-    return project.log.append(frame_id, [*payloads, *_following(project, page, payloads, open_frame)], change)
+    return project.log.append(frame_id, [*payloads, *_following(project, frame_id, payloads, open_frame)], change)
 
 
 def _following(
-    project: Project, page: FramePage, payloads: Sequence[Payload], open_frame: Callable[[], OpenFrame]
+    project: Project, frame_id: int, payloads: Sequence[Payload], open_frame: Callable[[], OpenFrame]
 ) -> list[Payload]:
+    if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
+        return []
+    # of a page that is read too late or too early, the revision is refused
+    page = read_page(project, frame_id)
     on_image = next((entry for entry in reversed(payloads) if isinstance(entry, ImageBoxesSet)), None)
     found: list[Payload] = []
     if on_image is None:

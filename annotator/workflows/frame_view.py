@@ -57,19 +57,35 @@ class ShownFrame:
     objects: tuple[ShownObject, ...]
 
 
-def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
-    """The present state of a frame.
+def present_page(project: Project, frame_id: int, opened: OpenFrame) -> FramePage:
+    """What is known of a frame now; only what has changed since the last time is read.
 
     Raises:
         NotFoundError: no such frame.
     """
-    page = read_page(project, frame_id)
+    opened.page = page = read_page(project, frame_id, opened.page)
+    return page
+
+
+def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
+    """The present state of a frame; what follows from its labels is computed once a revision.
+
+    Raises:
+        NotFoundError: no such frame.
+    """
+    page = present_page(project, frame_id, opened)
+    labels, objects = opened.newest(
+        "shown", page.frame.revision, lambda: (_shown_labels(page, opened), shown_objects(page))
+    )
+    return ShownFrame(page, labels, objects)
+
+
+def _shown_labels(page: FramePage, opened: OpenFrame) -> tuple[ShownLabel, ...]:
     edges = visible_edges(opened.frame.camera, [stored.label.box for stored in page.labels])
-    shown = tuple(
+    return tuple(
         ShownLabel(stored, outline, opened.points_in(stored.label.box), doubt(stored.quality, stored.label.score))
         for stored, outline in zip(page.labels, edges, strict=True)
     )
-    return ShownFrame(page, shown, shown_objects(page))
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:

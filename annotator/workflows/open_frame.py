@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
@@ -15,6 +15,7 @@ from jaxtyping import Bool
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.point_index import PointIndex
+from annotator.project.overview import FramePage
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError
 
@@ -22,6 +23,7 @@ JPEG_QUALITY = 92
 # Steps of objects that are kept: an operator goes back and forth between a few.
 STEPS_KEPT = 40
 
+T = TypeVar("T")
 Views = tuple[PseudoView, PseudoView]
 
 
@@ -31,14 +33,17 @@ class OpenFrame:
     Attributes:
         frame: the frame.
         is_prepared: what is computed once has been asked for, and the next frame too.
+        page: what was read of it last, where it was.
     """
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self.is_prepared = False
+        self.page: FramePage | None = None
         self._counts: dict[bytes, int] = {}
         self._lock = threading.Lock()
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+        self._newest: dict[str, tuple[int, Any]] = {}
 
     @cached_property
     def jpeg(self) -> bytes:
@@ -95,6 +100,14 @@ class OpenFrame:
     def image_detections(self, detector: Detector) -> list[Box2D]:
         """What a detector finds on the image, asked once."""
         found: list[Box2D] = self._once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
+        return found
+
+    def newest(self, name: str, revision: int, make: Callable[[], T]) -> T:
+        """What follows from one revision of the frame's labels, made once; only the last one asked for is kept."""
+        known = self._newest.get(name)
+        if known is None or known[0] != revision:
+            known = self._newest[name] = (revision, make())
+        found: T = known[1]
         return found
 
     def _once(self, key: Hashable, make: Callable[[], Any]) -> Any:

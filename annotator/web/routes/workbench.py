@@ -21,6 +21,7 @@ from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.web.viewport.workbench import Workbench
 from annotator.web.viewport.workbenches import Workbenches
 from annotator.web.wire import Box2DJson, Box3DJson, ClassName, RowId, Uid, Wire
+from annotator.workflows.frame_view import present_page
 from annotator.workflows.labelling import frame_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
 
@@ -153,11 +154,11 @@ async def viser_socket(id: str, socket: WebSocket, who: Operator, benches: Bench
 
 def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> SceneContent:
     opened = ctx.annotation.frames.open(project, frame_id)
-    state = project.frame_state(frame_id)
-    labels: Sequence[Label] = state.labels if body.labels == "all" else ()
+    page = present_page(project, frame_id, opened)
+    labels = [stored.label for stored in page.labels] if body.labels == "all" else []
     preview = None if body.preview is None else (body.preview.uid, body.preview.box.box())
     return SceneContent(
-        place=(project.path.name, state.frame.recording_id),
+        place=(project.path.name, page.frame.recording_id),
         frame=opened.frame,
         boxes=_boxes(labels, preview),
         selected=body.selected,

@@ -54,7 +54,8 @@ def box_lines(size_m: Float64[np.ndarray, "3"]) -> Segments:
 
 def placed_box_lines(box: OrientedBox) -> Segments:
     """The same in the camera frame."""
-    return (box_lines(box.size_m) @ box.rotation.T + box.center_m).astype(np.float32)
+    T_camera_box = box.T_camera_box.as_matrix()  # a frame may have a hundred boxes: `rotation` makes an object for each
+    return (box_lines(box.size_m) @ T_camera_box[:3, :3].T + T_camera_box[:3, 3]).astype(np.float32)
 
 
 def frustum_lines(frame: Frame, image_box: Box2D) -> Segments:
