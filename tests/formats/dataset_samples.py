@@ -22,7 +22,8 @@ def make_box(
 ) -> OrientedBox:
     """A box from its centre, rotation vector and size."""
     return OrientedBox(
-        RigidTransform.from_components(np.array(center), Rotation.from_rotvec(np.array(rotation))), np.array(size)
+        RigidTransform.from_components(np.array(center), Rotation.from_rotvec(np.array(rotation))),
+        np.array(size, np.float64),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.formats.frames_csv import FrameOrigin, dump_frames, parse_frames
@@ -16,6 +16,7 @@ WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"
 
 
 @given(st.lists(st.builds(FrameOrigin, WORDS, WORDS, WORDS, st.none() | WORDS), unique_by=lambda o: o.id))
+@settings(deadline=None)
 def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
     assert list(parse_frames(Path("frames.csv"), dump_frames(origins)).values()) == origins
 

@@ -83,7 +83,7 @@ def test_the_document_follows_the_schema(tmp_path: Path) -> None:
         max_size=4,
     )
 )  # fmt: skip
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_what_is_written_reads_back(labels: list[Any]) -> None:
     scene = Scene("rec", "annotator 1")
     scene.add(make_item(labels), "images/x.png", "clouds/x.ply")

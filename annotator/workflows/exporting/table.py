@@ -23,6 +23,7 @@ class ExportFormat(StrEnum):
     COCO = "coco"
     YOLO = "yolo"
     OPENLABEL = "openlabel"
+    LABELCLOUD = "labelcloud"
 
 
 @dataclass(frozen=True)
@@ -56,4 +57,5 @@ WRITERS: dict[ExportFormat, Writer] = {
     ExportFormat.COCO: Writer("2D boxes on camera images and pseudo-views", REVIEWED, "coco", flat=True),
     ExportFormat.YOLO: Writer("the same as Ultralytics trains on it", REVIEWED, "yolo", flat=True),
     ExportFormat.OPENLABEL: Writer("ASAM OpenLABEL documents; fully oriented boxes", NOT_REJECTED, "openlabel"),
+    ExportFormat.LABELCLOUD: Writer("a labelCloud project; fully oriented boxes", REVIEWED, "labelcloud"),
 }

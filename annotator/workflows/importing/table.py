@@ -16,6 +16,7 @@ class BoxFormat(StrEnum):
     RCV = "rcv"
     KITTI = "kitti"
     OPENLABEL = "openlabel"
+    LABELCLOUD = "labelcloud"
 
 
 # The module beside this one, with a function `read(path: Path) -> LabelSet`.
@@ -23,6 +24,7 @@ READERS: dict[BoxFormat, str] = {
     BoxFormat.RCV: "rcv",
     BoxFormat.KITTI: "kitti",
     BoxFormat.OPENLABEL: "openlabel",
+    BoxFormat.LABELCLOUD: "labelcloud",
 }
 
 

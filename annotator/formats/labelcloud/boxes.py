@@ -1,0 +1,120 @@
+"""Boxes as labelCloud writes them.
+
+Source: labelCloud 1.1.1, `model/bbox.py`, `utils/math3d.py` and `io/labels/`. A box is turned about x, then y, then z
+of the cloud's frame: R = Rz Ry Rx; sizes are full, length along x, width along y, height along z. `centroid_rel` has
+radians in (-pi, pi], `centroid_abs` degrees in 0..360. `vertices` are the corners (-,-,-), (-,+,-), (+,+,-), (+,-,-) in
+signs along the box's x, y, z, then the same four on top. Numbers have eight decimals, as its own settings want.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.labelcloud.model import Axes, BoxObject, Dimensions
+from annotator.types import OrientedBox
+
+DECIMALS = 8
+SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+CORNERS = np.array([[x, y, z] for z in (-1, 1) for x, y in SIGNS]) / 2
+# Corners of somebody else's box may be rounded to millimetres, or to this share of the box.
+OFF_BOX_M, OFF_BOX_SHARE = 2e-3, 1e-2
+
+
+def centroid_object(name: str, box: OrientedBox) -> BoxObject:
+    """A box of the cloud's frame as `centroid_rel`."""
+    return BoxObject(
+        name=name,
+        centroid=_axes(box.center_m),
+        dimensions=Dimensions(
+            **dict(zip(("length", "width", "height"), map(_rounded, box.size_m.tolist()), strict=True))
+        ),
+        rotations=_axes(angles_xyz(box.rotation)),
+    )
+
+
+def vertices_object(name: str, box: OrientedBox) -> BoxObject:
+    """A box of the cloud's frame as its corners."""
+    rows = box.T_camera_box.apply(CORNERS * box.size_m).tolist()
+    return BoxObject(name=name, vertices=tuple((_rounded(x), _rounded(y), _rounded(z)) for x, y, z in rows))
+
+
+def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
+    """The box of an object, in the cloud's frame.
+
+    Args:
+        degrees: what its angles are; vertices have none.
+
+    Raises:
+        ValueError: the vertices are not those of a box, in labelCloud's order.
+    """
+    if entry.vertices is not None:
+        return _of_vertices(np.array(entry.vertices))
+    if entry.centroid is None or entry.dimensions is None or entry.rotations is None:
+        raise ValueError("a box needs centroid, dimensions and rotations, or vertices")
+    angles = [entry.rotations.z, entry.rotations.y, entry.rotations.x]
+    center = np.array([entry.centroid.x, entry.centroid.y, entry.centroid.z])
+    size = entry.dimensions
+    return OrientedBox(
+        RigidTransform.from_components(center, Rotation.from_euler("ZYX", angles, degrees=degrees)),
+        np.array([size.length, size.width, size.height]),
+    )
+
+
+def angles_xyz(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
+    """The angles x, y, z of R = Rz Ry Rx, radians in [-pi, pi].
+
+    Where the box's x axis is vertical, x and z turn about one line and only their sum or difference is known: the
+    later angles are then taken from what the earlier ones have left, so that all three together are exact.
+    """
+    z = math.atan2(rotation[1, 0], rotation[0, 0])
+    rest = Rotation.from_rotvec([0.0, 0.0, -z]).as_matrix() @ rotation
+    return np.array([math.atan2(-rest[1, 2], rest[1, 1]), math.atan2(-rest[2, 0], rest[0, 0]), z])
+
+
+def in_degrees(angles: Iterable[float]) -> bool | None:
+    """Whether angles are those of `centroid_abs`; None where nothing tells.
+
+    Raises:
+        ValueError: some can only be degrees, others only radians.
+    """
+    lowest, highest = 0.0, 0.0
+    for angle in angles:
+        lowest, highest = min(lowest, angle), max(highest, angle)
+    half = math.pi + 10.0**-DECIMALS
+    if lowest < -half or (lowest < 0 and highest > half):
+        raise ValueError(f"angles from {lowest} to {highest} are neither radians in -pi..pi nor degrees in 0..360")
+    if lowest < 0 or highest == 0:
+        return False
+    return True if highest > half else None
+
+
+def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
+    """The box through eight corners, each edge the mean of the four that are parallel."""
+    center = corners.mean(axis=0)
+    edges = 2 * np.sign(CORNERS).T @ (corners - center) / 8
+    size = np.linalg.norm(edges, axis=1)
+    if not (size > 0).all():
+        raise ValueError("vertices lie in a plane")
+    axes = (edges / size[:, None]).T
+    if np.linalg.det(axes) <= 0:
+        raise ValueError("vertices are not in labelCloud's order (seen from above, the first four go round clockwise)")
+    box = OrientedBox(RigidTransform.from_components(center, Rotation.from_matrix(axes)), size)
+    off = float(np.abs(box.T_camera_box.apply(CORNERS * size) - corners).max())
+    if off > max(OFF_BOX_M, OFF_BOX_SHARE * float(size.min())):
+        raise ValueError(f"vertices lie up to {off:.3f} m off the corners of a box")
+    return box
+
+
+def _axes(values: Float64[np.ndarray, "3"]) -> Axes:
+    x, y, z = map(_rounded, values.tolist())
+    return Axes(x=x, y=y, z=z)
+
+
+def _rounded(value: float) -> float:
+    # + 0.0: no negative zero
+    return round(value, DECIMALS) + 0.0

@@ -1,0 +1,67 @@
+"""`calib/ID.txt`: from a cloud's frame to the camera, in KITTI's form, which labelCloud keeps in a folder of that name.
+
+`px = P2 * R0_rect * Tr_velo_to_cam * X`, matrices row by row (KITTI object devkit, readme.txt). P2 may shift rectified
+camera 0 to the colour camera: P2 = K [I | t].
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.text_folder import text_rows
+from annotator.types import Camera
+from annotator.types.errors import FormatError
+
+SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
+# KITTI's own files have seven digits.
+MOST_OFF_ROTATION = 1e-2
+
+
+def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
+    """The text for an ideal camera, all digits; P0 to P3 are that camera, there is no IMU."""
+    P = np.hstack([camera.matrix, np.zeros((3, 1))])
+    matrices = {f"P{number}": P for number in range(4)} | {
+        "R0_rect": np.eye(3),
+        "Tr_velo_to_cam": T_camera_cloud.as_matrix()[:3],
+        "Tr_imu_to_velo": np.eye(3, 4),
+    }
+    return "".join(
+        f"{name}: {' '.join(repr(value + 0.0) for value in matrix.ravel().tolist())}\n"
+        for name, matrix in matrices.items()
+    )
+
+
+def read_calibration_pose(path: Path) -> RigidTransform:
+    """T_camera_cloud of a file.
+
+    Raises:
+        FormatError: it cannot be read, a matrix is missing, has another number of values, or is no rotation.
+    """
+    found: dict[str, Float64[np.ndarray, "r c"]] = {}
+    for line, (head, *words) in text_rows(path):
+        name = head.rstrip(":")
+        shape = SHAPES.get(name)
+        if shape is None:
+            continue
+        try:
+            matrix = np.array([float(word) for word in words]).reshape(shape)
+        except ValueError as error:
+            raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers", line) from error
+        if not np.isfinite(matrix).all():
+            raise FormatError(path, f"{name} must be finite", line)
+        found[name] = matrix
+    if missing := [name for name in SHAPES if name not in found]:
+        raise FormatError(path, f"has no {' and no '.join(missing)}")
+    P2, pose = found["P2"], found["R0_rect"] @ found["Tr_velo_to_cam"]
+    R = pose[:, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
+        raise FormatError(path, "R0_rect * Tr_velo_to_cam is no rotation and shift")
+    try:
+        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+    except np.linalg.LinAlgError as error:
+        raise FormatError(path, "P2 is the matrix of no camera") from error
+    return RigidTransform.from_components(pose[:, 3] + shift, Rotation.from_matrix(R))

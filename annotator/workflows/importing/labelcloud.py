@@ -1,0 +1,32 @@
+"""Labels of a labelCloud project."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
+from annotator.types import Frame, Truth
+
+
+@dataclass(frozen=True)
+class LabelCloudLabels:
+    """Boxes in the frames of their clouds, which the project's calibrations, or ours, lead to the camera from."""
+
+    path: Path
+    found: Mapping[str, LabelCloudFrame]
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.found)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        each = self.found[name]
+        T = frame.T_camera_label if each.T_camera_cloud is None else each.T_camera_cloud
+        return [Truth(label, box if T is None else box.transformed(T)) for label, box in each.boxes]
+
+
+def read(path: Path) -> LabelCloudLabels:
+    """Raises FormatError: no labelCloud project, or a label file that does not follow its form."""
+    return LabelCloudLabels(path, read_labelcloud(path))

@@ -1,0 +1,236 @@
+"""labelCloud: its own conventions, round trips without drift, and angles whose unit is never guessed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dataset_samples import BOXES, assert_same_box, make_box, make_item, make_label
+from hypothesis import example, given, settings
+from scipy.spatial.transform import Rotation
+
+from annotator.formats.labelcloud import read_labelcloud, write_labelcloud
+from annotator.formats.labelcloud.boxes import angles_xyz, box_of, centroid_object, vertices_object
+from annotator.formats.losses import Losses
+from annotator.formats.ply import XYZ
+from annotator.geometry.level import level_pose
+from annotator.types import Camera, OrientedBox, ReviewState
+from annotator.types.errors import FormatError
+
+# Looks 30 degrees down: against gravity is up and, where the camera looks, back.
+LOOKS_DOWN = (0.0, -np.sqrt(0.75), -0.5)
+UPRIGHT_X = make_box((1.0, 2.0, 3.0), (0.0, -np.pi / 2, 0.0), (4.0, 2.0, 1.5))
+
+
+def write(out: Path, items: list[Any], **options: Any) -> Losses:
+    losses = Losses()
+    write_labelcloud(out, items, ("hand", "Büro"), losses, "1", **options)
+    return losses
+
+
+def objects(out: Path, name: str = "rec-000003") -> list[dict[str, Any]]:
+    content: list[dict[str, Any]] = json.loads((out / "labels" / f"{name}.json").read_text())["objects"]
+    return content
+
+
+def test_a_project_by_hand(tmp_path: Path) -> None:
+    """In a level camera's frame: centre (z, -x, -y); the box's length points to the camera's -x, left."""
+    box = make_box((0.5, 0.25, 2.0), (0.0, 0.0, 0.0), (4.0, 2.0, 1.5))
+    turned = OrientedBox.from_parts(
+        box.center_m, np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]]), box.size_m
+    )
+    write(tmp_path / "out", [make_item([make_label(turned)])])
+    label = json.loads((tmp_path / "out/labels/rec-000003.json").read_text())
+    assert label == {
+        "folder": "pointclouds",
+        "filename": "rec-000003.ply",
+        "path": "pointclouds/rec-000003.ply",
+        "objects": [
+            {
+                "name": "hand",
+                "centroid": {"x": 2.0, "y": -0.5, "z": -0.25},
+                "dimensions": {"length": 4.0, "width": 2.0, "height": 1.5},
+                "rotations": {"x": 0.0, "y": 0.0, "z": round(np.pi / 2, 8)},
+            }
+        ],
+    }
+    assert list(label["objects"][0]["rotations"]) == ["x", "y", "z"], "labelCloud takes them in the order of the file"
+    classes = json.loads((tmp_path / "out/labels/_classes.json").read_text())
+    assert (classes["format"], classes["type"], classes["default"]) == ("centroid_rel", "object_detection", 0)
+    assert [(each["id"], each["name"], len(each["color"])) for each in classes["classes"]] == [
+        (0, "hand", 7),
+        (1, "Büro", 7),
+    ]
+
+
+def test_corners_in_labelclouds_order() -> None:
+    """Length along y: a quarter turn to the left about z."""
+    entry = vertices_object("a", make_box((0.0, 0.0, 0.0), (0.0, 0.0, np.pi / 2), (4.0, 2.0, 1.0)))
+    low = [[1, -2, -0.5], [-1, -2, -0.5], [-1, 2, -0.5], [1, 2, -0.5]]
+    np.testing.assert_allclose(np.array(entry.vertices), low + [[x, y, 0.5] for x, y, _ in low], atol=1e-8)
+
+
+def test_clouds_stand_upright_where_the_camera_does_not(tmp_path: Path) -> None:
+    """A point straight below the camera is at -z of the cloud, and the calibration leads back."""
+    item = make_item([make_label(UPRIGHT_X)], up=LOOKS_DOWN)
+    T = level_pose(item.frame.up)
+    np.testing.assert_allclose(T.apply(-np.array(LOOKS_DOWN)), [0, 0, -1], atol=1e-12)
+    # ahead is the level part of where it looks
+    np.testing.assert_allclose(T.apply([0.0, 0.0, 1.0]), [np.sqrt(0.75), 0, -0.5], atol=1e-12)
+    assert write(tmp_path / "out", [item]).report() != ()
+    data = (tmp_path / "out/pointclouds/rec-000003.ply").read_bytes()
+    rows = np.frombuffer(data[data.index(b"end_header\n") + 11 :], [(n, "<f4") for n in XYZ] + [("rgb", "u1", 3)])
+    points = np.stack([rows[name] for name in XYZ], axis=1)
+    np.testing.assert_allclose(points, T.apply(item.frame.cloud.xyz_m), atol=1e-6)
+    (frame,) = read_labelcloud(tmp_path / "out").values()
+    assert frame.T_camera_cloud is not None
+    assert_same_box(frame.boxes[0][1].transformed(frame.T_camera_cloud), UPRIGHT_X, 1e-7)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), None])
+def test_a_camera_that_looks_straight_up_or_down_has_a_level_frame_too(up: tuple[float, ...] | None) -> None:
+    R = level_pose(None if up is None else np.array(up)).rotation.as_matrix()
+    np.testing.assert_allclose(R.T[:, 2], (0, -1, 0) if up is None else up, atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1)
+
+
+GIMBAL = make_box((1.0, 2.0, 3.0), tuple(Rotation.from_euler("ZYX", [0.7, np.pi / 2, 0.3]).as_rotvec()), (4, 2, 1))
+
+
+@given(BOXES)
+@example(GIMBAL)
+@settings(max_examples=20, deadline=None)
+def test_boxes_read_back_and_ten_times_without_drift(box: OrientedBox) -> None:
+    reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
+    for dump in (centroid_object, vertices_object):
+        have = box
+        for _ in range(10):
+            have = box_of(dump("a", have), degrees=False)
+        thin = float(box.size_m.min()) if dump is vertices_object else 1.0
+        assert np.abs(have.rotation - box.rotation).max() < 1e-7 / min(thin, 1.0)
+        assert np.abs(have.center_m - box.center_m).max() < 2e-8 * reach
+        assert np.abs(have.size_m - box.size_m).max() < 2e-8 * reach
+
+
+@given(BOXES)
+@settings(max_examples=40, deadline=None)
+def test_a_text_that_was_read_is_written_as_it_was(box: OrientedBox) -> None:
+    if np.hypot(*box.rotation[:2, 0]) < 0.1:
+        return  # x and z turn nearly about one line; their last digits may share differently
+    once = centroid_object("a", box)
+    assert centroid_object("a", box_of(once, degrees=False)) == once
+
+
+def test_angles_are_those_of_scipy() -> None:
+    for rotation in Rotation.random(20, rng=np.random.default_rng(0)):
+        z, y, x = rotation.as_euler("ZYX")
+        np.testing.assert_allclose(angles_xyz(rotation.as_matrix()), [x, y, z], atol=1e-12)
+
+
+def entry(x: float, y: float, z: float) -> dict[str, Any]:
+    return {
+        "name": "cart",
+        "centroid": {"x": 1, "y": 2, "z": 3},
+        "dimensions": {"length": 3, "width": 2, "height": 1},
+        "rotations": {"x": x, "y": y, "z": z},
+    }
+
+
+def foreign(tmp_path: Path, form: str | None, *entries: dict[str, Any]) -> Path:
+    labels = tmp_path / "labels"
+    labels.mkdir()
+    for number, each in enumerate(entries):
+        (labels / f"00000{number}.json").write_text(json.dumps({"path": "../../etc/passwd", "objects": [each]}))
+    if form is not None:
+        classes = {"classes": [], "default": 0, "type": "object_detection", "format": form}
+        (labels / "_classes.json").write_text(json.dumps(classes))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("form", "angles", "degrees"),
+    [
+        ("centroid_abs", [(0.5, 0, 0)], True),
+        ("centroid_rel", [(0.5, 0, 0)], False),
+        (None, [(0, 0, 0.5), (0, 0, 270)], True),
+        (None, [(0, 0, 0.5), (0, 0, -0.5)], False),
+        (None, [(0, 0, 0)], False),
+    ],
+)
+def test_what_the_angles_are(
+    tmp_path: Path, form: str | None, angles: list[tuple[float, float, float]], degrees: bool
+) -> None:
+    found = read_labelcloud(foreign(tmp_path, form, *(entry(*each) for each in angles)))
+    for number, each in enumerate(angles):
+        ((name, box),) = found[f"00000{number}"].boxes
+        want = Rotation.from_euler("ZYX", each[::-1], degrees=degrees)
+        assert name == "cart" and found[f"00000{number}"].T_camera_cloud is None
+        np.testing.assert_allclose(box.rotation, want.as_matrix(), atol=1e-12)
+
+
+SKEW = {
+    "name": "a",
+    "vertices": [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0], [0, 0, 1], [0, 1, 1], [1, 1, 1], [1, 0, 2]],
+}
+MIRRORED = {"name": "a", "vertices": [[x, y, z] for z in (0, 1) for y, x in ((0, 0), (0, 1), (1, 1), (1, 0))]}
+FLAT = {"name": "a", "vertices": [[x, y, 0] for _ in (0, 1) for x, y in ((0, 0), (0, 1), (1, 1), (1, 0))]}
+
+
+@pytest.mark.parametrize(
+    ("entries", "problem"),
+    [
+        ([entry(0, 0, 0.5)], "labels: angles may be radians or degrees here"),
+        ([entry(0, 0, -0.5), entry(0, 0, 200)], "labels: angles from -0.5 to 200.0 are neither"),
+        ([entry(0, 0, -7)], "are neither"),
+        ([SKEW], r"000000\.json: objects\.0: vertices lie up to .* off the corners of a box"),
+        ([MIRRORED], r"objects\.0: vertices are not in labelCloud's order"),
+        ([FLAT], r"objects\.0: vertices lie in a plane"),
+        ([{"name": "a", "vertices": [[0, 0, 0]] * 7}], r"objects\.0\.vertices"),
+        ([{"name": "a"}], r"objects\.0: .*a box needs centroid, dimensions and rotations, or vertices"),
+        ([entry(0, 0, 0) | {"dimensions": {"length": -1, "width": 1, "height": 1}}], r"dimensions\.length"),
+        ([entry(0, 0, float("nan"))], r"rotations\.z"),
+    ],
+)
+def test_what_is_no_label_is_named(tmp_path: Path, entries: list[dict[str, Any]], problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        read_labelcloud(foreign(tmp_path, None, *entries))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("P2: 1 2 3\n", r"000000\.txt:1: P2 needs 12 numbers"),
+        ("R0_rect: 1 0 0 0 1 0 0 0 1\n", "has no P2 and no Tr_velo_to_cam"),
+        ("Tr_velo_to_cam: 1 0 0 0 0 nan 0 0 0 0 1 0\n", r"000000\.txt:1: Tr_velo_to_cam must be finite"),
+    ],
+)
+def test_a_damaged_calibration(tmp_path: Path, text: str, problem: str) -> None:
+    foreign(tmp_path, None, entry(0, 0, 0))
+    (tmp_path / "calib").mkdir()
+    (tmp_path / "calib/000000.txt").write_text(text)
+    with pytest.raises(FormatError, match=problem):
+        read_labelcloud(tmp_path)
+
+
+def test_what_the_format_loses_and_replaces(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    lens = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
+    label = make_label(score=0.5, track_id=1, state=ReviewState.EDITED)
+    losses = write(out, [make_item([label], up=None, camera=lens, split="train"), make_item(key="b", split="val")])
+    assert {each.kind.value: each.count for each in losses.report()} == {
+        "score": 1, "track": 1, "state": 1, "lens": 1, "time": 2, "level": 1,
+    }  # fmt: skip
+    assert list(read_labelcloud(out)) == ["rec/000003", "rec/b"]
+    write(out, [make_item()], overwrite=True)
+    assert not (out / "train").exists()
+    (out / "frames.csv").unlink()
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        write(out, [make_item()], overwrite=True)
+    assert read_labelcloud(out).keys() == {"rec-000003"}
+    with pytest.raises(FormatError, match="no frame to export"):
+        write(tmp_path / "none", [])
+    with pytest.raises(FormatError, match="has no label file"):
+        read_labelcloud(tmp_path / "none")
