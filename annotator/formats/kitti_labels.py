@@ -7,11 +7,11 @@ says what each file's frame is called in a project; without it the file's name i
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from annotator.formats.frames_csv import FRAMES_CSV, has_frames, read_frames
 from annotator.formats.kitti import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
-from annotator.formats.numbered import read_class_names
+from annotator.formats.numbered import Meanings
 from annotator.formats.text_folder import text_files, text_rows
 from annotator.types import Truth
 from annotator.types.errors import FormatError
@@ -35,30 +35,17 @@ def read_kitti_labels(path: Path) -> Frames:
     place = next((path / name for name in PLACES if (path / name).exists()), path)
     if place.is_file() and place.suffix == ".txt":
         return _tracked(place)
-    root = _root(place)
-    origins = {} if root is None else read_frames(root)
-    names = {} if root is None else read_class_names(root)
-    found: Frames = {}
-    for key, file, text in text_files(place):
-        if root is not None and key not in origins:
-            raise FormatError(
-                root / FRAMES_CSV, f"does not name the frame {key}, which has labels; add it, or remove {file}"
-            )
+    meanings, found = Meanings.of(place), Frames()
+    for stem, file, text in text_files(place):
         lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
         rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
-        found[origins[key].name if key in origins else key] = _objects(rows, file, names)
+        found[meanings.frame(stem)] = _objects(rows, file, meanings)
     return found
 
 
-def _root(labels: Path) -> Path | None:
-    """The dataset that label files belong to: the folder with frames.csv, at most two above."""
-    above = labels.resolve()
-    return next((folder for folder in (above, *above.parents[:2]) if has_frames(folder)), None)
-
-
-def _objects(rows: Iterable[tuple[int, KittiLabel]], file: Path, names: dict[str, str]) -> tuple[Truth, ...]:
+def _objects(rows: Iterable[tuple[int, KittiLabel]], file: Path, meanings: Meanings) -> tuple[Truth, ...]:
     truths = [row_truth(row, None, None, file, line) for line, row in rows if row.label != DONT_CARE]
-    return tuple(Truth(names.get(truth.label, truth.label), truth.box) for truth in truths)
+    return tuple(replace(truth, label=meanings.label(truth.label)) for truth in truths)
 
 
 def _tracked(file: Path) -> Frames:

@@ -59,7 +59,7 @@ _WORDS = {
     Lost.TRACK: "boxes have a track id",
     Lost.STATE: "boxes were not reviewed or were corrected, which the format cannot say",
     Lost.LENS: "frames have a lens distortion; images were straightened for an ideal camera",
-    Lost.DEPTH_COLOR: "clouds have colours",
+    Lost.DEPTH_COLOR: "clouds have colours or other values of their points",
     Lost.OUTSIDE: "boxes are not in the picture and were left out",
     Lost.NAME: "boxes have a class name that was written with other characters",
     Lost.TIME: "frames have a time",

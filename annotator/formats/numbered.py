@@ -1,4 +1,5 @@
-"""What folders of numbered files with text labels need: six-digit names of frames, and class names of one word.
+"""What folders of numbered files with text labels need: six-digit names of frames, class names of one word, and both
+back to what they mean.
 
 KITTI's and SUN RGB-D's tools form file names from numbers (`%06d`) and split label rows at blanks.
 """
@@ -7,8 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, has_frames, read_frames
 from annotator.formats.text_folder import read_text
 from annotator.types.errors import FormatError
 
@@ -73,3 +76,51 @@ def read_class_names(folder: Path) -> dict[str, str]:
             )
         names[word] = name
     return names
+
+
+@dataclass(frozen=True)
+class Meanings:
+    """What a dataset says of its frames and class words; nothing, where somebody else made it.
+
+    Attributes:
+        root: the folder with frames.csv; None without any.
+        frames: by the stem of their files.
+        classes: class names by their words, where they differ.
+    """
+
+    root: Path | None = None
+    frames: dict[str, FrameOrigin] = field(default_factory=dict)
+    classes: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, labels: Path) -> Meanings:
+        """Those of the dataset that a folder of label files belongs to; its frames.csv is at most two folders above.
+
+        Raises:
+            FormatError: frames.csv or classes.txt is damaged, or two files are the same frame.
+        """
+        above = labels.resolve()
+        root = next((folder for folder in (above, *above.parents[:2]) if has_frames(folder)), None)
+        if root is None:
+            return cls()
+        frames, ids = read_frames(root), dict[str, str]()
+        for origin in frames.values():
+            if ids.setdefault(origin.name, origin.id) != origin.id:
+                raise FormatError(root / FRAMES_CSV, f"{ids[origin.name]} and {origin.id} are both {origin.name}")
+        return cls(root, frames, read_class_names(root))
+
+    def frame(self, stem: str) -> str:
+        """`RECORDING/KEY` of a label file; its stem where nothing is known.
+
+        Raises:
+            FormatError: frames.csv does not name it.
+        """
+        if self.root is None:
+            return stem
+        if stem not in self.frames:
+            raise FormatError(self.root / FRAMES_CSV, f"does not name the frame {stem}, which has labels; add a line")
+        return self.frames[stem].name
+
+    def label(self, word: str) -> str:
+        """The class name of a word."""
+        return self.classes.get(word, word)

@@ -79,7 +79,7 @@ def test_occlusion_is_measured(wall_m: float, occluded: int) -> None:
 BARE = Frame("a", 0, CAMERA, np.zeros((100, 200, 3), np.uint8), PointCloud(np.zeros((1, 3), np.float32)))
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(
     st.tuples(*[st.floats(-60, 60)] * 2, st.floats(0.5, 90)),
     st.tuples(*[st.floats(0.02, 20)] * 3),
@@ -89,7 +89,7 @@ BARE = Frame("a", 0, CAMERA, np.zeros((100, 200, 3), np.uint8), PointCloud(np.ze
 def test_rows_read_back_and_do_not_drift(
     center: tuple[float, ...], size: tuple[float, ...], angle: float, shift: tuple[float, ...]
 ) -> None:
-    """Ten times there and back: the first row stays, and it is the box within half of its last digits."""
+    """The first row is the box within half of its last digits, and each later one is the first."""
     R = Rotation.from_euler("y", angle).as_matrix() @ RIGHT
     here = replace(BARE, T_camera_label=RigidTransform.from_translation(shift))
     given = OrientedBox.from_parts(np.array(center), R, np.array(size))
@@ -98,7 +98,7 @@ def test_rows_read_back_and_do_not_drift(
     np.testing.assert_allclose(now.size_m, given.size_m, atol=0.00501)
     turned = Rotation.from_matrix(now.rotation.T @ given.rotation)
     assert turned.magnitude() <= 0.00501
-    for _ in range(10):
+    for _ in range(2):
         row = upright_row("car", rounded_box(now), None, here)
         text = dump_label_line(row)
         assert first in ("", text)
@@ -108,6 +108,7 @@ def test_rows_read_back_and_do_not_drift(
         now = label_box(read)
 
 
+@settings(deadline=None)
 @given(st.builds(KittiLabel, st.just("Van"), *[st.floats(-99, 999)], st.integers(-1, 3), *[st.floats(-99, 999)] * 12))
 def test_any_row_reads_back_within_its_decimals(row: KittiLabel) -> None:
     read = parse_label_line(dump_label_line(row))
@@ -209,6 +210,10 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
     (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n")
     with pytest.raises(FormatError, match="does not name the frame 000001"):
         read_kitti_labels(folder)
+    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,7,\n")
+    with pytest.raises(FormatError, match="000000 and 000001 are both room/7"):
+        read_kitti_labels(folder)
+    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,8,\n")
     (tmp_path / "classes.txt").write_text("traffic_light\n")
     with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be a word"):
         read_kitti_labels(folder)

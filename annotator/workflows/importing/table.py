@@ -15,6 +15,7 @@ class BoxFormat(StrEnum):
 
     RCV = "rcv"
     KITTI = "kitti"
+    SUNRGBD = "sunrgbd"
     OPENLABEL = "openlabel"
     LABELCLOUD = "labelcloud"
 
@@ -23,6 +24,7 @@ class BoxFormat(StrEnum):
 READERS: dict[BoxFormat, str] = {
     BoxFormat.RCV: "rcv",
     BoxFormat.KITTI: "kitti",
+    BoxFormat.SUNRGBD: "sunrgbd",
     BoxFormat.OPENLABEL: "openlabel",
     BoxFormat.LABELCLOUD: "labelcloud",
 }

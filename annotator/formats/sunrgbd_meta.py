@@ -1,0 +1,187 @@
+"""SUN RGB-D's own table of labels, `SUNRGBDMeta3DBB_v2.mat`: boxes with all three axes, so that they may lean.
+
+A struct array `SUNRGBDMeta`, one element a frame (SUNRGBDtoolbox, `readframeSUNRGBD.m`; version 2 of the labels), with
+
+    sequenceName Rtilt K depthpath rgbpath anno_extrinsics depthname rgbname sensorType valid groundtruth3DBB
+
+in this order, and in groundtruth3DBB, one element an object,
+
+    basis coeffs centroid classname sequenceName orientation label  gtBb2D
+
+of which the last, the 2D box x y width height, is in the first version of the labels only. All is in upright depth
+(`sunrgbd_upright.py`), metres, pixels counted from 1. The rows of `basis` are the box's axes and `coeffs` its half
+sizes along them (`get_corners_of_bb3d.m`): here across (to the right), along the heading, upwards, as VoteNet reads
+them.
+MATLAB's form is what the toolbox and scipy.io.loadmat read; JSON would be read by nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.mat_file import read_struct_array
+from annotator.formats.sunrgbd_upright import FIRST_PX, SWAPPED, one_based_matrix, tilt_matrix
+from annotator.types import Box2D, Camera, OrientedBox, Truth
+from annotator.types.errors import FormatError
+
+META = "SUNRGBDMeta3DBB_v2.mat"
+VARIABLE = "SUNRGBDMeta"
+FRAME_FIELDS = (
+    *("sequenceName", "Rtilt", "K", "depthpath", "rgbpath", "anno_extrinsics", "depthname", "rgbname"),
+    *("sensorType", "valid", "groundtruth3DBB"),
+)
+BOX_FIELDS = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label", "gtBb2D")
+# The data set's paths begin so; recordings of its scenes name their frames by the rest, joined by this.
+ROOT, BETWEEN = "SUNRGBD/", "__"
+# How far the axes of others may be from a right angle.
+MOST_SKEW = 0.1
+
+MetaRow = tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MetaFrame:
+    """One frame of the table.
+
+    Attributes:
+        name: `RECORDING/KEY`, or a scene's path in the data set.
+        T_camera_upright: from upright depth to the camera.
+        truths: the objects, in upright depth.
+    """
+
+    name: str
+    T_camera_upright: RigidTransform
+    truths: tuple[Truth, ...]
+
+
+def meta_frame(
+    name: str,
+    files: tuple[str, str],
+    camera: Camera,
+    T_camera_upright: RigidTransform,
+    boxes: Sequence[tuple[str, OrientedBox, Box2D]],
+) -> MetaRow:
+    """One element of the struct array, its fields in order.
+
+    Args:
+        name: `RECORDING/KEY`.
+        files: of the cloud and of the image, within the dataset.
+        camera: ideal.
+        boxes: class, box in upright depth, and its 2D box.
+    """
+    depth, image = files
+    Rtilt = tilt_matrix(T_camera_upright)
+    objects = np.empty((1, len(boxes)), [(field, object) for field in BOX_FIELDS])
+    for number, (label, box, on_image) in enumerate(boxes):
+        objects[0, number] = _object(name, label, box, on_image)
+    # the extrinsics level the camera without swapping its axes
+    level = SWAPPED.T @ Rtilt @ SWAPPED
+    K = one_based_matrix(camera)
+    return name, Rtilt, K, depth, image, level, Path(depth).name, Path(image).name, "annotator", 1.0, objects
+
+
+def dump_meta(frames: Sequence[MetaRow]) -> dict[str, np.ndarray]:
+    """The content of the file, for `scipy.io.savemat`."""
+    table = np.empty((1, len(frames)), [(field, object) for field in FRAME_FIELDS])
+    for number, frame in enumerate(frames):
+        table[0, number] = frame
+    return {VARIABLE: table}
+
+
+def read_meta(path: Path) -> list[MetaFrame]:
+    """The frames of a `SUNRGBDMeta*.mat`, ours or the data set's.
+
+    Raises:
+        FormatError: it is no such file, a frame comes twice, or numbers make no box; names frame and object.
+    """
+    table = read_struct_array(path, VARIABLE)
+    if missing := {"sequenceName", "Rtilt", "groundtruth3DBB"} - set(table.dtype.names or ()):
+        raise FormatError(path, f"{VARIABLE} has no field {', '.join(sorted(missing))}")
+    frames = [_frame(path, f"frame {number}", entry) for number, entry in enumerate(table.ravel(), 1)]
+    names = [frame.name for frame in frames]
+    if len(set(names)) < len(names):
+        twice = next(name for number, name in enumerate(names) if name in names[:number])
+        raise FormatError(path, f"has the frame {twice} twice")
+    return frames
+
+
+def _object(name: str, label: str, box: OrientedBox, on_image: Box2D) -> tuple[Any, ...]:
+    length, width, height = box.size_m
+    along, across, up = box.rotation.T
+    basis = np.stack([-across, along, up])
+    coeffs = np.array([[width, length, height]]) / 2
+    corner = [on_image.x_min + FIRST_PX, on_image.y_min + FIRST_PX]
+    bb2d = np.array([[*corner, on_image.width_px, on_image.height_px]])
+    return basis, coeffs, box.center_m[None], label, name, along[None], 1.0, bb2d
+
+
+def _frame(path: Path, where: str, entry: np.void) -> MetaFrame:
+    name = _text(path, f"{where}, sequenceName", entry["sequenceName"])
+    Rtilt = _numbers(path, f"{where}, Rtilt", entry["Rtilt"], 9).reshape(3, 3)
+    T = RigidTransform.from_rotation(Rotation.from_matrix(_rotation(path, f"{where}, Rtilt", Rtilt @ SWAPPED).T))
+    objects = entry["groundtruth3DBB"]
+    if getattr(objects, "size", 0) == 0:
+        return MetaFrame(_key(name), T, ())
+    needed = {"basis", "coeffs", "centroid", "classname"}
+    if not isinstance(objects, np.ndarray) or not needed <= set(objects.dtype.names or ()):
+        raise FormatError(path, f"{where}: groundtruth3DBB has no fields {', '.join(sorted(needed))}")
+    truths = [_truth(path, f"{where}, object {number}", each) for number, each in enumerate(objects.ravel(), 1)]
+    return MetaFrame(_key(name), T, tuple(truths))
+
+
+def _key(name: str) -> str:
+    return name.removeprefix(ROOT).strip("/").replace("/", BETWEEN) if name.startswith(ROOT) else name
+
+
+def _truth(path: Path, where: str, entry: np.void) -> Truth:
+    label = _text(path, f"{where}, classname", entry["classname"])
+    basis = _numbers(path, f"{where}, basis", entry["basis"], 9).reshape(3, 3)
+    across, along, up = basis
+    width, length, height = 2 * np.abs(_numbers(path, f"{where}, coeffs", entry["coeffs"], 3))
+    if "orientation" in (entry.dtype.names or ()):
+        facing = _numbers(path, f"{where}, orientation", entry["orientation"], 3)
+        # others give any two sides the first two rows; the heading is what the object faces
+        if abs(across @ facing) > abs(along @ facing):
+            across, along, width, length = along, across, length, width
+        along = along if along @ facing >= 0 else -along
+    left = -across if np.linalg.det(np.stack([along, -across, up])) > 0 else across
+    R = _rotation(path, f"{where}, basis", np.stack([along, left, up], axis=1))
+    center = _numbers(path, f"{where}, centroid", entry["centroid"], 3)
+    try:
+        return Truth(label, OrientedBox.from_parts(center, R, np.array([length, width, height])))
+    except ValueError as error:
+        raise FormatError(path, f"{where}: {error}") from error
+
+
+def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
+    """The nearest rotation."""
+    if np.abs(R @ R.T - np.eye(3)).max() > MOST_SKEW or np.linalg.det(R) < 0:
+        raise FormatError(path, f"{where} is no rotation")
+    U, _, V = np.linalg.svd(R)
+    return np.asarray(U @ V)
+
+
+def _numbers(path: Path, where: str, value: Any, count: int) -> np.ndarray:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.size != count:
+        raise FormatError(path, f"{where} must have {count} numbers")
+    numbers = value.astype(np.float64).ravel()
+    if not np.isfinite(numbers).all():
+        raise FormatError(path, f"{where} has a number that is not finite")
+    return numbers
+
+
+def _text(path: Path, where: str, value: Any) -> str:
+    if (
+        not isinstance(value, np.ndarray)
+        or value.dtype.kind != "U"
+        or value.size != 1
+        or not str(value.flat[0]).strip()
+    ):
+        raise FormatError(path, f"{where} must be a text")
+    return str(value.flat[0])

@@ -1,0 +1,43 @@
+"""The frame "upright depth" of SUN RGB-D's labels for any of our frames: x right, y forward, z up, at the camera.
+
+Recordings of SUN RGB-D keep their own. For others it follows from gravity: y is the direction of view, levelled. A
+camera's point goes there by `Rtilt * [X, Z, -Y]` (SUNRGBDtoolbox, `read3dPoints.m`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.losses import IMAGE_UP
+from annotator.geometry.transforms import right_handed_frame
+from annotator.types import Camera, Frame
+
+# [X, Z, -Y] of a camera's point [X, Y, Z].
+SWAPPED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+# SUN RGB-D counts pixels from 1.
+FIRST_PX = 1.0
+# An axis so near to gravity is gravity, and a shift so small is none.
+SAME = 1e-6
+
+
+def upright_frame(frame: Frame) -> RigidTransform:
+    """T_camera_upright of a frame; where gravity is not known, it is taken to point down the image."""
+    up, T = frame.up, frame.T_camera_label
+    if T is not None and up is not None and np.linalg.norm(T.translation) < SAME:
+        own_up = T.rotation.apply([0.0, 0.0, 1.0])
+        if np.linalg.norm(own_up - up) < SAME:
+            return T
+    z, y, minus_x = right_handed_frame(IMAGE_UP if up is None else up, np.array([0.0, 0.0, 1.0])).T
+    return RigidTransform.from_rotation(Rotation.from_matrix(np.stack([-minus_x, y, z], axis=1)))
+
+
+def tilt_matrix(T_camera_upright: RigidTransform) -> Float64[np.ndarray, "3 3"]:
+    """`Rtilt` of a frame."""
+    return np.asarray(T_camera_upright.inv().rotation.as_matrix() @ SWAPPED.T)
+
+
+def one_based_matrix(camera: Camera) -> Float64[np.ndarray, "3 3"]:
+    """`K` of a camera, pixels counted from 1."""
+    return camera.matrix + np.array([[0.0, 0.0, FIRST_PX], [0.0, 0.0, FIRST_PX], [0.0, 0.0, 0.0]])
