@@ -158,8 +158,6 @@ def tables(args: Arguments, result: Mapping[str, object]) -> list[Table]:
     stages = Table("stage", "seconds", "")
     for stage, took in seconds.items():
         stages.add(stage, took, "by an earlier run" if stage in skipped else "")
-    if not result["ours"]:
-        QUIET.print("nothing was proposed on the frames to try: every AP is 0")
     if args.dataset is Dataset.KITTI:
         return [stages, kitti_table(cast(Ap, result["ours"]), args.fraction)]
     ours = cast("dict[str, dict[str, JsonValue]]", result["ours"])

@@ -23,7 +23,7 @@ from annotator.workflows.train import TrainPlan, train
 from benchmarks.paper_frames import FrameSplit, link_frames
 from benchmarks.paper_settings import Dataset
 from benchmarks.paper_stages import Facts, Stages
-from benchmarks.paper_tables import sunrgbd_ap
+from benchmarks.paper_tables import kitti_ap, sunrgbd_ap
 
 # The names of the project's two recordings.
 TRAIN, VAL = "train", "val"
@@ -167,12 +167,15 @@ class InProject:
         return result["run"] == self.project.jobs.all()[-1].id
 
     def evaluate(self) -> Facts:
-        """The proposals against the truth; nothing where there is no proposal at all."""
-        if not self.stages.done["propose"].result["proposals"]:
-            return {}
-        choice = Choice(Measured.PROPOSALS, recordings=(self._recording(VAL),))
-        content = evaluate_project(self.project, Protocol(self.dataset.value), choice).content.model_dump(mode="json")
-        return content if self.dataset is Dataset.KITTI else sunrgbd_ap(content, self.project.config.classes)
+        """The proposals against the truth."""
+        choice, protocol = Choice(Measured.PROPOSALS, recordings=(self._recording(VAL),)), Protocol(self.dataset.value)
+        if self.dataset is Dataset.SUNRGBD:
+            content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json")
+            return sunrgbd_ap(content, self.project.config.classes)
+        # KITTI's protocol is silent on a class that was never detected, and refuses where nothing was
+        found = self.stages.done["propose"].result["proposals"]
+        content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if found else {}
+        return kitti_ap(content, self.project.config.classes)
 
     def _report(self, role: Role, step: TrainingProgress) -> None:
         if step.batch == step.batches:

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import JsonValue
 
+from annotator.evaluation.kitti import Metric
+from annotator.evaluation.kitti.protocol import DIFFICULTIES
 from benchmarks.paper_settings import SUNRGBD_CLASSES, Classes
 from benchmarks.report import Table
 
-DIFFICULTIES = ("easy", "moderate", "hard")
 KITTI_SOURCE = "Tab. III, AP R40 at IoU 0.5, KITTI test set"
 # By share of the training data: class -> (3D, bird's-eye view), each easy, moderate, hard; percent.
 KITTI_ROWS: Mapping[float, Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
@@ -52,6 +53,18 @@ def paper_of_sunrgbd() -> dict[str, JsonValue]:
     """The paper's row, percent."""
     names = SUNRGBD_CLASSES[Classes.PAPER]
     return {"table": SUNRGBD_SOURCE, "AP": dict(zip(names, SUNRGBD_ROW, strict=True)), "mAP": SUNRGBD_MAP}
+
+
+def kitti_ap(report: Mapping[str, JsonValue], classes: Sequence[str]) -> dict[str, JsonValue]:
+    """AP of all our classes, percent; 0 for one that was never detected.
+
+    Args:
+        report: by class, then metric, {"R11": [easy, moderate, hard], "R40": ...}.
+    """
+    nothing: dict[str, JsonValue] = {
+        metric.value: {recalls: [0.0] * len(DIFFICULTIES) for recalls in ("R11", "R40")} for metric in Metric
+    }
+    return {label: report.get(label, nothing) for label in classes}
 
 
 def kitti_table(ours: Ap, fraction: float) -> Table:

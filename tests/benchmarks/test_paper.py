@@ -28,7 +28,7 @@ from benchmarks import paper, paper_protocol
 from benchmarks.paper_frames import split_of
 from benchmarks.paper_settings import SUNRGBD_CLASSES, Preset, Trainings
 from benchmarks.paper_stages import Stages
-from benchmarks.paper_tables import KITTI_ROWS, SUNRGBD_MAP, SUNRGBD_ROW
+from benchmarks.paper_tables import KITTI_ROWS, SUNRGBD_MAP, SUNRGBD_ROW, kitti_ap
 
 WIDTH, HEIGHT, FOCAL = 620, 188, 360.0
 MIDDLE = np.array([WIDTH, HEIGHT]) / 2
@@ -41,7 +41,7 @@ def write_frame(root: Path, key: str, rng: np.random.Generator) -> None:
     """Upright boxes side by side on the ground, with points on all faces, along the camera's axes."""
     rows, points = [], []
     x = -6.0
-    for label in ("Pedestrian", "Cyclist", "Pedestrian", "Car", "Pedestrian"):
+    for label in SIZES:
         height, width, length = SIZES[label]
         rotation_y = rng.choice([0.0, np.pi / 2])
         across, along = (length, width) if rotation_y == 0 else (width, length)
@@ -155,10 +155,10 @@ def test_kitti_from_frames_to_figures_and_again(
     assert list(first["seconds"]) == STAGES
     assert first["stages"]["import"] == {"train": 4, "val": 2, "divided": str(kitti / "ImageSets" / "train.txt")}
     boxes = first["stages"]["boxes"]
-    assert (boxes["frames"], boxes["objects"]) == (2, {"Pedestrian": 6, "Cyclist": 2, "Car": 2})
-    assert (boxes["views"], first["stages"]["train-view"]["pictures"]["train"]) == (40, 40)
+    assert (boxes["frames"], boxes["objects"]) == (2, {"Pedestrian": 2, "Cyclist": 2, "Car": 2})
+    assert (boxes["views"], first["stages"]["train-view"]["pictures"]["train"]) == (24, 24)
     assert first["stages"]["train-image"]["pictures"]["train"] == 2
-    assert (first["stages"]["propose"]["frames"], first["stages"]["propose"]["proposals"]) == (2, 10)
+    assert (first["stages"]["propose"]["frames"], first["stages"]["propose"]["proposals"]) == (2, 6)
     assert first["paper"]["rows"] == {
         "0.5": {k: {m: list(v) for m, v in r.items()} for k, r in KITTI_ROWS[0.5].items()}
     }
@@ -211,7 +211,7 @@ def test_frames_that_cannot_be_tried_stop_it_and_a_repaired_one_goes_on(
     monkeypatch.setattr(paper_protocol, "active_detectors", lambda _: known[0])
     result: Any = paper.run(args)
     assert result["skipped"] == STAGES[:4]
-    assert result["stages"]["propose"]["proposals"] == 10
+    assert result["stages"]["propose"]["proposals"] == 6
 
 
 @pytest.mark.shared
@@ -238,6 +238,14 @@ def test_sun_rgbd_on_a_real_frame(shared: Path, knowing: Knowing, tmp_path: Path
 def test_the_papers_tables_add_up() -> None:
     assert np.mean(SUNRGBD_ROW) == pytest.approx(SUNRGBD_MAP, abs=0.01)
     assert {len(names) for names in SUNRGBD_CLASSES.values()} == {len(SUNRGBD_ROW)} == {10}
+
+
+def test_a_class_that_was_never_detected_counts_as_nothing_and_stands_beside_the_papers() -> None:
+    car = {"3d": {"R11": [1.0, 2.0, 3.0], "R40": [4.0, 5.0, 6.0]}}
+    found: Any = kitti_ap({"Car": car}, ("Car", "Cyclist"))
+    assert found["Car"] == car
+    assert set(found["Cyclist"]) == {"bbox", "bev", "3d", "aos"}
+    assert all(ap == {"R11": [0.0] * 3, "R40": [0.0] * 3} for ap in found["Cyclist"].values())
 
 
 def test_the_papers_trainings() -> None:
