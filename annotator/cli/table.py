@@ -30,7 +30,7 @@ COMMANDS: dict[str, Command] = {
     "evaluate": Command("annotator.cli.evaluate:run", "measure boxes against truth, by the rules of a benchmark"),
     "stats": Command("annotator.cli.stats:run", "say how far a project is"),
     "serve": Command("annotator.cli.serve:run", "open the workbench in the browser"),
-    "check": Command("annotator.cli.check:run", "list labels that look wrong"),
+    "check": Command("annotator.cli.check:run", "find what is wrong with a dataset, or with a project's labels"),
     "generate": Command("annotator.cli.generate:run", "make a recording of a generated room, with its truth"),
     "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),
 }

@@ -24,7 +24,7 @@ TURNS_DEG = np.arange(-3.0, 3.01, 0.5)
 ROLLS_DEG = np.arange(-3.0, 3.01, 1.0)
 FRAMES = 24
 LEAST_FRAMES = 4
-LEAST_EDGES, MOST_EDGES = 200, 2500
+LEAST_EDGES, MOST_EDGES = 200, 1500
 MOST_POINTS = 60_000
 # A foreground edge is nearer than what is beside it by this much: metres, and a share of its distance.
 STEP_LIDAR, STEP_DEPTH = (0.5, 0.05), (0.1, 0.05)
@@ -146,12 +146,13 @@ def _fit(
     rotations = Rotation.from_rotvec(turns_deg(), degrees=True).as_matrix()
     average, scores = float(strength.mean()), np.empty(len(rotations))
     for number, R in enumerate(rotations):
-        x, y, z = R @ rays.T
-        u = np.rint(x / z * camera.fx + camera.cx).astype(np.int64)
-        v = np.rint(y / z * camera.fy + camera.cy).astype(np.int64)
+        # what cannot be projected is NaN, and compares as false
+        u, v = np.rint(project(camera, rays @ R.T)).T
         inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
         # what a turn moves off the image tells nothing
-        scores[number] = strength[v[inside], u[inside]].mean() if inside.mean() > 0.5 else average
+        scores[number] = (
+            strength[v[inside].astype(np.int64), u[inside].astype(np.int64)].mean() if inside.mean() > 0.5 else average
+        )
     return scores
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from annotator.geometry.projection import project
-from annotator.recordings.kitti_calib import KittiCalibration
 from annotator.types import Camera, Frame
 from annotator.workflows.checking.rules import (
     CAMERA_OF_OTHER_SIZE,
@@ -16,7 +15,6 @@ from annotator.workflows.checking.rules import (
     CLOUD_SCALE,
     IMAGE_BARE,
     IMPOSSIBLE_CAMERA,
-    NO_ROTATION,
     Rule,
 )
 
@@ -26,14 +24,13 @@ FOCAL_LENGTHS = (0.13, 30.0)
 MOST_ASPECT = 2.0
 # Where the principal point may be, as a share of the image: images that were cropped have it far from the middle.
 PRINCIPAL_POINT = (0.2, 0.8)
-MOST_OFF_ROTATION = 1e-2
 # The median distance of a cloud's points, metres.
 DISTANCES_M = (0.05, 300.0)
 SAMPLE = 5000
 MOST_OFF_PIXEL_PX = 1.0
 # A camera of depth sees what is on its image, but for the border.
 LEAST_ON_IMAGE, BORDER_PX = 0.9, 3.0
-CELL_PX = 32
+CELL_PX = 16
 LEAST_COVERED = 0.02
 
 Breach = tuple[Rule, str]
@@ -50,14 +47,6 @@ def camera_rules(camera: Camera) -> Iterator[Breach]:
     middle = np.array([camera.cx / camera.width_px, camera.cy / camera.height_px])
     if (middle < PRINCIPAL_POINT[0]).any() or (middle > PRINCIPAL_POINT[1]).any():
         yield CAMERA_OF_OTHER_SIZE, f"the principal point is ({camera.cx:g}, {camera.cy:g}) {size}; was it for others?"
-
-
-def kitti_rules(calibration: KittiCalibration) -> Iterator[Breach]:
-    """KITTI's matrices are used as they are, so nothing else would notice that they do not turn but skew."""
-    R = calibration.T_rect_lidar[:, :3]
-    off = float(np.abs(R @ R.T - np.eye(3)).max())
-    if off > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
-        yield NO_ROTATION, f"R0_rect * Tr_velo_to_cam is no rotation (off by {off:.2g}); copy it from the data set"
 
 
 def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[Breach]:

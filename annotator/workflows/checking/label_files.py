@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
@@ -48,6 +48,7 @@ class FrameLabels:
     missing: Path | None = None
 
 
+@runtime_checkable
 class LabelFiles(Protocol):
     """The label files of a dataset."""
 

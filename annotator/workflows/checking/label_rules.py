@@ -25,6 +25,7 @@ from annotator.workflows.checking.rules import (
     EMPTY_BOX,
     FIELD_RANGE,
     IMAGE_BOX_OFF,
+    IMPOSSIBLE_PLACE,
     IMPOSSIBLE_SIZE,
     SPARSE_BOX,
     TRACK_TWICE,
@@ -32,6 +33,7 @@ from annotator.workflows.checking.rules import (
 )
 
 SHORTEST_M, LONGEST_M = 0.005, 60.0
+FARTHEST_M = 1e4
 SAME_OBJECT_IOU, SAME_PLACE_IOU = 0.7, 0.9
 LEAST_IMAGE_IOU = 0.4
 MOST_ALPHA_OFF_RAD = 0.3
@@ -45,19 +47,27 @@ Breach = tuple[Rule, int, str]
 """A rule, the place of the label in its list, and a message."""
 
 
-def rules_without_frame(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
-    """What the labels say by themselves, whatever the frame shows."""
+def rules_of_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+    """What each label says by itself."""
     for number, found in enumerate(labels):
         size_m = found.truth.box.size_m
         if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
             yield IMPOSSIBLE_SIZE, number, f"{found.truth.label} of {size_text(size_m)}"
+        if np.abs(found.truth.box.center_m).max() > FARTHEST_M:
+            yield IMPOSSIBLE_PLACE, number, f"the middle of this {found.truth.label} is further than 10 km away"
         if found.row is not None:
             for rule, message in _row_rules(found.row):
                 yield rule, number, message
-    yield from _twice(labels)
 
 
-def _twice(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+def is_in_this_world(found: FoundLabel) -> bool:
+    """False for a box so large or far that nothing can be computed with it."""
+    box = found.truth.box
+    return bool(np.abs(box.center_m).max() <= FARTHEST_M and box.size_m.max() <= FARTHEST_M)
+
+
+def rules_among_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
+    """Boxes and tracks that are there twice."""
     truths = [found.truth for found in labels]
     for first, second, iou in overlaps(truths, OVERLAP_IOU):
         a, b = truths[first].label, truths[second].label

@@ -50,7 +50,9 @@ def _warning(rule_id: str, meaning: str) -> Rule:
 UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset and cannot be opened")
 MISSING_FILE = _error("missing-file", "a frame lacks one of its files, such as an image without its cloud")
 UNREADABLE_FILE = _error("unreadable-file", "a frame's file is damaged, or has another size than those beside it")
-UNREADABLE_CALIBRATION = _error("unreadable-calibration", "a calibration lacks a matrix, or describes no camera")
+UNREADABLE_CALIBRATION = _error(
+    "unreadable-calibration", "a calibration lacks a matrix, or holds no camera or no rotation"
+)
 UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing, damaged or of another size than its image")
 MISSING_LABELS = _error("missing-labels", "a frame has no label file, and others of its dataset have one")
 STRAY_FILE = _error("stray-file", "labels or other files of a frame that is not there")
@@ -65,6 +67,7 @@ TRACK_CLASS = _warning("track-class", "a track has changed its class since the f
 
 # Boxes
 IMPOSSIBLE_SIZE = _error("impossible-size", "a side of a box is shorter than 5 mm or longer than 60 m")
+IMPOSSIBLE_PLACE = _error("impossible-place", "the middle of a box is further than 10 km away")
 ODD_SIZE = _warning("odd-size", "a box is far from the median size of its class")
 DUPLICATE_LABEL = _error("duplicate-label", "two boxes are one: exact 3D IoU >= 0.7 (>= 0.9 for different classes)")
 BOX_OVERLAP = _warning("box-overlap", "two boxes of a class reach into each other: exact 3D IoU >= 0.3")
@@ -79,7 +82,6 @@ ALPHA_OFF = _warning("alpha-off", "KITTI: alpha contradicts rotation_y and the p
 # Calibration
 IMPOSSIBLE_CAMERA = _error("impossible-camera", "focal lengths that no lens has, for images of this size")
 CAMERA_OF_OTHER_SIZE = _warning("camera-of-other-size", "the principal point is far from the middle of the image")
-NO_ROTATION = _error("no-rotation", "KITTI: R0_rect or Tr_velo_to_cam does not hold a rotation")
 CLOUD_SCALE = _warning("cloud-scale", "the points are so near or far that their unit can hardly be metres")
 CLOUD_OFF_DEPTH = _error("cloud-off-depth", "points of a depth camera do not project onto their own pixels")
 CLOUD_OFF_IMAGE = _error("cloud-off-image", "a depth camera's points fall beside its image in mass")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import FOLDERS, MANIFEST
@@ -29,6 +29,7 @@ CALIBRATIONS = (
 )
 
 
+@runtime_checkable
 class Source(Protocol):
     """A dataset: frames that are read one at a time, and labels."""
 
