@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int32
+from jaxtyping import Bool, Float, Float32, Float64, Int32
 
 from annotator.geometry.distortion import distort, undistort
 from annotator.types import Camera
@@ -38,6 +38,11 @@ def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarr
     xy *= (camera.fx, camera.fy)
     xy += (camera.cx, camera.cy)
     return xy
+
+
+def inside_image(camera: Camera, px: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    """Which pixels (n, 2) lie on the image, whose first and last pixels reach half a pixel beyond their centres."""
+    return np.asarray((px >= -0.5).all(axis=1) & (px < np.array([camera.width_px, camera.height_px]) - 0.5).all(axis=1))
 
 
 def undistort_px(camera: Camera, px: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:

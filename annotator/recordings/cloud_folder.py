@@ -23,7 +23,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.projection import project
+from annotator.geometry.projection import inside_image, project
 from annotator.recordings.cloud_columns import RawCloud
 from annotator.recordings.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_rgb
@@ -203,8 +203,7 @@ def _seen(view: View, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:
     """The points that project inside the image; those without colours of their own get their pixel's."""
     camera = view.camera
     px = project(camera, cloud.xyz_m)
-    inside = (px >= -0.5).all(axis=1) & (px < np.array([camera.width_px, camera.height_px]) - 0.5).all(axis=1)
-    kept = np.flatnonzero(inside & (cloud.xyz_m[:, 2] > NEAREST_Z_M))
+    kept = np.flatnonzero(inside_image(camera, px) & (cloud.xyz_m[:, 2] > NEAREST_Z_M))
     seen = cloud.select(kept)
     if seen.rgb is not None:
         return seen

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.geometry.projection import project
+from annotator.geometry.projection import inside_image, project
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti_calib import KittiCalibration
 from annotator.types import Camera, Frame, PointCloud
@@ -81,6 +81,6 @@ def visible_cloud(camera: Camera, xyz_m: np.ndarray, reflectance: np.ndarray, rg
     in_front = xyz_m[:, 2] > NEAREST_Z_M
     xyz_m, reflectance = xyz_m[in_front], reflectance[in_front]
     px = project(camera, xyz_m)
-    inside = ((px >= -0.5) & (px < np.array([camera.width_px, camera.height_px]) - 0.5)).all(axis=1)
+    inside = inside_image(camera, px)
     u, v = np.floor(px[inside] + 0.5).astype(np.int64).T
     return PointCloud(xyz_m[inside].astype(np.float32), rgb=rgb[v, u], reflectance=reflectance[inside])

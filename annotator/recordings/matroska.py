@@ -26,6 +26,8 @@ SKIPPED = frozenset(
     | {0xA7, 0xAB, 0x5854, 0x9B, 0xFB, 0xFA, 0xFD, 0x75A1, 0x75A2, 0xA4, 0xAF, 0x8E}
 )
 CLUSTER_ID = CLUSTER.to_bytes(4)
+# Beyond every file: sizes have 56 bits.
+NOWHERE = 1 << 60
 LACING_BITS = 0x06
 LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
@@ -97,6 +99,8 @@ class _Walk:
     def index(self) -> MatroskaIndex:
         end = self.path.stat().st_size
         at = 0
+        # where the present cluster ends, if that is known: what reaches beyond it has a damaged size
+        limit = NOWHERE
         while at < end:
             head = self._read(at, LONGEST_HEAD)
             found = element_head(head)
@@ -108,9 +112,11 @@ class _Walk:
                 continue
             kind, size, length = found
             at += length
+            if kind == CLUSTER:
+                limit = NOWHERE if size is None else at + size
             if kind in ENTERED:
                 continue
-            if size is None:
+            if size is None or (at < limit < at + size):
                 at = self._next_cluster(at, end)
                 continue
             self._take(kind, at, size)

@@ -87,7 +87,8 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise FrameError(path, "is no PLY file, or its header is cut off", CLOUD_REMEDY)
     order, elements = None, list[_Element]()
-    for number, line in enumerate(data[:end].decode("latin-1").splitlines(), 1):
+    # lines end with a line feed and nothing else: a name in UTF-8 may hold bytes that other encodings end lines with
+    for number, line in enumerate(data[:end].decode("latin-1").split("\n"), 1):
         match line.split():
             case ["format", name, _] if name in ORDERS:
                 order = name

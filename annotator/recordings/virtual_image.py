@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.geometry.projection import project
+from annotator.geometry.projection import inside_image, project
 from annotator.types import Camera, PointCloud
 
 # A point is drawn as a square as large as this length looks at its distance, within these bounds.
@@ -21,24 +21,28 @@ def virtual_image(camera: Camera, cloud: PointCloud) -> UInt8[np.ndarray, "h w 3
         camera: where the picture is taken from.
         cloud: in the camera's frame.
     """
-    image = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
+    import cv2
+
     px = project(camera, cloud.xyz_m)
     z_m = cloud.xyz_m[:, 2]
-    inside = (px >= -0.5).all(axis=1) & (px < np.array([camera.width_px, camera.height_px]) - 0.5).all(axis=1)
-    drawn = np.flatnonzero(inside & (z_m > NEAREST_M))
-    # what is written later covers what was there
+    drawn = np.flatnonzero(inside_image(camera, px) & (z_m > NEAREST_M))
+    # ranks from 1, far to near: of the points whose squares meet at a pixel, the one of the highest rank is seen
     drawn = drawn[np.argsort(-z_m[drawn], kind="stable")]
-    colors = _colors(cloud)[drawn]
     size_px = np.clip(np.ceil(POINT_SIZE_M * camera.fx / z_m[drawn]), SMALLEST_PX, LARGEST_PX).astype(np.int64)
-    corner = np.floor(px[drawn] - size_px[:, None] / 2 + 1).astype(np.int64)
-    # squares of one size are drawn at once, and these come in the order of distance, too
-    for size in range(LARGEST_PX, SMALLEST_PX - 1, -1)[::-1]:
-        of_size = size_px == size
-        offsets = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2)
-        u, v = (corner[of_size][:, None] + offsets).reshape(-1, 2).T
-        kept = (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px)
-        image[v[kept], u[kept]] = np.repeat(colors[of_size], size * size, axis=0)[kept]
-    return image
+    corner = np.floor(px[drawn] - size_px[:, None] / 2 + 1).astype(np.int64) + LARGEST_PX
+    seen = np.zeros((camera.height_px + LARGEST_PX, camera.width_px + LARGEST_PX))
+    for size in range(SMALLEST_PX, LARGEST_PX + 1):
+        of_size = np.flatnonzero(size_px == size)
+        if len(of_size) == 0:
+            continue
+        rank = np.zeros_like(seen)
+        # where several points have one corner the last one stays, which is the nearest
+        rank[corner[of_size, 1], corner[of_size, 0]] = of_size + 1
+        # each corner fills the square right of and below it
+        squares = cv2.dilate(rank, np.ones((size, size), np.uint8), anchor=(size - 1, size - 1))
+        np.maximum(seen, squares, out=seen)
+    palette = np.concatenate([np.zeros((1, 3), np.uint8), _colors(cloud)[drawn]])
+    return palette[seen[LARGEST_PX:, LARGEST_PX:].astype(np.int64)]
 
 
 def _colors(cloud: PointCloud) -> UInt8[np.ndarray, "n 3"]:

@@ -59,7 +59,7 @@ def ply(order: str, extra: str = "", before: bytes = b"") -> bytes:
     mark = {"binary_big_endian": ">", "binary_little_endian": "<"}[order]
     rows = np.zeros(len(XYZ), [("x", mark + "f8"), ("y", mark + "f8"), ("z", mark + "f8"), ("i", mark + "u2")])
     rows["x"], rows["y"], rows["z"], rows["i"] = *XYZ.T, np.rint(SHARE * 65535)
-    head = f"ply\nformat {order} 1.0\ncomment made up\n{extra}element vertex {len(XYZ)}\nproperty double x\n"
+    head = f"ply\nformat {order} 1.0\ncomment made by Åsa\n{extra}element vertex {len(XYZ)}\nproperty double x\n"
     head += "property double y\nproperty double z\nproperty ushort Intensity\nelement face 1\n"
     head += "property list uchar int vertex_indices\nend_header\n"
     return head.encode() + before + rows.tobytes() + b"\x03" + bytes(12)
