@@ -107,6 +107,8 @@ def _tell(report: ExportReport) -> None:
         print_line("divided: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
     for loss in report.losses:
         print_line(f"{report.format} does not hold: {loss.message}")
+    for note in report.notes:
+        print_line(note)
 
 
 run.__doc__ = (run.__doc__ or "").replace(

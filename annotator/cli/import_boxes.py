@@ -14,11 +14,16 @@ from annotator.cli.projects import Root, open_named
 from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.import_coco import import_image_boxes, import_view_boxes
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import (
+    BoxFormat,
+    FlatFormat,
+    import_image_boxes,
+    import_labels,
+    import_view_boxes,
+    read_labels,
+)
 
-# The formats of 2D boxes; those of 3D boxes have a table of their own.
-FLAT = ("coco",)
+FLAT = tuple(FlatFormat)
 # Every value is known here, so that tyro lists them all in the help.
 Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
 
@@ -45,10 +50,11 @@ def run(
     Args:
         project: the project's name.
         path: the file or folder of labels; with --as-2d, those that lie beside the recordings where it is left out.
-        format: coco = 2D boxes; the others hold 3D boxes.
-        pictures: coco: folder of pseudo-view pictures that the boxes were drawn on (`annotator views` writes such);
-            without it the boxes are on the camera images, whose names must be those of the project's frames.
-        kind: coco: silhouette = around what is seen; box = the projection of a 3D box.
+        format: coco and yolo = 2D boxes; the others hold 3D boxes.
+        pictures: coco, yolo: folder of pseudo-view pictures that the boxes were drawn on (`annotator views` writes
+            such); without it the boxes are on the camera images, whose names must be those of the project's frames,
+            and on those pseudo-views that a `views.json` beside them names.
+        kind: coco, yolo: silhouette = around what is seen; box = the projection of a 3D box.
         recording: which recording the boxes belong to, where several have frames of the same name.
         as_2d: 3D boxes as 2D boxes alone, the frames stay without 3D labels.
         fraction: as-2d: share of the labelled frames to take, above 0 and at most 1.
@@ -73,18 +79,23 @@ def run(
                 f"which labels? annotator import {project} PATH; or --as-2d for those beside the recordings"
             )
         elif format in FLAT:
-            _flat(opened, path, pictures, kind, recording)
+            _flat(opened, path, FlatFormat(format), pictures, kind, recording)
         else:
             _boxes(opened, path, BoxFormat(format), recording)
 
 
-def _flat(project: Project, path: Path, pictures: Path | None, kind: BoxKind, recording: str | None) -> None:
+def _flat(
+    project: Project, path: Path, format: FlatFormat, pictures: Path | None, kind: BoxKind, recording: str | None
+) -> None:
     if pictures is None:
-        done = import_image_boxes(project, path, kind, recording)
+        done = import_image_boxes(project, path, kind, recording, format)
     else:
-        done = import_view_boxes(project, path, pictures, kind)
-    what = "camera images" if pictures is None else "pseudo-views"
-    print_line(f"{done.boxes} boxes on {done.pictures} {what}")
+        done = import_view_boxes(project, path, pictures, kind, format)
+    found = {"camera images": done.pictures - done.views, "pseudo-views": done.views}
+    where = " and ".join(f"{number} {what}" for what, number in found.items() if number) or "no picture"
+    print_line(f"{done.boxes} boxes on {where}")
+    for line in done.unreadable:
+        print_line(f"unreadable: {line}")
     _left_out(done.other_classes, done.unmatched, "images")
 
 
@@ -95,7 +106,7 @@ def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | Non
     classes = ", ".join(f"{number} {name}" for name, number in sorted(done.labels.items())) or "no box"
     print_line(f"{done.frames} frames: {classes}")
     if done.already:
-        print_line(f"left alone: {done.already} frames that have labels already")
+        print_line(f"left alone: {done.already} frames that have labels already or are finalised")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     _left_out(done.other_classes, done.unmatched, "frames")

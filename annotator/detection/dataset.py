@@ -20,6 +20,7 @@ from jaxtyping import UInt8
 
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
 from annotator.files import new_folder
+from annotator.geometry.image_shares import cut_to_picture, shares_of
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError
 
@@ -123,17 +124,11 @@ def write_dataset(
 
 
 def yolo_line(box: Box2D, width_px: int, height_px: int, class_number: int) -> str | None:
-    """`class cx cy w h` as shares of the picture, clipped to it; None where nothing of the box is on it.
-
-    YOLO measures from the picture's corner, here pixels from the first one's centre: half a pixel lies between.
-    """
-    size = np.array([width_px, height_px])
-    low = np.clip(np.array([box.x_min, box.y_min]) + 0.5, 0, size)
-    high = np.clip(np.array([box.x_max, box.y_max]) + 0.5, 0, size)
-    if (high - low < MIN_SIDE_PX).any():
+    """`class cx cy w h` as shares of the picture, clipped to it; None where nothing of the box is on it."""
+    cut = cut_to_picture(box, width_px, height_px, MIN_SIDE_PX)
+    if cut is None:
         return None
-    numbers = np.concatenate([(low + high) / 2 / size, (high - low) / size])
-    return " ".join([str(class_number), *(f"{number:.7f}" for number in numbers)])
+    return " ".join([str(class_number), *(f"{share:.7f}" for share in shares_of(cut, width_px, height_px))])
 
 
 def _check(folder: Path, classes: Sequence[str], val_share: float) -> None:

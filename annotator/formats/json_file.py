@@ -29,7 +29,7 @@ def read_model(path: Path, model: type[Model]) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise FormatError(path, _first_problem(error)) from error
+        raise FormatError(path, first_problem(error)) from error
 
 
 def read_json(path: Path, pairs_hook: Callable[[list[tuple[str, object]]], object] | None = None) -> object:
@@ -64,7 +64,7 @@ def read_json(path: Path, pairs_hook: Callable[[list[tuple[str, object]]], objec
         raise FormatError(path, f"has a number that cannot be read ({error})") from error
 
 
-def _first_problem(error: ValidationError) -> str:
+def first_problem(error: ValidationError) -> str:
     """The first of a model's complaints in one line, and how many more there are."""
     problems = error.errors(include_url=False, include_context=False)
     first = problems[0]

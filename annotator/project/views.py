@@ -70,6 +70,14 @@ class Views:
         Raises:
             ProjectError: it is missing, or its content no longer fits its id.
         """
+        return _decode(self._file(view_id), self.content(view_id))
+
+    def content(self, view_id: str) -> bytes:
+        """The bytes of a picture's PNG file.
+
+        Raises:
+            ProjectError: it is missing, or no longer fits its id.
+        """
         path = self.path(view_id)
         try:
             content = path.read_bytes()
@@ -77,7 +85,7 @@ class Views:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
         if hashlib.sha256(content).hexdigest() != view_id:
             raise ProjectError(f"{path}: is damaged (its content does not fit its name); restore it from a backup")
-        return _decode(path, content)
+        return content
 
     def size(self, view_id: str) -> tuple[int, int]:
         """Width and height of a picture, pixels, from the head of its file.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,15 +33,23 @@ SIDECAR, COCO = "views.json", "coco.json"
 
 
 class ViewPlace(BaseModel):
-    """Where a picture of a pseudo-view comes from."""
+    """Where a picture of a pseudo-view comes from.
+
+    Attributes:
+        file_name: of the picture.
+        recording, frame: its frame; None for a picture from elsewhere, which is only there to learn from.
+        step, geometry: of the recursion, from 0, and in space; None where they are not known.
+        labelled: somebody has looked at it, so that no box means that it shows nothing.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     file_name: str
-    recording: str
-    frame: str
-    step: int
-    geometry: ViewGeometry
+    recording: str | None
+    frame: str | None
+    step: int | None
+    geometry: ViewGeometry | None
+    labelled: bool = False
 
 
 _PLACES: TypeAdapter[tuple[ViewPlace, ...]] = TypeAdapter(tuple[ViewPlace, ...])
@@ -93,7 +101,7 @@ def write_views(project: Project, out: Path, step: int, config: RcvConfig) -> Wr
             needed = "boxes on camera images" if step == 1 else "boxes on both views of the first step"
             unreadable = "".join(f"\n  unreadable: {line}" for line in frames.unreadable)
             raise ConfigError(f"project {project.config.name} has no object with {needed} yet{unreadable}")
-        write_text(folder / SIDECAR, _PLACES.dump_json(tuple(places), indent=1).decode())
+        write_places(folder, places)
         write_coco(folder / COCO, images, project.config.classes)
     return WrittenViews(len(images), tuple(frames.unreadable))
 
@@ -116,6 +124,15 @@ def _write_picture(path: Path, view: PseudoView) -> None:
         path.write_bytes(data.tobytes())
     except OSError as error:
         raise FormatError(path, f"cannot be written ({error.strerror}); nothing was left behind") from error
+
+
+def write_places(pictures: Path, places: Sequence[ViewPlace]) -> None:
+    """Writes `views.json` into a folder of pictures.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    write_text(pictures / SIDECAR, _PLACES.dump_json(tuple(places), indent=1).decode())
 
 
 def read_places(pictures: Path) -> dict[str, ViewPlace]:

@@ -21,7 +21,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source
 from annotator.types.errors import ConfigError, FormatError, ProjectError
 from annotator.workflows.frames import FrameSource
-from annotator.workflows.import_coco import Imported, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import Imported, import_image_boxes, import_view_boxes
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.samples import drawn_objects, gather, taught_by_drags
 from annotator.workflows.simulate import draw_frame, visible_objects
@@ -92,7 +92,7 @@ def test_two_rounds_of_pictures_teach_silhouettes(hands: Project, tmp_path: Path
         pictures = tmp_path / f"step{step}"
         assert write_views(hands, pictures, step, CONFIG).pictures == 8
         done = import_view_boxes(hands, draw_on(pictures, hands, backwards), pictures, BoxKind.SILHOUETTE)
-        assert done == Imported(8, 8, {}, ())
+        assert done == Imported(8, 8, {}, (), views=8)
     assert hands.statistics().view_boxes.boxes == 16
     assert {view.source for view in hands.boxes.on_views()} == {Source.IMPORTED}
 

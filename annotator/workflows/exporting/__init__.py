@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from annotator.formats.losses import Losses
 from annotator.project import Project
-from annotator.workflows.exporting.choose import ExportFilter, choose_frames
+from annotator.workflows.exporting.choose import Chosen, ExportFilter, choose_frames
+from annotator.workflows.exporting.choose_pictures import choose_pictures
 from annotator.workflows.exporting.job import ExportJob, ExportOptions
 from annotator.workflows.exporting.report import ExportReport
 from annotator.workflows.exporting.split import Split, SplitBy, parse_shares
@@ -43,10 +45,15 @@ def export_project(
         progress: called with (frames written, frames to write).
 
     Raises:
-        ConfigError: no label fits the filter, or the frames cannot be divided so.
+        ConfigError: no label (or picture) fits the filter, or the frames cannot be divided so.
         FormatError: `out` is taken or cannot be written.
         RecordingError: a frame that can no longer be read.
     """
-    choose, writer = choose or ExportFilter(), WRITERS[format]
-    chosen = choose_frames(project, choose, choose.states or writer.states, split)
-    return writer.write(ExportJob(project, out, tuple(chosen), options or ExportOptions(), overwrite, progress))
+    choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), WRITERS[format], Losses()
+    states = choose.states or writer.states
+    chosen: Sequence[Chosen]
+    if writer.flat:
+        chosen = choose_pictures(project, choose, states, split, options.pictures, losses)
+    else:
+        chosen = choose_frames(project, choose, states, split)
+    return writer.write(ExportJob(project, out, tuple(chosen), options, overwrite, progress, losses, choose))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from annotator.project import Project, StoredFrame, StoredLabel
@@ -57,21 +58,47 @@ def choose_frames(
     Raises:
         ConfigError: the project has no such class, no label fits, or there are too few frames for a part.
     """
+    labels = labels_by_frame(project, choose, states)
+    if not labels and not choose.empty_frames:
+        raise ConfigError(_nothing(project, choose, states))
+    every = project.frames.of(choose.recordings)
+    frames = [f for f in every if f.id in labels or (choose.empty_frames and f.index is not None)]
+    return divided(project, frames, labels, split)
+
+
+def labels_by_frame(
+    project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]
+) -> dict[int, tuple[StoredLabel, ...]]:
+    """The labels that leave, by frame.
+
+    Raises:
+        ConfigError: the project has no such class.
+    """
     name, classes = project.config.name, project.config.classes
     if unknown := sorted(set(choose.classes or ()) - set(classes)):
         raise ConfigError(f"project {name} has no class {', '.join(unknown)}; it has {', '.join(classes)}")
     labels: dict[int, list[StoredLabel]] = defaultdict(list)
     for entry in project.labels.select(states=states, recordings=choose.recordings, classes=choose.classes):
         labels[entry.frame_id].append(entry)
-    if not labels and not choose.empty_frames:
-        raise ConfigError(_nothing(project, choose, states))
-    every = project.frames.of(choose.recordings)
-    frames = [f for f in every if f.id in labels or (choose.empty_frames and f.index is not None)]
+    return {frame: tuple(entries) for frame, entries in labels.items()}
+
+
+def divided(
+    project: Project,
+    frames: Sequence[StoredFrame],
+    labels: Mapping[int, tuple[StoredLabel, ...]],
+    split: Split | None,
+) -> list[Chosen]:
+    """These frames with their labels and parts.
+
+    Raises:
+        ConfigError: there are too few frames for a part.
+    """
     names = {recording.id: recording.name for recording in project.recordings.all()}
     places = [(names[f.recording_id], f.key) for f in frames]
     parts = [None] * len(frames) if split is None else assign(split, places)
     return [
-        Chosen(frame, place[0], tuple(labels.get(frame.id, ())), part)
+        Chosen(frame, place[0], labels.get(frame.id, ()), part)
         for frame, place, part in zip(frames, places, parts, strict=True)
     ]
 

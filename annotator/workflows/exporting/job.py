@@ -11,7 +11,7 @@ from typing import Literal
 from annotator.formats.dataset import DatasetItem
 from annotator.formats.losses import Losses
 from annotator.project import Project
-from annotator.workflows.exporting.choose import Chosen
+from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.exporting.report import ExportReport
 from annotator.workflows.frames import FrameSource
 
@@ -42,6 +42,7 @@ class ExportJob:
         overwrite: an older dataset of the same format at `out` may be replaced.
         progress: called with (frames written, frames to write).
         losses: counted by the writer.
+        choose: what `chosen` was chosen by.
     """
 
     project: Project
@@ -51,6 +52,7 @@ class ExportJob:
     overwrite: bool = False
     progress: Callable[[int, int], None] | None = None
     losses: Losses = field(default_factory=Losses)
+    choose: ExportFilter = field(default_factory=ExportFilter)
 
     @property
     def classes(self) -> tuple[str, ...]:

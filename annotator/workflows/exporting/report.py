@@ -20,6 +20,7 @@ class ExportReport(BaseModel):
         objects_by_class: with every class of the dataset, also those without a box.
         splits: frames of each part; empty where it is not divided.
         losses: what the format could not hold.
+        notes: what else to know of it, a line each.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -31,3 +32,4 @@ class ExportReport(BaseModel):
     objects_by_class: dict[str, int]
     splits: dict[str, int] = {}
     losses: tuple[Loss, ...] = ()
+    notes: tuple[str, ...] = ()

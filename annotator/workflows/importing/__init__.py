@@ -1,7 +1,19 @@
 """Labels from elsewhere onto a project's frames: 3D boxes in one of the formats of `table.py`, 2D boxes."""
 
+from annotator.workflows.importing.boxes_2d import Imported, import_image_boxes, import_view_boxes
 from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels
 from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.picture_labels import FlatFormat
 from annotator.workflows.importing.table import BoxFormat, read_labels
 
-__all__ = ["BoxFormat", "ImportedLabels", "LabelSet", "import_labels", "read_labels"]
+__all__ = [
+    "BoxFormat",
+    "FlatFormat",
+    "Imported",
+    "ImportedLabels",
+    "LabelSet",
+    "import_image_boxes",
+    "import_labels",
+    "import_view_boxes",
+    "read_labels",
+]

@@ -1,0 +1,78 @@
+"""Writes a YOLO detection dataset: pictures, a label file for each, and `data.yaml`.
+
+    images/PART/FILE
+    labels/PART/STEM.txt
+    data.yaml           path, train, val[, test], names
+
+`path` is written empty: Ultralytics then takes the folder of `data.yaml` itself, so that the dataset can be moved (a
+relative path would be looked for in the current directory). Source: `check_det_dataset` in its `data/utils.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from annotator.formats.labelled_picture import LabelledPicture
+from annotator.formats.yolo import dump_boxes
+from annotator.types.errors import ConfigError
+
+PARTS = ("train", "val", "test")
+DATA_YAML = "data.yaml"
+
+
+class YoloWriter:
+    """Fills a folder with a dataset; one that is not divided is trained and measured on as a whole.
+
+    Raises:
+        ConfigError: parts that YOLO does not know, or train or val is missing.
+    """
+
+    def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
+        """
+        Args:
+            folder: exists and is empty.
+            classes: their numbers count from 0 in this order.
+            parts: names of all parts, also of those that stay empty; none = the dataset is not divided.
+        """
+        if parts and (not set(parts) <= set(PARTS) or not {"train", "val"} <= set(parts)):
+            raise ConfigError(
+                f"YOLO's parts are called train, val and, if you like, test, not {', '.join(parts)}; "
+                "divide with --split train=0.8,val=0.2"
+            )
+        self._folder, self._classes = folder, tuple(classes)
+        self._numbers = {name: number for number, name in enumerate(classes)}
+        self._parts = tuple(part for part in PARTS if part in parts) or ("train",)
+        for part in self._parts:
+            for kind in ("images", "labels"):
+                (folder / kind / part).mkdir(parents=True)
+
+    def add(self, picture: LabelledPicture) -> None:
+        part = picture.part or "train"
+        text = dump_boxes(picture.boxes, self._numbers, picture.width_px, picture.height_px)
+        (self._folder / "images" / part / picture.file_name).write_bytes(picture.content)
+        label = (self._folder / "labels" / part / picture.file_name).with_suffix(".txt")
+        label.write_text(text, encoding="ascii")
+
+    def finish(self) -> Mapping[str, Path]:
+        (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts), encoding="utf-8")
+        return {part: self._folder / "images" / part for part in self._parts}
+
+
+def data_yaml(classes: Sequence[str], parts: Sequence[str]) -> str:
+    """The text of `data.yaml`; without a part `val`, the training pictures are measured on."""
+    import yaml
+
+    folders = {part: part for part in parts} | {"val": "val" if "val" in parts else "train"}
+    content = {
+        "path": "",
+        **{part: f"images/{folders[part]}" for part in PARTS if part in folders},
+        "names": dict(enumerate(classes)),
+    }
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    return f"# an empty path is the folder of this file\n{text}"
+
+
+def is_yolo_dataset(folder: Path) -> bool:
+    """True for a folder as `YoloWriter` fills it."""
+    return all((folder / name).is_dir() for name in ("images", "labels")) and (folder / DATA_YAML).is_file()

@@ -1,0 +1,189 @@
+"""Reads YOLO detection datasets: `data.yaml` with its folders of pictures, or label files with `classes.txt`.
+
+A picture's label file has its name and lies where the last `images` of its path reads `labels`, or beside it where
+there is none; a picture without one shows nothing. Labels without their pictures are taken, too: their boxes are shares
+of whatever size the picture has. Source: `img2label_paths` and `check_det_dataset` in Ultralytics' `data/utils.py`.
+
+Nothing outside the dataset's folder is read, whatever `data.yaml` says; where its `path` leads elsewhere, as in a
+dataset that was moved, its parts are looked for beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from annotator.formats.json_file import first_problem
+from annotator.formats.text_folder import read_text
+from annotator.formats.yolo import YoloBox, parse_boxes
+from annotator.formats.yolo_dataset import DATA_YAML, PARTS
+from annotator.types.errors import FormatError
+
+CLASSES = "classes.txt"
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+
+
+@dataclass(frozen=True)
+class YoloPicture:
+    """One picture of a dataset.
+
+    Attributes:
+        file_name: without its folder; of the label file where there is no picture.
+        folder: where the picture is, or would be.
+        picture: the image file; None where only its labels are there.
+        label_file: which may be missing.
+        boxes: in the order of the label file.
+    """
+
+    file_name: str
+    folder: Path
+    picture: Path | None
+    label_file: Path
+    boxes: tuple[YoloBox, ...]
+
+
+class _DataYaml(BaseModel):
+    # files of other tools say more (nc, download, ...)
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    path: str | None = None
+    train: str | list[str] | None = None
+    val: str | list[str] | None = None
+    test: str | list[str] | None = None
+    names: dict[int, str] | list[str]
+
+
+def read_yolo(path: Path) -> list[YoloPicture]:
+    """All pictures of a dataset, each once, those without a box too.
+
+    Args:
+        path: `data.yaml`; the folder that it lies in; or a folder of label files with `classes.txt` in it or above it.
+
+    Raises:
+        FormatError: none of these, a damaged `data.yaml`, a part that is not there or leads out of the folder, or a
+            label file that does not follow the format.
+    """
+    if path.is_dir() and not (path / DATA_YAML).is_file():
+        return list(_with_classes(path))
+    file = path / DATA_YAML if path.is_dir() else path
+    data = _read_yaml(file)
+    names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
+    _require_different(file, names)
+    root = file.parent
+    found: dict[Path, YoloPicture] = {}
+    for part in PARTS:
+        value = getattr(data, part)
+        for entry in [value] if isinstance(value, str) else value or []:
+            for picture in _of_part(file, _placed(file, part, data.path, entry), root, names):
+                found.setdefault(picture.label_file, picture)
+    if not found:
+        raise FormatError(file, "names no picture: train, val and test are empty")
+    return list(found.values())
+
+
+def _read_yaml(file: Path) -> _DataYaml:
+    import yaml
+
+    try:
+        return _DataYaml.model_validate(yaml.safe_load(read_text(file)))
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise FormatError(file, f"is not valid YAML: {error.problem}", line) from error
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        if isinstance(error, ValidationError):
+            raise FormatError(file, f"{first_problem(error)}; names must be texts, in quotes if need be") from error
+        raise FormatError(file, f"is not valid YAML ({error})") from error
+
+
+def _require_different(file: Path, names: Mapping[int, str]) -> None:
+    if not names or len(set(names.values())) != len(names) or not all(names.values()) or min(names) < 0:
+        raise FormatError(file, f"names must be different texts, numbered from 0, not {dict(names)}"[:200])
+
+
+def _placed(file: Path, part: str, base: str | None, entry: str) -> Path:
+    """The folder or list of pictures that a part's entry names."""
+    root = file.parent
+    # exports of some services write ../train/images and mean train/images
+    candidates = [root / (base or "") / entry, root / entry, root / entry.removeprefix("../")]
+    inside = [candidate for candidate in candidates if _is_inside(candidate, root)]
+    for candidate in inside:
+        if candidate.exists() or _labels_of(candidate, root).is_dir():
+            return candidate
+    if not inside:
+        raise FormatError(file, f"{part}: {entry!r} leads out of the dataset's folder; use a path within it")
+    raise FormatError(file, f"{part}: there is no {entry!r} in the dataset's folder")
+
+
+def _is_inside(path: Path, root: Path) -> bool:
+    return path.resolve().is_relative_to(root.resolve())
+
+
+def _labels_of(path: Path, root: Path) -> Path:
+    """The place of labels for a picture's, or for a folder of pictures'."""
+    parts = list(path.resolve().relative_to(root.resolve()).parts)
+    if "images" in parts:
+        parts[len(parts) - 1 - parts[::-1].index("images")] = "labels"
+    return root.resolve().joinpath(*parts)
+
+
+def _of_part(file: Path, place: Path, root: Path, names: Mapping[int, str]) -> Iterator[YoloPicture]:
+    if place.is_file():
+        yield from (_read(picture, root, names) for picture in _listed(place, root))
+        return
+    pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
+    for picture in pictures:
+        if not _is_inside(picture, root):
+            raise FormatError(file, f"{picture} is a link that leads out of the dataset's folder")
+        yield _read(picture, root, names)
+    seen = {_labels_of(picture, root).with_suffix(".txt") for picture in pictures}
+    labels = _labels_of(place, root)
+    for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
+        if label_file not in seen and label_file.name != CLASSES:
+            yield _labels_alone(label_file, place, names)
+
+
+def _listed(file: Path, root: Path) -> Iterator[Path]:
+    """The pictures that a text file names, one a line."""
+    for line, text in enumerate(read_text(file).splitlines(), 1):
+        if not (name := text.strip()):
+            continue
+        picture = (file.parent if name.startswith("./") else root) / PurePosixPath(name)
+        if not _is_inside(picture, root):
+            raise FormatError(file, f"{name!r} leads out of the dataset's folder", line)
+        yield picture
+
+
+def _read(picture: Path, root: Path, names: Mapping[int, str]) -> YoloPicture:
+    label_file = _labels_of(picture, root).with_suffix(".txt")
+    boxes = parse_boxes(label_file, read_text(label_file), names) if label_file.is_file() else ()
+    return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
+
+
+def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str]) -> YoloPicture:
+    boxes = parse_boxes(label_file, read_text(label_file), names)
+    return YoloPicture(label_file.name, folder, None, label_file, boxes)
+
+
+def _with_classes(folder: Path) -> Iterator[YoloPicture]:
+    """Label files with their class names in `classes.txt`, one a line."""
+    file = next((each / CLASSES for each in (folder, folder.parent) if (each / CLASSES).is_file()), None)
+    if file is None:
+        raise FormatError(folder, f"has no {DATA_YAML}, and no {CLASSES} beside label files; it is no YOLO dataset")
+    names = {number: name.strip() for number, name in enumerate(read_text(file).rstrip().splitlines())}
+    _require_different(file, names)
+    labels = folder / "labels" if (folder / "labels").is_dir() else folder
+    # beside the labels, or in `images` beside `labels`
+    homes = [labels, *([labels.with_name("images")] if labels.name == "labels" else [])]
+    found = sorted(each for each in labels.rglob("*.txt") if each.name != CLASSES)
+    if not found:
+        raise FormatError(labels, "has no label file (*.txt)")
+    for label_file in found:
+        folders = [home / label_file.parent.relative_to(labels) for home in homes]
+        candidates = [each / f"{label_file.stem}{suffix}" for each in folders for suffix in SUFFIXES]
+        picture = next((each for each in candidates if each.is_file()), None)
+        boxes = parse_boxes(label_file, read_text(label_file), names)
+        place = folders[-1] if picture is None else picture.parent
+        yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)

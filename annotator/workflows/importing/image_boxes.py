@@ -1,0 +1,175 @@
+"""Labelled camera images: which frames of the project they are, and whether their boxes fit there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from annotator.project import Change, Project, StoredFrame
+from annotator.project.overview import read_page
+from annotator.project.payloads import ImageBoxesSet
+from annotator.project.records import storable
+from annotator.types import Box2D, BoxKind, Source
+from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.importing.boxes_3d import AUTHOR
+from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
+from annotator.workflows.view_followers import view_followers
+
+# Files keep two decimals of a pixel or more; nobody draws the same box again so exactly.
+ROUNDED_PX = 0.01
+
+
+@dataclass(frozen=True)
+class OnImage:
+    """Boxes for the camera image of a frame; `file_name` for messages."""
+
+    frame_id: int
+    file_name: str
+    boxes: tuple[Box2D, ...]
+
+
+@dataclass(frozen=True)
+class CheckedImages:
+    """Images with their frames, file names of those that have none, and frames that cannot be read."""
+
+    matched: tuple[OnImage, ...]
+    unmatched: tuple[str, ...]
+    unreadable: tuple[str, ...]
+
+
+def checked_images(
+    project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
+) -> CheckedImages:
+    """Finds each image's frame, and its boxes in the frame's pixels.
+
+    Args:
+        pictures: those of `found` that are camera images.
+        recording: name of the only recording to look in.
+
+    Raises:
+        FormatError: an image that several recordings have, that comes twice, or that has another size than the frame;
+            or none is of a frame of the project.
+        NotFoundError: no such recording.
+    """
+    matched, unmatched = _matched(project, found, pictures, recording)
+    source = FrameSource(project)
+    ready, unreadable = [], []
+    for picture, stored in matched:
+        try:
+            camera = source.read(stored).camera
+        except FrameError as error:
+            # there is nothing to compare with; whoever needs the frame will be told what is wrong with it
+            if picture.size_px is not None:
+                ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*picture.size_px)))
+            else:
+                unreadable.append(f"{stored.key}: {error}")
+            continue
+        size_px = (camera.width_px, camera.height_px)
+        _require_size(found.path, picture, size_px)
+        ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*size_px)))
+    return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable))
+
+
+def _matched(
+    project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
+) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str]]:
+    """The images with their frames, and the names of those that have none."""
+    path, frames = found.path, _Frames(project, recording)
+    matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
+    unmatched: list[str] = []
+    for picture in pictures:
+        origin = found.origins.get(picture.stem)
+        key = picture.stem if origin is None else origin.key
+        fitting = frames.of(None if origin is None else origin.recording, key)
+        if len(fitting) > 1:
+            raise FormatError(
+                path, f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; name one of them"
+            )
+        if not fitting:
+            unmatched.append(picture.file_name)
+        elif fitting[0].id in matched:
+            other = matched[fitting[0].id][0].file_name
+            raise FormatError(path, f"{other} and {picture.file_name} are both the frame {key}; keep one of them")
+        else:
+            matched[fitting[0].id] = (picture, fitting[0])
+    if not matched:
+        raise FormatError(path, "none of its images is a frame of the project; file names must end in a frame's key")
+    return list(matched.values()), unmatched
+
+
+class _Frames:
+    """The project's frames by recording and key."""
+
+    def __init__(self, project: Project, recording: str | None) -> None:
+        chosen = None if recording is None else [project.recordings.find(recording).id]
+        names = {each.id: each.name for each in project.recordings.all()}
+        self._by_key: dict[str, list[StoredFrame]] = {}
+        self._by_place: dict[tuple[str, str], StoredFrame] = {}
+        for frame in project.frames.of(chosen):
+            self._by_key.setdefault(frame.key, []).append(frame)
+            self._by_place[names[frame.recording_id], frame.key] = frame
+
+    def of(self, recording: str | None, key: str) -> list[StoredFrame]:
+        """Those that may be meant; the recording may have another name here than where the dataset was made."""
+        exact = None if recording is None else self._by_place.get((recording, key))
+        return self._by_key.get(key, []) if exact is None else [exact]
+
+
+def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) -> None:
+    """Boxes on a scaled copy of the image would be taken for boxes on the image, shares of a cut one for shares."""
+    width_px, height_px = size_px
+    if picture.size_px is not None:
+        if picture.size_px != size_px:
+            raise FormatError(
+                path,
+                f"{picture.file_name} is {picture.size_px[0]} x {picture.size_px[1]} pixels, the frame {width_px} x "
+                f"{height_px}; label the image itself, not a scaled copy",
+            )
+        return
+    file = picture.file(path)
+    if file is None:
+        return
+    import cv2
+
+    data = file.read_bytes()
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if image is None:
+        raise FormatError(file, "is no picture that can be read; bring it back, or remove it")
+    height, width = image.shape[:2]
+    # a scaled copy has whole pixels, too
+    if abs(width * height_px - height * width_px) > max(width_px, height_px):
+        raise FormatError(
+            path,
+            f"{picture.file_name} is {width} x {height} pixels and the frame {width_px} x {height_px}: of another "
+            "shape; label the whole image, neither cut nor filled up",
+        )
+
+
+def store_on_image(
+    project: Project, path: Path, image: OnImage, boxes: Sequence[Box2D], kind: BoxKind, drawn_from: Sequence[Box2D]
+) -> None:
+    """Sets the boxes of a frame's camera image, and what follows for those on its views.
+
+    Args:
+        path: where they come from, for messages.
+        drawn_from: boxes on the same image that views coming along were drawn from.
+    """
+    page = read_page(project, image.frame_id)
+    known = [*drawn_from, *(() if page.image_boxes is None else page.image_boxes.boxes)]
+    with storable(f"{path}: {image.file_name}"):
+        on_image = ImageBoxesSet(boxes=tuple(_as_known(known, boxes)), box_kind=kind)
+    change = Change(page.frame.revision, AUTHOR, Source.IMPORTED)
+    project.log.append(image.frame_id, [on_image, *view_followers(page, on_image)], change)
+
+
+def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
+    """Boxes as they were, where a file has only rounded them: what was drawn from them stays."""
+    return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
+
+
+def _is_rounded(box: Box2D, known: Box2D) -> bool:
+    return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))

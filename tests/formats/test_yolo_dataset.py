@@ -1,0 +1,108 @@
+"""YOLO datasets on disk: where pictures and labels are looked for, and what must not be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from annotator.formats.labelled_picture import LabelledPicture
+from annotator.formats.yolo_dataset import YoloWriter
+from annotator.formats.yolo_read import read_yolo
+from annotator.types import Box2D
+from annotator.types.errors import ConfigError, FormatError
+
+BOX = Box2D("no", 0.5, 0.5, 2.5, 1.5)
+ROW = "1 0.5000000 0.5000000 0.5000000 0.5000000\n"
+
+
+def put(folder: Path, **files: str) -> Path:
+    """A folder of files: `put(tmp_path, **{"labels/a.txt": "..."})`."""
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+def test_what_is_written_reads_back(tmp_path: Path) -> None:
+    writer = YoloWriter(tmp_path, ["Büro \U0001f600", "no"], ["val", "train"])
+    writer.add(LabelledPicture("a.b.png", b"png", 4, 2, (BOX,), "train"))
+    writer.add(LabelledPicture("c.png", b"png", 4, 2, (), "val"))
+    folders = writer.finish()
+    assert folders == {"train": tmp_path / "images/train", "val": tmp_path / "images/val"}
+    assert (tmp_path / "labels/train/a.b.txt").read_text() == "1 0.5000000 0.7500000 0.5000000 0.5000000\n"
+    assert (tmp_path / "labels/val/c.txt").read_text() == ""
+    assert yaml.safe_load((tmp_path / "data.yaml").read_text()) == {
+        "path": "",
+        "train": "images/train",
+        "val": "images/val",
+        "names": {0: "Büro \U0001f600", 1: "no"},
+    }
+    first, second = read_yolo(tmp_path)
+    assert first.picture == tmp_path / "images/train/a.b.png"
+    assert [box.on(4, 2) for box in first.boxes] == [BOX] and second.boxes == ()
+
+
+def test_an_undivided_dataset_is_measured_on_what_it_trains_on(tmp_path: Path) -> None:
+    writer = YoloWriter(tmp_path, ["no"])
+    writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,)))
+    writer.finish()
+    content = yaml.safe_load((tmp_path / "data.yaml").read_text())
+    assert (content["train"], content["val"]) == ("images/train", "images/train")
+    assert len(read_yolo(tmp_path)) == 1
+    with pytest.raises(ConfigError, match="train, val and, if you like, test, not train, dev"):
+        YoloWriter(tmp_path / "other", ["no"], ["train", "dev"])
+
+
+@pytest.mark.parametrize(
+    ("files", "pictures"),
+    [
+        # only labels came back from the annotation tool
+        ({"data.yaml": "train: images/train\nnames: [a, b]", "labels/train/x.txt": ROW}, [("x.txt", 1)]),
+        # an absolute path of the machine it was made on; services' way to say train/images
+        ({"data.yaml": "path: /gone\ntrain: ../train/images\nnames: {0: a, 1: b}", "train/images/x.jpg": "",
+          "train/labels/x.txt": ROW, "train/images/y.jpg": ""}, [("x.jpg", 1), ("y.jpg", 0)]),
+        # a list of pictures, labels beside them
+        ({"data.yaml": "train: [list.txt]\nnames: [a, b]", "list.txt": "./d/x.png\n\nd/y.png\n", "d/x.png": "",
+          "d/x.txt": ROW, "d/y.png": ""}, [("x.png", 1), ("y.png", 0)]),
+        # label files with their names
+        ({"classes.txt": "a\nb\n", "x.txt": ROW, "y.txt": ""}, [("x.txt", 1), ("y.txt", 0)]),
+        ({"classes.txt": "a\nb\n", "labels/x.txt": ROW, "images/x.png": ""}, [("x.png", 1)]),
+    ],
+    ids=["labels alone", "moved", "list", "classes.txt", "classes.txt above"],
+)  # fmt: skip
+def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures: list[tuple[str, int]]) -> None:
+    found = read_yolo(put(tmp_path, **files))
+    assert [(picture.file_name, len(picture.boxes)) for picture in found] == pictures
+    assert {box.label for picture in found for box in picture.boxes} == {"b"}
+
+
+@pytest.mark.parametrize(
+    ("files", "says"),
+    [
+        ({"a.txt": ROW}, "no data.yaml, and no classes.txt"),
+        ({"classes.txt": "a\n"}, "has no label file"),
+        ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be different"),
+        ({"data.yaml": "train: x\n  names: ["}, r"data\.yaml:2: is not valid YAML"),
+        ({"data.yaml": "[" * 5000}, "is not valid YAML"),
+        ({"data.yaml": "names: [a, 1]\ntrain: x"}, "names must be texts, in quotes"),
+        ({"data.yaml": "train: x"}, "names: Field required"),
+        ({"data.yaml": "names: [a]"}, "names no picture"),
+        ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
+        ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the dataset's folder"),
+        ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the dataset's folder"),
+        ({"data.yaml": "train: l.txt\nnames: [a]", "l.txt": "\n../../x.png"}, r"l\.txt:2: .* leads out"),
+        ({"data.yaml": "train: i\nnames: [a]", "i/x.png": "", "i/x.txt": "0 1"}, r"i/x\.txt:1: has 2 fields"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, files: dict[str, str], says: str) -> None:
+    with pytest.raises(FormatError, match=says):
+        read_yolo(put(tmp_path, **files))
+
+
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
+    put(tmp_path, **{"outside/x.png": "", "set/data.yaml": "train: images\nnames: [a]", "set/images/y.png": ""})
+    (tmp_path / "set/images/x.png").symlink_to(tmp_path / "outside/x.png")
+    with pytest.raises(FormatError, match=r"x\.png is a link that leads out"):
+        read_yolo(tmp_path / "set")

@@ -1,0 +1,90 @@
+"""YOLO's label files: where half a pixel lies, the round trip, and every way a line can be wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from annotator.formats.yolo import YoloBox, dump_boxes, parse_boxes
+from annotator.types import Box2D
+from annotator.types.errors import FormatError
+
+NAMES = {0: "person", 1: "hand"}
+NUMBERS = {"person": 0, "hand": 1}
+FILE = Path("labels/a.txt")
+
+
+def test_shares_are_measured_from_the_corner() -> None:
+    """Worked out by hand on a picture of 8 x 4 pixels: its corner is (-0.5, -0.5)."""
+    whole = Box2D("person", -0.5, -0.5, 7.5, 3.5)
+    second_pixel = Box2D("hand", 0.5, -0.5, 1.5, 0.5)
+    text = "0 0.5000000 0.5000000 1.0000000 1.0000000\n1 0.1875000 0.1250000 0.1250000 0.2500000\n"
+    assert dump_boxes([whole, second_pixel], NUMBERS, 8, 4) == text
+    assert [box.on(8, 4) for box in parse_boxes(FILE, text, NAMES)] == [whole, second_pixel]
+    assert dump_boxes([], NUMBERS, 8, 4) == "" and parse_boxes(FILE, " \n\n", NAMES) == ()
+
+
+def test_a_score_and_what_sticks_out_a_little() -> None:
+    (box,) = parse_boxes(FILE, "0 0.95 0.5 0.11 0.5 0.25\n", NAMES)
+    assert box == YoloBox("person", (0.95, 0.5, 0.11, 0.5), 0.25)
+    cut = box.on(100, 100)
+    assert (cut.label, cut.score, cut.xyxy) == ("person", 0.25, pytest.approx((89.0, 24.5, 99.5, 74.5)))
+
+
+@st.composite
+def pictures(draw: st.DrawFn) -> tuple[tuple[int, int], list[Box2D]]:
+    """A picture's size and different boxes on it; every third of them touches an edge."""
+    size = draw(st.integers(2, 5000)), draw(st.integers(2, 5000))
+
+    def span(length: int) -> tuple[float, float]:
+        low = draw(st.one_of(st.just(-0.5), st.floats(-0.5, length - 1.6)))
+        return low, draw(st.one_of(st.just(length - 0.5), st.floats(low + 1, length - 0.5)))
+
+    boxes: dict[str, Box2D] = {}
+    for label in draw(st.lists(st.sampled_from(["person", "hand"]), max_size=4)):
+        (x_min, x_max), (y_min, y_max) = span(size[0]), span(size[1])
+        box = Box2D(label, x_min, y_min, x_max, y_max)
+        boxes[dump_boxes([box], NUMBERS, *size)] = box
+    return size, list(boxes.values())
+
+
+@given(pictures())
+def test_ten_round_trips_lose_the_first_rounding_and_no_more(picture: tuple[tuple[int, int], list[Box2D]]) -> None:
+    size, boxes = picture
+    back = boxes
+    for _ in range(10):
+        back = [box.on(*size) for box in parse_boxes(FILE, dump_boxes(back, NUMBERS, *size), NAMES)]
+        assert [box.label for box in back] == [box.label for box in boxes]
+        for box, want in zip(back, boxes, strict=True):
+            # seven decimals of a share: half of the last one in the centre, a quarter of it in half the size
+            np.testing.assert_allclose(box.xyxy, want.xyxy, rtol=0, atol=1.5e-7 * max(size))
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("0 0.5 0.5 1", "has 4 fields"),
+        ("0 0.1 0.1 0.2 0.1 0.2 0.2", "has 7 fields.*polygons"),
+        ("person 0.5 0.5 1 1", "must hold numbers"),
+        ("0.0 0.5 0.5 1 1", "must hold numbers"),
+        ("0 0,5 0.5 1 1", "must hold numbers"),
+        ("0 1_0 0.5 1 1", "must hold numbers"),
+        ("2 0.5 0.5 1 1", "class 2 has no name; the names go from 0 to 1"),
+        ("-1 0.5 0.5 1 1", "class -1 has no name"),
+        ("0 nan 0.5 1 1", "finite"),
+        ("0 0.5 0.5 inf 1", "finite"),
+        ("0 0.5 0.5 0 1", "must have an extent"),
+        ("0 0.5 0.5 0.1 -0.1", "must have an extent"),
+        ("0 320 240 100 100", "shares of the picture"),
+        ("0 1.005 0.5 0.01 0.1", "nothing of the box is on the picture"),
+        ("0 0.5 0.5 1 1 1.5", "score must lie in 0..1"),
+        ("1 0.5 0.5 0.2 0.2", "the same box as in line 1"),
+    ],
+)
+def test_a_broken_line_says_what_and_where(row: str, says: str) -> None:
+    with pytest.raises(FormatError, match=rf"a\.txt:3: {says}|a\.txt:3: .*{says}"):
+        parse_boxes(FILE, f"1 0.5 0.5 0.2 0.2\n\n{row}\n", NAMES)
