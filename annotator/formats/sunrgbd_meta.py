@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.mat_file import read_struct_array
 from annotator.formats.sunrgbd_upright import FIRST_PX, SWAPPED, one_based_matrix, tilt_matrix
+from annotator.mat_file import MatFileError, read_mat
 from annotator.types import Box2D, Camera, OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -41,6 +41,8 @@ BOX_FIELDS = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orien
 ROOT, BETWEEN = "SUNRGBD/", "__"
 # How far the axes of others may be from a right angle.
 MOST_SKEW = 0.1
+# The data set's own table has some ten thousand frames in a part of this.
+MAX_BYTES = 2**28
 
 MetaRow = tuple[Any, ...]
 
@@ -100,10 +102,13 @@ def read_meta(path: Path) -> list[MetaFrame]:
     Raises:
         FormatError: it is no such file, a frame comes twice, or numbers make no box; names frame and object.
     """
-    table = read_struct_array(path, VARIABLE)
-    if missing := {"sequenceName", "Rtilt", "groundtruth3DBB"} - set(table.dtype.names or ()):
-        raise FormatError(path, f"{VARIABLE} has no field {', '.join(sorted(missing))}")
-    frames = [_frame(path, f"frame {number}", entry) for number, entry in enumerate(table.ravel(), 1)]
+    try:
+        table = read_mat(path, VARIABLE, MAX_BYTES)
+    except MatFileError as error:
+        raise FormatError(path, f"{error}; copy the table of labels again") from error
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    frames = [_frame(path, f"frame {n}", each) for n, each in enumerate(_records(path, VARIABLE, table), 1)]
     names = [frame.name for frame in frames]
     if len(set(names)) < len(names):
         twice = next(name for number, name in enumerate(names) if name in names[:number])
@@ -121,17 +126,21 @@ def _object(name: str, label: str, box: OrientedBox, on_image: Box2D) -> tuple[A
     return basis, coeffs, box.center_m[None], label, name, along[None], 1.0, bb2d
 
 
-def _frame(path: Path, where: str, entry: np.void) -> MetaFrame:
-    name = _text(path, f"{where}, sequenceName", entry["sequenceName"])
-    Rtilt = _numbers(path, f"{where}, Rtilt", entry["Rtilt"], 9).reshape(3, 3)
+def _records(path: Path, where: str, value: object) -> list[dict[str, Any]]:
+    """The elements of a struct array; an empty array of any kind has none."""
+    if isinstance(value, np.ndarray) and value.size == 0:
+        return []
+    if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+        raise FormatError(path, f"{where} is no struct array")
+    return value
+
+
+def _frame(path: Path, where: str, entry: dict[str, Any]) -> MetaFrame:
+    name = _text(path, where, entry, "sequenceName")
+    Rtilt = _numbers(path, where, entry, "Rtilt", 9).reshape(3, 3)
     T = RigidTransform.from_rotation(Rotation.from_matrix(_rotation(path, f"{where}, Rtilt", Rtilt @ SWAPPED).T))
-    objects = entry["groundtruth3DBB"]
-    if getattr(objects, "size", 0) == 0:
-        return MetaFrame(_key(name), T, ())
-    needed = {"basis", "coeffs", "centroid", "classname"}
-    if not isinstance(objects, np.ndarray) or not needed <= set(objects.dtype.names or ()):
-        raise FormatError(path, f"{where}: groundtruth3DBB has no fields {', '.join(sorted(needed))}")
-    truths = [_truth(path, f"{where}, object {number}", each) for number, each in enumerate(objects.ravel(), 1)]
+    objects = _records(path, f"{where}, groundtruth3DBB", _field(path, where, entry, "groundtruth3DBB"))
+    truths = [_truth(path, f"{where}, object {number}", each) for number, each in enumerate(objects, 1)]
     return MetaFrame(_key(name), T, tuple(truths))
 
 
@@ -139,20 +148,19 @@ def _key(name: str) -> str:
     return name.removeprefix(ROOT).strip("/").replace("/", BETWEEN) if name.startswith(ROOT) else name
 
 
-def _truth(path: Path, where: str, entry: np.void) -> Truth:
-    label = _text(path, f"{where}, classname", entry["classname"])
-    basis = _numbers(path, f"{where}, basis", entry["basis"], 9).reshape(3, 3)
-    across, along, up = basis
-    width, length, height = 2 * np.abs(_numbers(path, f"{where}, coeffs", entry["coeffs"], 3))
-    if "orientation" in (entry.dtype.names or ()):
-        facing = _numbers(path, f"{where}, orientation", entry["orientation"], 3)
+def _truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:
+    label = _text(path, where, entry, "classname")
+    across, along, up = _numbers(path, where, entry, "basis", 9).reshape(3, 3)
+    width, length, height = 2 * np.abs(_numbers(path, where, entry, "coeffs", 3))
+    if "orientation" in entry:
+        facing = _numbers(path, where, entry, "orientation", 3)
         # others give any two sides the first two rows; the heading is what the object faces
         if abs(across @ facing) > abs(along @ facing):
             across, along, width, length = along, across, length, width
         along = along if along @ facing >= 0 else -along
     left = -across if np.linalg.det(np.stack([along, -across, up])) > 0 else across
     R = _rotation(path, f"{where}, basis", np.stack([along, left, up], axis=1))
-    center = _numbers(path, f"{where}, centroid", entry["centroid"], 3)
+    center = _numbers(path, where, entry, "centroid", 3)
     try:
         return Truth(label, OrientedBox.from_parts(center, R, np.array([length, width, height])))
     except ValueError as error:
@@ -167,21 +175,25 @@ def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
     return np.asarray(U @ V)
 
 
-def _numbers(path: Path, where: str, value: Any, count: int) -> np.ndarray:
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.size != count:
-        raise FormatError(path, f"{where} must have {count} numbers")
+def _field(path: Path, where: str, entry: dict[str, Any], name: str) -> Any:
+    if name not in entry:
+        raise FormatError(path, f"{where} has no field {name}")
+    return entry[name]
+
+
+def _numbers(path: Path, where: str, entry: dict[str, Any], name: str, count: int) -> np.ndarray:
+    value = _field(path, where, entry, name)
+    if not isinstance(value, np.ndarray) or value.size != count:
+        raise FormatError(path, f"{where}, {name} must have {count} numbers")
     numbers = value.astype(np.float64).ravel()
-    if not np.isfinite(numbers).all():
-        raise FormatError(path, f"{where} has a number that is not finite")
+    # what no room has; squares of larger ones overflow
+    if not (np.abs(numbers) < 1e9).all():
+        raise FormatError(path, f"{where}, {name} has a number that is not finite, or too large")
     return numbers
 
 
-def _text(path: Path, where: str, value: Any) -> str:
-    if (
-        not isinstance(value, np.ndarray)
-        or value.dtype.kind != "U"
-        or value.size != 1
-        or not str(value.flat[0]).strip()
-    ):
-        raise FormatError(path, f"{where} must be a text")
-    return str(value.flat[0])
+def _text(path: Path, where: str, entry: dict[str, Any], name: str) -> str:
+    value = _field(path, where, entry, name)
+    if not isinstance(value, str) or not value.strip():
+        raise FormatError(path, f"{where}, {name} must be a text")
+    return value

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from annotator.geometry.projection import project
+from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings.cloud_columns import RawCloud, from_columns
 from annotator.recordings.cloud_file import read_cloud
 from annotator.recordings.image_file import read_rgb
@@ -28,6 +29,8 @@ LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.n
 CLOUD_REMEDY = "extract it again from the data set"
 # A cloud counts as organised where its points fall on pixel centres within this distance.
 ON_PIXEL_PX = 0.05
+# Ten million points.
+MOST_BYTES = 2**29
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,22 +91,18 @@ def _is_kitti(path: Path) -> bool:
 
 
 def _read_mat(path: Path) -> RawCloud:
-    """The cloud in a MATLAB file of version 4 to 7.
+    """The cloud in a MATLAB file of version 5 to 7.
 
     Raises:
         FrameError: it is damaged, or has no `instance` of n x 6 numbers.
     """
-    from scipy.io import loadmat
-
     try:
-        variables = loadmat(str(path), variable_names=["instance"])
-    except FileNotFoundError as error:
-        raise FrameError(path, "missing", CLOUD_REMEDY) from error
-    # the reader raises whatever a damaged header leads it to
-    except Exception as error:
-        raise FrameError(path, f"cannot be read as a MATLAB file ({str(error)[:100]})", CLOUD_REMEDY) from error
-    table = variables.get("instance")
-    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6 or table.dtype.kind not in "fiu":
+        table = read_mat(path, "instance", MOST_BYTES)
+    except OSError as error:
+        raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
+    except MatFileError as error:
+        raise FrameError(path, f"cannot be read as a MATLAB file: it {error}", CLOUD_REMEDY) from error
+    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6:
         raise FrameError(path, "has no variable `instance` of n x 6 numbers (x y z r g b)", CLOUD_REMEDY)
     return from_columns(path, dict(zip(("x", "y", "z", "red", "green", "blue"), table.T, strict=True)))
 

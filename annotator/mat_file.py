@@ -1,0 +1,191 @@
+"""Variables of MATLAB files of version 5 to 7, read as data from anywhere: nothing in them is believed.
+
+scipy.io.loadmat ends the whole program at some damaged files, so this reads what labels and clouds are made of:
+numbers, texts, structs and cells. "MAT-File Format" (MathWorks), chapter "Level 5 MAT-Files": a head of 128 bytes, then
+elements of a type, a length and that many bytes; an array is an element of elements, its values in column order, and a
+compressed element is a zlib stream of one other.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+HEAD_BYTES, TAG_BYTES = 128, 8
+MATRIX, COMPRESSED = 14, 15
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+ENCODINGS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+CELL, STRUCT, CHAR, NUMERIC = 1, 2, 4, range(6, 16)
+# Structs within structs; SUN RGB-D's have two levels.
+MOST_LEVELS = 8
+MOST_DIMENSIONS = 8
+
+
+class MatFileError(ValueError):
+    """The bytes are no such file, or the variable is not in it."""
+
+
+class _Element(NamedTuple):
+    kind: int
+    data: memoryview
+
+
+def read_mat(path: Path, name: str, most_bytes: int) -> object:
+    """The variable `name` of a file: an array of numbers, a text, a list of a struct's or cell's elements, or None.
+
+    Args:
+        most_bytes: how large the file may be, and the variable when it is unpacked.
+
+    Raises:
+        MatFileError: it is larger, damaged, of another version, or has no such variable.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise MatFileError(f"is larger than {most_bytes // 2**20} MiB")
+    if len(data) < HEAD_BYTES or data[126:128] not in (b"IM", b"MI"):
+        raise MatFileError("is no MATLAB file of version 5 to 7 (save -v7)")
+    reader = _Reader("<" if data[126:128] == b"IM" else ">")
+    for element in reader.elements(memoryview(data)[HEAD_BYTES:]):
+        if element.kind == COMPRESSED:
+            element = next(reader.elements(_unpacked(element.data, most_bytes)), _Element(0, memoryview(b"")))
+        if element.kind == MATRIX:
+            found, value = reader.array(element.data, name)
+            if found == name:
+                return value
+    raise MatFileError(f"has no variable {name}")
+
+
+def _unpacked(data: memoryview, most_bytes: int) -> memoryview:
+    """The content of a compressed element."""
+    stream = zlib.decompressobj()
+    try:
+        content = stream.decompress(data, most_bytes + 1)
+    except zlib.error as error:
+        raise MatFileError(f"is damaged ({error})") from error
+    if len(content) > most_bytes:
+        raise MatFileError(f"is larger than {most_bytes // 2**20} MiB when unpacked")
+    return memoryview(content)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads elements of one byte order ("<" or ">")."""
+
+    order: str
+
+    def elements(self, data: memoryview) -> Iterator[_Element]:
+        """The elements that follow each other in `data`."""
+        at = 0
+        while at < len(data):
+            element, at = self._element(data, at)
+            yield element
+
+    def _element(self, data: memoryview, at: int) -> tuple[_Element, int]:
+        """The element at a place, and the place after it."""
+        if at + TAG_BYTES > len(data):
+            raise MatFileError("is cut off")
+        kind, length = struct.unpack_from(self.order + "II", data, at)
+        if kind >> 16:
+            # up to four bytes stand in the tag itself
+            kind, length, start, end = kind & 0xFFFF, kind >> 16, at + 4, at + TAG_BYTES
+            if length > 4:
+                raise MatFileError("has a damaged element")
+        else:
+            start = at + TAG_BYTES
+            # all but compressed elements end at multiples of eight
+            end = start + length + (-length % 8 if kind != COMPRESSED else 0)
+        if start + length > len(data):
+            raise MatFileError("is cut off")
+        return _Element(kind, data[start : start + length]), min(end, len(data))
+
+    def array(self, data: memoryview, wanted: str | None = None, level: int = 0) -> tuple[str, object]:
+        """Name and value of an array; of one with another name than `wanted` only the name."""
+        parts = self.elements(data)
+        flags, sizes, name = (next(parts, None) for _ in range(3))
+        if flags is None:
+            return "", np.zeros((0, 0))
+        if sizes is None or name is None or len(flags.data) < 4 or level > MOST_LEVELS:
+            raise MatFileError("has a damaged array")
+        title = bytes(name.data).decode("latin-1")
+        if wanted is not None and title != wanted:
+            return title, None
+        kind = struct.unpack_from(self.order + "I", flags.data)[0] & 0xFF
+        shape = tuple(self._integers(sizes))
+        if len(shape) > MOST_DIMENSIONS or any(size < 0 for size in shape):
+            raise MatFileError("has an array of an impossible size")
+        if kind in NUMERIC:
+            return title, self._numbers(next(parts, None), shape)
+        if kind == CHAR:
+            return title, self._text(next(parts, None), shape)
+        if kind == STRUCT:
+            return title, self._records(parts, math.prod(shape), len(data), level)
+        if kind == CELL:
+            self._require_room(math.prod(shape), len(data))
+            return title, [self._next_array(parts, level) for _ in range(math.prod(shape))]
+        return title, None
+
+    def _records(self, parts: Iterator[_Element], count: int, room: int, level: int) -> list[dict[str, object]]:
+        """The elements of a struct array: in each the fields in order."""
+        length, names = next(parts, None), next(parts, None)
+        if length is None or names is None or not (widths := self._integers(length)) or widths[0] <= 0:
+            raise MatFileError("has a damaged struct")
+        packed = bytes(names.data)
+        fields = [packed[i : i + widths[0]].partition(b"\0")[0] for i in range(0, len(packed), widths[0])]
+        if not fields:
+            return []
+        self._require_room(count * len(fields), room)
+        titles = [field.decode("latin-1") for field in fields]
+        return [{title: self._next_array(parts, level) for title in titles} for _ in range(count)]
+
+    def _next_array(self, parts: Iterator[_Element], level: int) -> object:
+        element = next(parts, None)
+        if element is None or element.kind != MATRIX:
+            raise MatFileError("lacks elements of a struct or cell array")
+        return self.array(element.data, None, level + 1)[1]
+
+    def _require_room(self, count: int, room: int) -> None:
+        """Every element takes a tag at least: what is promised must be able to come."""
+        if count * TAG_BYTES > room:
+            raise MatFileError(f"promises {count} elements in {room} bytes")
+
+    def _integers(self, element: _Element) -> list[int]:
+        return [int(value) for value in self._values(element)]
+
+    def _numbers(self, element: _Element | None, shape: tuple[int, ...]) -> np.ndarray:
+        if element is None:
+            raise MatFileError("lacks the values of an array")
+        values = self._values(element)
+        if len(values) != math.prod(shape):
+            raise MatFileError(f"has {len(values)} values for an array of {' x '.join(map(str, shape))}")
+        return values.reshape(shape, order="F")
+
+    def _values(self, element: _Element) -> np.ndarray:
+        if element.kind not in NUMBERS:
+            raise MatFileError("has values of an unknown type")
+        dtype = np.dtype(self.order + NUMBERS[element.kind])
+        if len(element.data) % dtype.itemsize:
+            raise MatFileError("has values that are cut off")
+        return np.frombuffer(element.data, dtype)
+
+    def _text(self, element: _Element | None, shape: tuple[int, ...]) -> str | None:
+        """A text of one line; None for several."""
+        if element is None or element.kind not in ENCODINGS:
+            raise MatFileError("lacks the letters of a text")
+        if len(shape) != 2 or (shape[0] != 1 and math.prod(shape) > 0):
+            return None
+        encoding = ENCODINGS[element.kind]
+        if encoding in ("utf-16", "utf-32"):
+            encoding += "-le" if self.order == "<" else "-be"
+        try:
+            return bytes(element.data).decode(encoding)
+        except UnicodeDecodeError as error:
+            raise MatFileError(f"has a damaged text ({error.reason})") from error
