@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -41,16 +42,25 @@ class SunRgbdScenes(KeyedFrames):
     """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
 
     Attributes:
-        scenes: the folders, in the order of the keys.
+        folders: the scenes', in the order of the keys; text, since ten thousand paths take longer to make than to list.
     """
 
-    scenes: tuple[Path, ...]
+    folders: tuple[str, ...]
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
 
+    @cached_property
+    def scenes(self) -> tuple[Path, ...]:
+        """The folders of the frames."""
+        return tuple(map(Path, self.folders))
+
     def scene(self, key: str) -> Path:
         """The folder of a frame."""
-        return self.scenes[self.keys.index(key)]
+        return Path(self._by_key[key])
+
+    @cached_property
+    def _by_key(self) -> dict[str, str]:
+        return dict(zip(self.keys, self.folders, strict=True))
 
     def frame(self, i: int) -> Frame:
         """Frame `i` with `depth_m`; labels are in upright depth (`T_camera_label`).
@@ -60,7 +70,7 @@ class SunRgbdScenes(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        scene = self.scenes[i]
+        scene = Path(self.folders[i])
         calibration = read_scene_calibration(scene / MARK, _latest(scene, ("extrinsics",), (".txt",)))
         rgb = read_rgb(_latest(scene, ("image",), IMAGE_SUFFIXES))
         depth_path = _latest(scene, DEPTH_FOLDERS, (".png",))
@@ -88,7 +98,7 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
     if not path.is_dir():
         return NotFound(LOOKED_FOR)
     if _is_scene(str(path)):
-        return SunRgbdScenes(path, (path.resolve().name,), (path,))
+        return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
     with looking_at(path):
         is_of_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
         levels = MOST_LEVELS if is_of_set else 1
@@ -96,11 +106,11 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
     if not found:
         return NotFound(LOOKED_FOR)
     keys = sorted_keys(path, set(found), LOOKED_FOR)
-    return SunRgbdScenes(path, keys, tuple(Path(found[key]) for key in keys))
+    return SunRgbdScenes(path, keys, tuple(found[key] for key in keys))
 
 
 def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
-    """Key and folder of all scenes below a folder; strings, since ten thousand paths take a second by themselves."""
+    """Key and folder of all scenes below a folder."""
     waiting = [(root, "", 1)]
     while waiting:
         folder, prefix, level = waiting.pop()

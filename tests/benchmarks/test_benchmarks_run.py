@@ -16,7 +16,7 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, pseudo_view
+from benchmarks import axes, listing, pseudo_view
 from benchmarks.memory import FOLDERS, growth, lengthen
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -183,6 +183,18 @@ def test_the_loop(generated: Path) -> None:
     assert result["boxes_2d"] == 3 * 2 * 5
     assert {"label", "train_image", "train_view", "propose"} <= set(result["seconds"])
     assert all(value is None or 0 <= value <= 1 for key, value in result.items() if key in LOOP_KEYS[1:7])
+
+
+def test_listing_finds_the_data_sets_that_it_makes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = in_process(listing, monkeypatch, capsys, "--share", "0.002", "--repeats", "1")
+    assert {name: row["frames"] for name, row in result.items()} == {
+        "kitti_object": 15,
+        "sunrgbd_scenes": 21,
+        "sunrgbd_extracted": 21,
+    }
+    assert all(row["format"] == name and 0 < row["median_ms"] < 60_000 for name, row in result.items())
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -81,7 +82,7 @@ def test_what_may_not_be_read_is_said_with_its_path(tmp_path: Path, monkeypatch:
     """Tests may run as root, who may read everything: the system's answer is made up."""
     for folder in ("take/color", "take/depth", "parent/take"):
         (tmp_path / folder).mkdir(parents=True)
-    listed, looked = Path.iterdir, Path.is_dir
+    listed, scanned, looked = Path.iterdir, os.scandir, Path.is_dir
 
     def refuse(path: Path) -> None:
         if path == tmp_path / refused:
@@ -95,6 +96,11 @@ def test_what_may_not_be_read_is_said_with_its_path(tmp_path: Path, monkeypatch:
         refuse(self.parent)  # without the right to search a folder nothing in it can be looked at
         return looked(self)
 
+    def scandir(folder: Path) -> object:
+        refuse(Path(folder))
+        return scanned(folder)
+
+    monkeypatch.setattr(os, "scandir", scandir)
     monkeypatch.setattr(Path, "iterdir", iterdir)
     monkeypatch.setattr(Path, "is_dir", is_dir)
     path = tmp_path / refused.split("/")[0]

@@ -1,0 +1,148 @@
+"""How long it takes to list the frames of whole data sets, none of which is opened.
+
+python -m benchmarks.listing [--share 1] [--repeats 5] [--json]
+
+The folders are made up in a temporary one, with the data sets' names and numbers and nothing in their files: KITTI's
+object training set, SUN RGB-D as it is downloaded (scenes in the folders of its cameras) and as VoteNet extracts it.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import tyro
+
+from annotator.recordings import open_recording
+from annotator.types.errors import ConfigError
+from benchmarks.report import Table, finish, guarded
+
+KITTI_FRAMES = 7_481
+# Scenes of SUN RGB-D by where they lie (SUNRGBD/CAMERA/PART/SCENE).
+SUN_SCENES = {
+    "kv1/NYUdata": 1_449,
+    "kv1/b3dodata": 554,
+    "kv2/kinect2data": 1_000,
+    "kv2/align_kv2": 2_784,
+    "realsense/lg": 609,
+    "realsense/sa": 550,
+    "xtion/xtion_align_data": 1_030,
+    "xtion/sun3ddata": 2_359,
+}
+# What lies in a scene: files, each in a folder of its own but for the first two.
+SCENE_FILES = (
+    "intrinsics.txt",
+    "seg.mat",
+    "image/a.jpg",
+    "depth/a.png",
+    "depth_bfx/a.png",
+    "extrinsics/20151101.txt",
+    "annotation/index.json",
+    "annotation2Dfinal/index.json",
+    "annotation3D/index.json",
+    "annotation3Dfinal/index.json",
+    "annotation3Dlayout/index.json",
+    "fullres/a.jpg",
+)
+
+
+@dataclass
+class Arguments:
+    """Lists each data set a few times; the figures are medians."""
+
+    share: float = 1.0
+    """The part of each data set's frames that is made."""
+    repeats: int = 5
+    """How often each is listed."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+def make_kitti(folder: Path, share: float) -> Path:
+    """The root of KITTI's object set, as large as `share` of it."""
+    names = {"image_2": "png", "velodyne": "bin", "calib": "txt", "label_2": "txt"}
+    return _make_folders(folder / "kitti" / "training", names, range(_part(KITTI_FRAMES, share))).parent
+
+
+def make_extracted(folder: Path, share: float) -> Path:
+    """VoteNet's `sunrgbd_trainval`."""
+    names = {"image": "jpg", "depth": "mat", "calib": "txt", "label": "txt"}
+    numbers = range(1, 1 + _part(sum(SUN_SCENES.values()), share))
+    return _make_folders(folder / "sunrgbd_trainval", names, numbers)
+
+
+def make_scenes(folder: Path, share: float) -> Path:
+    """The root of SUN RGB-D as it is downloaded."""
+    root = folder / "SUNRGBD"
+    for place, count in SUN_SCENES.items():
+        for number in range(_part(count, share)):
+            scene = root / place / f"2014-12-19_15-53-20_{number:012d}"
+            for name in SCENE_FILES:
+                file = scene / name
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.touch()
+    return root
+
+
+def _make_folders(root: Path, names: dict[str, str], numbers: range) -> Path:
+    for name, suffix in names.items():
+        (root / name).mkdir(parents=True)
+        for number in numbers:
+            (root / name / f"{number:06d}.{suffix}").touch()
+    return root
+
+
+def _part(count: int, share: float) -> int:
+    return max(round(count * share), 1)
+
+
+SETS: dict[str, Callable[[Path, float], Path]] = {
+    "kitti_object": make_kitti,
+    "sunrgbd_scenes": make_scenes,
+    "sunrgbd_extracted": make_extracted,
+}
+
+
+def run(args: Arguments) -> dict[str, object]:
+    """Frames and milliseconds by format; what `--json` prints.
+
+    Raises:
+        ConfigError: a number is out of its range.
+    """
+    if not 0 < args.share <= 1 or not 1 <= args.repeats <= 1000:
+        raise ConfigError("--share must be above 0 and at most 1, --repeats 1 to 1000")
+    result: dict[str, object] = {}
+    for name, make in SETS.items():
+        with TemporaryDirectory() as folder:
+            root = make(Path(folder), args.share)
+            seconds = []
+            for _ in range(args.repeats):
+                begin = time.perf_counter()
+                recording = open_recording(root)
+                seconds.append(time.perf_counter() - begin)
+            result[name] = {
+                "format": recording.format,
+                "frames": len(recording),
+                "first_ms": seconds[0] * 1e3,
+                "median_ms": statistics.median(seconds) * 1e3,
+            }
+    return result
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = run(args)
+    table = Table("data set", "recognised as", "frames", "the first time, ms", "median, ms")
+    for name, row in result.items():
+        assert isinstance(row, dict)
+        table.add(name, *row.values())
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    guarded(main)
