@@ -59,7 +59,7 @@ def _told(done: BoxesFrom3d, labelled: int) -> list[str]:
         if counter:
             lines.append(f"  {why}: {_by_class(counter)}")
     if done.drawn:
-        lines.append(f"  left alone: {done.drawn} frames that somebody has drawn on")
+        lines.append(f"  left alone: {done.drawn} frames that somebody has drawn on or finalised")
     return lines + [f"  unreadable: {line}" for line in done.unreadable]
 
 

@@ -17,7 +17,7 @@ from annotator.project.payloads import ImageBoxesSet, Payload, ViewBoxesRemoved,
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source
-from annotator.types.errors import ConfigError, FrameError, StaleRevisionError
+from annotator.types.errors import ConfigError, FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frame_share import share_of
 from annotator.workflows.frames import FrameSource, orientation_for
 from annotator.workflows.known_labels import KnownLabels
@@ -41,8 +41,8 @@ class BoxesFrom3d:
         without_views: objects on the image with too few points for views, by class.
         outside, hidden: objects that the image does not show: beyond its edges, or behind something; by class.
         other_classes: left out because the project has no such class, by class.
-        drawn: frames that were left alone because somebody has labelled their images already.
-        unreadable: frames that could not be read, as `key: reason`.
+        drawn: frames that were left alone because somebody has drawn on their images, or finalised them.
+        unreadable: frames that could not be read, or whose own label file could not, as `key: reason`.
     """
 
     chosen: int = 0
@@ -81,8 +81,8 @@ def boxes_from_3d(
 ) -> BoxesFrom3d:
     """Turns known 3D boxes into 2D boxes of the project, frame by frame; its own of an earlier time are replaced.
 
-    A frame is stored whole or not at all. Frames that somebody has drawn on are left alone; so are the boxes of
-    frames that an earlier time had chosen and this one does not.
+    A frame is stored whole or not at all. Frames that somebody has drawn on or finalised are left alone; so are the
+    boxes of frames that an earlier time had chosen and this one does not.
 
     Args:
         labels: the labelled frames and their objects.
@@ -92,7 +92,7 @@ def boxes_from_3d(
 
     Raises:
         ConfigError: a fraction out of its range, or there is no box of the project's classes in any frame.
-        FormatError: labels that cannot be read.
+        FormatError: labels that cannot be read, where they are not one file a frame.
         RecordingError: a recording is not where it was.
     """
     source, config = FrameSource(project), rcv_config(project)
@@ -100,11 +100,12 @@ def boxes_from_3d(
     names = [(recordings[stored.recording_id], stored.key) for stored in labels.frames]
     share = share_of(names, fraction, seed)
     chosen = [stored for stored, name in zip(labels.frames, names, strict=True) if name in share]
+    excused = (FrameError, FormatError) if labels.one_file_a_frame else (FrameError,)
     done = BoxesFrom3d(chosen=len(chosen))
     for number, stored in enumerate(chosen, 1):
         try:
             _take_over(project, stored, source, labels, config, done)
-        except FrameError as error:
+        except excused as error:
             done.unreadable.append(f"{stored.key}: {error}")
         if progress is not None:
             progress(number, len(chosen))
@@ -137,7 +138,7 @@ def _take_over(
 
 
 def _is_drawn(page: FramePage) -> bool:
-    return page.image_boxes is not None and page.image_boxes.author != AUTHOR
+    return page.frame.finalised or (page.image_boxes is not None and page.image_boxes.author != AUTHOR)
 
 
 def _keep(project: Project, frame_id: int, known: KnownFrame) -> bool:

@@ -11,7 +11,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing import LabelSet
 from annotator.workflows.importing.boxes_3d import match_frames
-from annotator.workflows.truth import has_truth, label_file, load_truth
+from annotator.workflows.truth import has_truth, label_file, load_truth, one_file_a_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +22,13 @@ class KnownLabels:
         frames: that are labelled, also those without an object, in the project's order.
         truths: gives the objects of one of them, boxes in the camera frame.
         unmatched: names of labelled frames that the project does not have.
+        one_file_a_frame: a broken label file spoils its own frame alone.
     """
 
     frames: tuple[StoredFrame, ...]
     truths: Callable[[StoredFrame, Frame], Sequence[Truth]]
     unmatched: tuple[str, ...] = ()
+    one_file_a_frame: bool = False
 
 
 def labels_beside(project: Project, recordings: Collection[int] | None = None) -> KnownLabels:
@@ -58,7 +60,9 @@ def labels_beside(project: Project, recordings: Collection[int] | None = None) -
         recording = source.recording(stored.recording_id)
         return load_truth(recording, places[stored.recording_id][stored.key], frame)
 
-    return KnownLabels(tuple(filter(is_labelled, project.frames.of(sorted(places)))), truths)
+    apart = all(one_file_a_frame(source.recording(number)) for number in places)
+    frames = tuple(filter(is_labelled, project.frames.of(sorted(places))))
+    return KnownLabels(frames, truths, one_file_a_frame=apart)
 
 
 def labels_from(project: Project, found: LabelSet, recording: str | None = None) -> KnownLabels:

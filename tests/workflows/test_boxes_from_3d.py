@@ -18,6 +18,7 @@ from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.boxes_from_3d import AUTHOR, boxes_from_3d
 from annotator.workflows.frame_share import share_of
+from annotator.workflows.importing import BoxFormat, read_labels
 from annotator.workflows.known_labels import KnownLabels, labels_beside, labels_from
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
@@ -107,9 +108,11 @@ def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
             people.boxes.set_on_image(second.id, mine, BoxKind.SILHOUETTE, Change(second.revision, "me"))
         return list(beside.truths(stored, frame))
 
-    beside = labels_beside(people)
-    done = boxes_from_3d(people, replace(beside, frames=beside.frames[:3], truths=meanwhile))
-    assert (done.chosen, done.drawn, done.frames) == (3, 2, 1)
+    beside, third = labels_beside(people), people.frames.of()[2]
+    people.frames.finalise(third.id, Change(third.revision, "me"))
+    done = boxes_from_3d(people, replace(beside, frames=beside.frames[:4], truths=meanwhile))
+    assert (done.chosen, done.drawn, done.frames) == (4, 3, 1)
+    assert people.boxes.on_image(third.id) is None
     for stored in (first, second):
         boxes = people.boxes.on_image(stored.id)
         assert boxes is not None
@@ -136,6 +139,30 @@ def test_frames_that_nobody_labelled_teach_nothing(people: Project) -> None:
     done = boxes_from_3d(people, labels)
     assert (done.chosen, done.frames) == (1, 1)
     assert [boxes.frame_id for boxes in people.boxes.on_images()] == [people.frames.of()[3].id]
+
+
+@pytest.mark.shared
+def test_kittis_labels_are_the_same_from_a_path_and_beside_and_a_broken_file_costs_its_frame(
+    shared: Path, tmp_path: Path, make_project
+) -> None:
+    root, folder = shared / "data" / "kitti", tmp_path / "kitti"
+    for name in ("image_2", "velodyne", "calib", "label_2"):
+        (folder / name).mkdir(parents=True)
+        for path in (root / "training" / name).glob("00001*"):
+            (folder / name / path.name).symlink_to(path)
+    broken = folder / "label_2" / "000011.txt"
+    broken.unlink()
+    broken.write_text("Car 0 0\n")
+    beside, given = (make_project(folder, classes=("Car", "Pedestrian")) for _ in range(2))
+    done = boxes_from_3d(beside, labels_beside(beside))
+    assert (done.chosen, done.frames, len(done.unreadable)) == (2, 1, 1)
+    assert "000011.txt:1" in done.unreadable[0]
+    labels = labels_from(given, read_labels(BoxFormat.KITTI, root / "training" / "label_2"))
+    assert len(labels.unmatched) == 8
+    ten = replace(labels, frames=labels.frames[:1])
+    assert replace(done, chosen=1, unreadable=[]) == boxes_from_3d(given, ten)
+    assert [x.boxes for x in given.boxes.on_images()] == [x.boxes for x in beside.boxes.on_images()]
+    assert {x.view_id for x in given.boxes.on_views()} == {x.view_id for x in beside.boxes.on_views()} != set()
 
 
 def test_without_labels_beside_the_recordings_the_error_names_them(own_copy, make_project) -> None:
