@@ -17,6 +17,7 @@ from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 # Each format's precision, metres and radians.
 CASES = [
     pytest.param(ExportFormat.OPENLABEL, ExportOptions(), 1e-9, id="openlabel"),
+    pytest.param(ExportFormat.NUSCENES, ExportOptions(), 1e-9, id="nuscenes"),
     pytest.param(ExportFormat.LABELCLOUD, ExportOptions(), 2e-8, id="labelcloud"),
     pytest.param(ExportFormat.LABELCLOUD, ExportOptions(vertices=True), 2e-7, id="labelcloud vertices"),
 ]

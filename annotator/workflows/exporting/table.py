@@ -25,6 +25,7 @@ class ExportFormat(StrEnum):
     YOLO = "yolo"
     OPENLABEL = "openlabel"
     LABELCLOUD = "labelcloud"
+    NUSCENES = "nuscenes"
 
 
 @dataclass(frozen=True)
@@ -60,4 +61,5 @@ WRITERS: dict[ExportFormat, Writer] = {
     ExportFormat.YOLO: Writer("the same as Ultralytics trains on it", REVIEWED, "yolo", flat=True),
     ExportFormat.OPENLABEL: Writer("ASAM OpenLABEL documents; fully oriented boxes", NOT_REJECTED, "openlabel"),
     ExportFormat.LABELCLOUD: Writer("a labelCloud project; fully oriented boxes", REVIEWED, "labelcloud"),
+    ExportFormat.NUSCENES: Writer("nuScenes tables; fully oriented boxes", REVIEWED, "nuscenes"),
 }

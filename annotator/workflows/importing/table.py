@@ -18,6 +18,7 @@ class BoxFormat(StrEnum):
     SUNRGBD = "sunrgbd"
     OPENLABEL = "openlabel"
     LABELCLOUD = "labelcloud"
+    NUSCENES = "nuscenes"
 
 
 # The module beside this one, with a function `read(path: Path) -> LabelSet`.
@@ -27,6 +28,7 @@ READERS: dict[BoxFormat, str] = {
     BoxFormat.SUNRGBD: "sunrgbd",
     BoxFormat.OPENLABEL: "openlabel",
     BoxFormat.LABELCLOUD: "labelcloud",
+    BoxFormat.NUSCENES: "nuscenes",
 }
 
 

@@ -1,0 +1,149 @@
+"""The tables of nuScenes, one JSON list of records each, linked by tokens.
+
+Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit): metres, quaternions w x y z, sizes width
+length height, times in microseconds. Fields that neither writing nor reading needs are passed over when reading.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+Token = Annotated[str, Field(min_length=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class Record(BaseModel):
+    """A row of a table."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    token: Token
+
+
+class Category(Record):
+    """A class."""
+
+    name: Annotated[str, Field(min_length=1)]
+    description: str = ""
+
+
+class Attribute(Record):
+    """A property that an annotation may have."""
+
+    name: str
+    description: str = ""
+
+
+class Visibility(Record):
+    """How much of an object is seen."""
+
+    level: str
+    description: str = ""
+
+
+class Instance(Record):
+    """An object over the samples of its scene. `track_id` is ours: its id in the project."""
+
+    category_token: Token
+    nbr_annotations: int
+    first_annotation_token: str
+    last_annotation_token: str
+    track_id: int | None = None
+
+
+class Sensor(Record):
+    """A sensor of the vehicle."""
+
+    channel: str
+    modality: str
+
+
+class CalibratedSensor(Record):
+    """Where a sensor is on the vehicle: `rotation` and `translation` take its coordinates to the ego frame."""
+
+    sensor_token: Token
+    translation: Vector3
+    rotation: Quaternion
+    camera_intrinsic: tuple[Vector3, Vector3, Vector3] | tuple[()] = ()
+
+
+class EgoPose(Record):
+    """Where the vehicle is: `rotation` and `translation` take the ego frame to the global one."""
+
+    timestamp: int = 0
+    rotation: Quaternion
+    translation: Vector3
+
+
+class Log(Record):
+    """A drive."""
+
+    logfile: str
+    vehicle: str
+    date_captured: str
+    location: str
+
+
+class Scene(Record):
+    """A sequence of samples."""
+
+    log_token: Token
+    nbr_samples: int
+    first_sample_token: str
+    last_sample_token: str
+    name: str
+    description: str
+
+
+class Linked(Record):
+    """A row that knows its neighbours in time; empty at the ends."""
+
+    prev: str = ""
+    next: str = ""
+
+
+class Sample(Linked):
+    """An annotated moment."""
+
+    timestamp: int
+    scene_token: Token
+
+
+class SampleData(Linked):
+    """What one sensor measured; `filename` is below the dataset's root."""
+
+    sample_token: Token
+    ego_pose_token: Token
+    calibrated_sensor_token: Token
+    timestamp: int = 0
+    fileformat: str = ""
+    is_key_frame: bool
+    height: int = 0
+    width: int = 0
+    filename: str
+
+
+class SampleAnnotation(Linked):
+    """A box of a sample, global frame; its x axis is the length, y the width."""
+
+    sample_token: Token
+    instance_token: Token
+    visibility_token: str = ""
+    attribute_tokens: tuple[str, ...] = ()
+    translation: Vector3
+    size: tuple[Positive, Positive, Positive]
+    rotation: Quaternion
+    num_lidar_pts: int = 0
+    num_radar_pts: int = 0
+
+
+class Map(Record):
+    """A picture of the ground that drives belong to."""
+
+    log_tokens: tuple[str, ...]
+    category: Literal["semantic_prior"] = "semantic_prior"
+    filename: str

@@ -1,0 +1,160 @@
+"""Reads the boxes of nuScenes' tables, ours and others', camera by camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
+
+import numpy as np
+from pydantic import RootModel
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.frames_csv import FrameOrigin, read_frames
+from annotator.formats.json_file import read_model
+from annotator.formats.nuscenes.model import (
+    CalibratedSensor,
+    Category,
+    EgoPose,
+    Instance,
+    Record,
+    SampleAnnotation,
+    SampleData,
+    Sensor,
+)
+from annotator.formats.nuscenes.shapes import box_from, pose
+from annotator.geometry.oriented_box import box_corners
+from annotator.types import OrientedBox
+from annotator.types.errors import FormatError
+
+# A box is in a picture if a corner of it is, and all are ahead of the camera (devkit: `BoxVisibility.ANY`).
+NEAREST_M = 0.1
+
+Row = TypeVar("Row", bound=Record)
+
+
+@dataclass(frozen=True, eq=False)
+class NuScenesBox:
+    """One annotation.
+
+    Attributes:
+        label: the category's name.
+        box: camera frame.
+        track_id: the instance's id in the project it came from; in others' datasets the number of its row, where it
+            is annotated more than once.
+    """
+
+    label: str
+    box: OrientedBox
+    track_id: int | None
+
+
+def read_nuscenes(path: Path) -> dict[str, tuple[NuScenesBox, ...]]:
+    """The boxes of every camera's key frames, by name; others' datasets have many cameras: of each, what it sees.
+
+    Names are "RECORDING/KEY" where frames.csv says so, else the stem of the image's file.
+
+    Args:
+        path: the dataset's root, or its folder of tables.
+
+    Raises:
+        FormatError: no tables, rows that do not follow the schema or name rows that are not there, or two images of
+            one name.
+    """
+    folder = _table_folder(path)
+    origins = read_frames(folder.parent)
+    labels = _Labels(folder)
+    found: dict[str, tuple[NuScenesBox, ...]] = {}
+    for place, row in enumerate(labels.data.values()):
+        if not row.is_key_frame or labels.sensor(place, row).modality != "camera":
+            continue
+        stem = PurePosixPath(row.filename).stem
+        name = origins[stem].name if stem in origins else stem
+        if name in found:
+            raise FormatError(folder / "sample_data.json", f"{place}: two images of cameras are called {name}")
+        found[name] = tuple(labels.boxes(place, row, origins))
+    if not found:
+        raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
+    return found
+
+
+def _table_folder(path: Path) -> Path:
+    folders = [path] if (path / "sample_data.json").is_file() else sorted(path.glob("v1.0-*/"))
+    if len(folders) != 1:
+        several = f"several folders of tables ({', '.join(f.name for f in folders)}); name one of them"
+        raise FormatError(path, f"has {several}" if folders else "has no folder of nuScenes tables (v1.0-*)")
+    return folders[0]
+
+
+class _Labels:
+    """The tables, and what their rows say together."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.data = self._table("sample_data", SampleData)
+        self._sensors = self._table("sensor", Sensor)
+        self._calibrated = self._table("calibrated_sensor", CalibratedSensor)
+        self._poses = self._table("ego_pose", EgoPose)
+        self._categories = self._table("category", Category)
+        self._instances = self._table("instance", Instance)
+        self._numbers = {token: number for number, token in enumerate(self._instances)}
+        self._of_sample: dict[str, list[tuple[int, SampleAnnotation]]] = {}
+        for place, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
+            self._of_sample.setdefault(row.sample_token, []).append((place, row))
+
+    def sensor(self, place: int, row: SampleData) -> Sensor:
+        """Which sensor measured a row."""
+        calibrated = self._row("sample_data", place, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
+        return self._row("sample_data", place, self._sensors, "sensor", calibrated.sensor_token)
+
+    def boxes(self, place: int, row: SampleData, origins: Mapping[str, FrameOrigin]) -> Iterator[NuScenesBox]:
+        """The boxes of a camera's picture; all of the sample where the dataset is ours, which has one camera."""
+        calibrated = self._calibrated[row.calibrated_sensor_token]
+        ego = self._row("sample_data", place, self._poses, "ego_pose", row.ego_pose_token)
+        T_camera_global = (self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)).inv()
+        for at, each in self._of_sample.get(row.sample_token, ()):
+            try:
+                box = box_from(each.translation, each.rotation, each.size).transformed(T_camera_global)
+            except ValueError as error:
+                raise FormatError(self._folder / "sample_annotation.json", f"{at}: {error}") from error
+            if origins or _is_seen(box, calibrated, row):
+                instance = self._row("sample_annotation", at, self._instances, "instance", each.instance_token)
+                number = self._numbers[instance.token]
+                category = self._row("instance", number, self._categories, "category", instance.category_token)
+                yield NuScenesBox(category.name, box, self._track(instance))
+
+    def _track(self, instance: Instance) -> int | None:
+        if "track_id" in instance.model_fields_set:
+            return instance.track_id
+        return self._numbers[instance.token] if instance.nbr_annotations > 1 else None
+
+    def _pose(self, table: str, row: EgoPose | CalibratedSensor) -> RigidTransform:
+        try:
+            return pose(row.translation, row.rotation)
+        except ValueError as error:
+            raise FormatError(self._folder / f"{table}.json", f"{row.token}: {error}") from error
+
+    def _table(self, name: str, model: type[Row]) -> dict[str, Row]:
+        path = self._folder / f"{name}.json"
+        rows: tuple[Row, ...] = read_model(path, RootModel[tuple[model, ...]]).root  # type: ignore[valid-type]
+        found: dict[str, Row] = {}
+        for place, row in enumerate(rows):
+            if row.token in found:
+                raise FormatError(path, f"{place}: the token {row.token} is there twice")
+            found[row.token] = row
+        return found
+
+    def _row(self, table: str, place: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
+        if token not in rows:
+            raise FormatError(self._folder / f"{table}.json", f"{place}: {other}.json has no token {token}")
+        return rows[token]
+
+
+def _is_seen(box: OrientedBox, calibrated: CalibratedSensor, row: SampleData) -> bool:
+    corners = box_corners(box)
+    if (corners[:, 2] < NEAREST_M).any() or not calibrated.camera_intrinsic:
+        return False
+    px = corners @ np.array(calibrated.camera_intrinsic).T
+    px = px[:, :2] / px[:, 2:]
+    return bool(((px > -0.5) & (px < np.array([row.width, row.height]) - 0.5)).all(axis=1).any())

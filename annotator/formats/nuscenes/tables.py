@@ -1,0 +1,216 @@
+"""The tables of a dataset, put together frame by frame."""
+
+from __future__ import annotations
+
+import uuid
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import isnan
+from typing import TypeVar
+
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.dataset import DatasetItem, FileNames
+from annotator.formats.nuscenes.model import (
+    CalibratedSensor,
+    Category,
+    EgoPose,
+    Instance,
+    Linked,
+    Log,
+    Map,
+    Record,
+    Sample,
+    SampleAnnotation,
+    SampleData,
+    Scene,
+    Sensor,
+    Visibility,
+)
+from annotator.formats.nuscenes.shapes import quaternion, vector, width_length_height
+from annotator.geometry.occlusion import Sight
+from annotator.geometry.point_index import PointIndex
+from annotator.types import Camera, Label
+
+# The channels that nuScenes' own programs look for.
+CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
+MAP_FILE = "maps/none.png"
+# nuScenes' levels: from which visible share on.
+VISIBILITY = {"1": (0.0, "v0-40"), "2": (0.4, "v40-60"), "3": (0.6, "v60-80"), "4": (0.8, "v80-100")}
+# Tokens are derived under this one: the same project gives the same tables.
+NAMESPACE = uuid.UUID("0b9c4a1e-7d55-5f0a-8a57-3a1a5e9be6d2")
+# Samples of unknown time follow each other as nuScenes' do.
+STEP_US = 500_000
+
+Row = TypeVar("Row", bound=Linked)
+Key = tuple[str, str | None]
+
+
+def token(*parts: object) -> str:
+    """32 hexadecimal digits that follow from the parts."""
+    return uuid.uuid5(NAMESPACE, "\n".join(map(repr, parts))).hex
+
+
+@dataclass
+class Tables:
+    """All rows so far; no image and no cloud is kept."""
+
+    classes: Sequence[str]
+    _samples: dict[Key, list[Sample]] = field(default_factory=dict)
+    _data: dict[tuple[Key, str], list[SampleData]] = field(default_factory=dict)
+    _poses: list[EgoPose] = field(default_factory=list)
+    _calibrations: dict[str, CalibratedSensor] = field(default_factory=dict)
+    _annotations: dict[str, list[SampleAnnotation]] = field(default_factory=dict)
+    _instances: dict[str, tuple[str, int | None]] = field(default_factory=dict)
+    _order: list[str] = field(default_factory=list)
+
+    def add(self, item: DatasetItem, camera: Camera, T_level_camera: RigidTransform, files: Mapping[str, str]) -> None:
+        """One more frame.
+
+        Args:
+            camera: ideal.
+            T_level_camera: from the camera to the level frame, which is the ego and the global frame, too.
+            files: of the camera and the LiDAR, by channel, below the dataset's root.
+        """
+        frame, key = item.frame, (item.recording, item.split)
+        # never twice the same: the devkit cannot list scenes that begin at the same time
+        made_up_us = len(self._poses) // 2 * STEP_US
+        time_us = made_up_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000
+        sample = Sample(
+            token=token("sample", item.recording, frame.key), timestamp=time_us, scene_token=token("scene", *key)
+        )
+        self._samples.setdefault(key, []).append(sample)
+        for channel, T in ((CAMERA, T_level_camera), (LIDAR, RigidTransform.identity())):
+            data = token("data", channel, item.recording, frame.key)
+            self._poses.append(
+                EgoPose(token=data, timestamp=time_us, rotation=(1.0, 0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0))
+            )
+            size = (camera.width_px, camera.height_px) if channel == CAMERA else (0, 0)
+            row = SampleData(
+                token=data,
+                sample_token=sample.token,
+                ego_pose_token=data,
+                calibrated_sensor_token=self._calibrated(channel, T, camera),
+                timestamp=time_us,
+                fileformat=files[channel].rpartition(".")[2] if channel == CAMERA else "pcd",
+                is_key_frame=True,
+                width=size[0],
+                height=size[1],
+                filename=files[channel],
+            )
+            self._data.setdefault((key, channel), []).append(row)
+        self._annotate(item, sample, T_level_camera)
+
+    def finish(self) -> dict[str, Sequence[Record]]:
+        """The rows of every table, by its name."""
+        names = self.scene_names()
+        logs = {key: token("log", *key) for key in names}
+        annotations = {row.token: row for rows in self._annotations.values() for row in linked(rows)}
+        return {
+            "category": [Category(token=token("category", name), name=name) for name in self.classes],
+            "attribute": [],
+            "visibility": [Visibility(token=name, level=level) for name, (_, level) in VISIBILITY.items()],
+            "instance": [self._instance(each) for each in self._instances],
+            "sensor": [
+                Sensor(token=token("sensor", CAMERA), channel=CAMERA, modality="camera"),
+                Sensor(token=token("sensor", LIDAR), channel=LIDAR, modality="lidar"),
+            ],
+            "calibrated_sensor": list(self._calibrations.values()),
+            "ego_pose": self._poses,
+            "log": [self._log(key, logs[key]) for key in names],
+            "scene": [self._scene(key, name, logs[key]) for key, name in names.items()],
+            "sample": [row for rows in self._samples.values() for row in linked(rows)],
+            "sample_data": [row for rows in self._data.values() for row in linked(rows)],
+            "sample_annotation": [annotations[each] for each in self._order],
+            "map": [Map(token=token("map"), log_tokens=tuple(logs.values()), filename=MAP_FILE)],
+        }
+
+    def scene_names(self) -> dict[Key, str]:
+        """A scene is a recording, or what one part of the dataset has of it."""
+        parts = Counter(recording for recording, _ in self._samples)
+        names = FileNames()
+        return {
+            (recording, split): names.add(recording, split) if split and parts[recording] > 1 else names.add(recording)
+            for recording, split in self._samples
+        }
+
+    def _calibrated(self, channel: str, T_ego_sensor: RigidTransform, camera: Camera) -> str:
+        """The token of a sensor in its place; equal ones are one row."""
+        rows = camera.matrix.tolist() if channel == CAMERA else []
+        row = CalibratedSensor(
+            token=token("calibrated", channel, T_ego_sensor.as_matrix().tolist(), rows),
+            sensor_token=token("sensor", channel),
+            translation=vector(T_ego_sensor.translation),
+            rotation=quaternion(T_ego_sensor.rotation),
+            camera_intrinsic=tuple((x, y, z) for x, y, z in rows),
+        )
+        self._calibrations[row.token] = row
+        return row.token
+
+    def _annotate(self, item: DatasetItem, sample: Sample, T_level_camera: RigidTransform) -> None:
+        xyz = item.frame.cloud.xyz_m
+        index, sight = PointIndex.of(xyz), Sight(xyz)
+        seen: Counter[tuple[object, ...]] = Counter()
+        for label in item.labels:
+            own = ("label", label.uid) if label.track_id is None else ("track", label.track_id)
+            # an object of one identity is there once a sample, whatever the labels say
+            seen[label.label, *own] += 1
+            again = seen[label.label, *own]
+            instance = token("instance", item.recording, item.split, label.label, *own, again)
+            self._instances.setdefault(instance, (label.label, label.track_id))
+            box = label.box.transformed(T_level_camera)
+            row = SampleAnnotation(
+                token=token("annotation", sample.token, instance),
+                sample_token=sample.token,
+                instance_token=instance,
+                visibility_token=_visibility(sight, label),
+                translation=vector(box.center_m),
+                size=width_length_height(box),
+                rotation=quaternion(box.T_camera_box.rotation),
+                num_lidar_pts=index.count(label.box),
+            )
+            self._annotations.setdefault(instance, []).append(row)
+            self._order.append(row.token)
+
+    def _instance(self, instance: str) -> Instance:
+        (label, track_id), rows = self._instances[instance], self._annotations[instance]
+        return Instance(
+            token=instance,
+            category_token=token("category", label),
+            nbr_annotations=len(rows),
+            first_annotation_token=rows[0].token,
+            last_annotation_token=rows[-1].token,
+            track_id=track_id,
+        )
+
+    def _scene(self, key: Key, name: str, log: str) -> Scene:
+        rows = self._samples[key]
+        return Scene(
+            token=token("scene", *key),
+            log_token=log,
+            nbr_samples=len(rows),
+            first_sample_token=rows[0].token,
+            last_sample_token=rows[-1].token,
+            name=name,
+            description=f"recording {key[0]}",
+        )
+
+    def _log(self, key: Key, log: str) -> Log:
+        """The day is 1970-01-01 where the recording does not say when it was."""
+        day = datetime.fromtimestamp(self._samples[key][0].timestamp / 1e6, UTC).date().isoformat()
+        return Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
+
+
+def linked(rows: Sequence[Row]) -> list[Row]:
+    """The rows, which follow each other, each with the tokens of its neighbours."""
+    tokens = ["", *(row.token for row in rows), ""]
+    return [row.model_copy(update={"prev": tokens[place], "next": tokens[place + 2]}) for place, row in enumerate(rows)]
+
+
+def _visibility(sight: Sight, label: Label) -> str:
+    """The level of what is not hidden from the sensor; an object that nothing was measured of is not seen."""
+    share = sight.hidden(label.box).share
+    seen = 0.0 if isnan(share) else 1.0 - share
+    return max(name for name, (least, _) in VISIBILITY.items() if seen >= least)

@@ -1,0 +1,30 @@
+"""Labels of nuScenes tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.formats.nuscenes import NuScenesBox, read_nuscenes
+from annotator.types import Frame, Truth
+
+
+@dataclass(frozen=True)
+class NuScenesLabels:
+    """The annotations of every camera's pictures."""
+
+    path: Path
+    found: Mapping[str, tuple[NuScenesBox, ...]]
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.found)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return [Truth(each.label, each.box, each.track_id) for each in self.found[name]]
+
+
+def read(path: Path) -> NuScenesLabels:
+    """Raises FormatError: no tables of nuScenes, or rows that do not follow its schema."""
+    return NuScenesLabels(path, read_nuscenes(path))

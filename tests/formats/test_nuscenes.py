@@ -1,0 +1,204 @@
+"""nuScenes: its conventions by hand, tables that hold together, and others' tables seen from each of their cameras."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dataset_samples import BOXES, assert_same_box, make_item, make_label
+from hypothesis import given, settings
+from scipy.spatial.transform import Rotation
+
+from annotator.formats.losses import Losses
+from annotator.formats.nuscenes import read_nuscenes, write_nuscenes
+from annotator.formats.nuscenes.shapes import box_from, quaternion, vector, width_length_height
+from annotator.types import Camera, OrientedBox, ReviewState
+from annotator.types.errors import FormatError
+
+
+def write(out: Path, items: list[Any], **options: Any) -> Losses:
+    losses = Losses()
+    write_nuscenes(out, items, ("hand", "Büro"), losses, **options)
+    return losses
+
+
+def tables(out: Path) -> dict[str, list[dict[str, Any]]]:
+    return {path.stem: json.loads(path.read_text()) for path in (out / "v1.0-annotator").glob("*.json")}
+
+
+def test_tables_by_hand(tmp_path: Path) -> None:
+    """A level camera: its (x, y, z) is the global (z, -x, -y); the box is turned left by 90 degrees about global z."""
+    R_camera_global = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    turned = R_camera_global @ Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
+    box = OrientedBox.from_parts(np.array([0.5, 0.25, 0.125]), turned, np.array([4.0, 2.0, 3.0]))
+    item = make_item([make_label(box, track_id=7)])
+    write(tmp_path / "out", [item])
+    found = tables(tmp_path / "out")
+    (annotation,) = found["sample_annotation"]
+    np.testing.assert_allclose(annotation["translation"], [0.125, -0.5, -0.25], atol=1e-12)
+    assert annotation["size"] == [2.0, 4.0, 3.0]
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(annotation["rotation"], [half, 0, 0, half], atol=1e-12)
+    inside = np.abs((item.frame.cloud.xyz_m - box.center_m) @ box.rotation) <= box.size_m / 2
+    assert annotation["num_lidar_pts"] == int(inside.all(axis=1).sum()) > 0
+    assert found["instance"][0]["track_id"] == 7 and found["sample"][0]["timestamp"] == 1_700_000_000_123_456
+    camera, lidar = found["calibrated_sensor"]
+    np.testing.assert_allclose(camera["rotation"], [0.5, -0.5, 0.5, -0.5], atol=1e-12)
+    assert camera["camera_intrinsic"] == [[5.0, 0.0, 2.5], [0.0, 5.5, 1.5], [0.0, 0.0, 1.0]]
+    assert (lidar["rotation"], lidar["camera_intrinsic"]) == ([1.0, 0.0, 0.0, 0.0], [])
+    scan = np.fromfile(tmp_path / "out/samples/LIDAR_TOP/rec-000003.pcd.bin", "<f4").reshape(-1, 5)
+    np.testing.assert_allclose(scan[:, :3], item.frame.cloud.xyz_m @ R_camera_global, atol=1e-6)
+    assert (scan[:, 3:] == 0).all()
+    assert (tmp_path / "out" / found["map"][0]["filename"]).is_file()
+
+
+def test_rows_know_each_other(tmp_path: Path) -> None:
+    """Every token that is named exists, and chains of prev and next lead through all rows in order."""
+    items = [
+        make_item([make_label(uid=f"{n}", track_id=1), make_label(uid=f"{n}b", track_id=1)], key=f"{n}", index=n)
+        for n in range(3)
+    ]
+    items += [make_item([make_label(uid="x", label="Büro")], recording="other", timestamp_ns=None)]
+    write(tmp_path / "out", items)
+    found = tables(tmp_path / "out")
+    rows = {name: {row["token"]: row for row in table} for name, table in found.items()}
+    for table in found.values():
+        for row in table:
+            for field, value in row.items():
+                if field.endswith("_token") and field[:-6] in rows:
+                    assert value in rows[field[:-6]], field
+    assert [scene["name"] for scene in found["scene"]] == ["rec", "other"]
+    assert [instance["nbr_annotations"] for instance in found["instance"]] == [3, 3, 1]
+    for instance in found["instance"]:
+        chain, token = [], instance["first_annotation_token"]
+        while token:
+            chain.append(rows["sample_annotation"][token])
+            token = chain[-1]["next"]
+        assert len(chain) == instance["nbr_annotations"] and chain[-1]["token"] == instance["last_annotation_token"]
+        times = [rows["sample"][each["sample_token"]]["timestamp"] for each in chain]
+        assert times == sorted(times)
+        assert all(a["token"] == b["prev"] for a, b in pairwise(chain))
+    assert set(found["map"][0]["log_tokens"]) == set(rows["log"])
+
+
+@given(BOXES)
+@settings(max_examples=60, deadline=None)
+def test_boxes_read_back(box: OrientedBox) -> None:
+    pose = box.T_camera_box
+    assert_same_box(box_from(vector(pose.translation), quaternion(pose.rotation), width_length_height(box)), box)
+
+
+def test_parts_are_lists_of_scenes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    items = [make_item([make_label()], split="train"), make_item(split="val", key="b", index=4)]
+    write(out, [*items, make_item(recording="other", split="val")])
+    assert json.loads((out / "v1.0-annotator/splits.json").read_text()) == {
+        "train": ["rec-train"],
+        "val": ["rec-val", "other"],
+    }
+    assert list(read_nuscenes(out)) == ["rec/000003", "rec/b", "other/000003"]
+    write(out, [make_item()], overwrite=True)
+    assert not (out / "v1.0-annotator/splits.json").exists()
+    (out / "frames.csv").unlink()
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        write(out, [make_item()], overwrite=True)
+    with pytest.raises(FormatError, match="no frame to export"):
+        write(tmp_path / "none", [])
+    with pytest.raises(FormatError, match="no folder of nuScenes tables"):
+        read_nuscenes(tmp_path)
+
+
+def test_what_the_format_loses(tmp_path: Path) -> None:
+    lens = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
+    label = make_label(score=0.5, track_id=1, state=ReviewState.EDITED)
+    losses = write(tmp_path / "out", [make_item([label], up=None, camera=lens), make_item(key="b")])
+    assert {each.kind.value: each.count for each in losses.report()} == {
+        "score": 1, "state": 1, "lens": 1, "point_color": 2, "level": 1,
+    }  # fmt: skip
+
+
+# Turns a camera's axes to those of a vehicle that looks the same way.
+AHEAD = [0.5, -0.5, 0.5, -0.5]
+LOOKS_BACK = (Rotation.from_rotvec([0, 0, np.pi]) * Rotation.from_quat(AHEAD, scalar_first=True)).as_quat(
+    scalar_first=True
+)
+
+
+def foreign(folder: Path, **changes: Any) -> Path:
+    """A vehicle at (100, 0, 0) that drives to the left, a camera ahead and one back, a box 10 m ahead of each."""
+    left = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
+    K = [[500, 0, 400], [0, 500, 225], [0, 0, 1]]
+
+    def annotation(token: str, instance: str, y: float) -> dict[str, Any]:
+        where = {"translation": [100, y, 1], "rotation": left, "size": [2, 4, 1.5]}
+        return {"token": token, "sample_token": "s", "instance_token": instance, **where}
+
+    content: dict[str, list[dict[str, Any]]] = {
+        "category": [{"token": "c", "name": "vehicle.car"}],
+        "instance": [
+            {"token": name, "category_token": "c", "nbr_annotations": n, "first_annotation_token": "",
+             "last_annotation_token": ""} for name, n in (("i0", 1), ("i1", 2))
+        ],
+        "sensor": [{"token": n, "channel": n, "modality": "camera"} for n in ("F", "B")],
+        "calibrated_sensor": [
+            {"token": "F", "sensor_token": "F", "translation": [1, 0, 1], "rotation": AHEAD, "camera_intrinsic": K},
+            {"token": "B", "sensor_token": "B", "translation": [-1, 0, 1], "rotation": LOOKS_BACK.tolist(),
+             "camera_intrinsic": K},
+        ],
+        "ego_pose": [{"token": "p", "translation": [100, 0, 0], "rotation": left}],
+        "sample_data": [
+            {"token": n, "sample_token": "s", "ego_pose_token": "p", "calibrated_sensor_token": n, "width": 800,
+             "height": 450, "is_key_frame": True, "filename": f"../../samples/{n}/{n}__17.jpg"} for n in ("F", "B")
+        ],
+        "sample_annotation": [annotation("a0", "i0", 11), annotation("a1", "i1", -11)],
+    }  # fmt: skip
+    (folder / "v1.0-mini").mkdir()
+    for name, rows in (content | changes).items():
+        (folder / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
+    return folder
+
+
+def test_each_camera_sees_its_own(tmp_path: Path) -> None:
+    found = read_nuscenes(foreign(tmp_path))
+    assert set(found) == {"F__17", "B__17"}
+    (ahead,), (back,) = found["F__17"], found["B__17"]
+    assert (ahead.label, ahead.track_id, back.track_id) == ("vehicle.car", None, 1)
+    # of the camera ahead: 10 m away; the length points where the camera looks
+    facing = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    assert_same_box(ahead.box, OrientedBox.from_parts(np.array([0.0, 0.0, 10.0]), facing, np.array([4.0, 2.0, 1.5])))
+    np.testing.assert_allclose(back.box.center_m, [0, 0, 10], atol=1e-9)
+
+
+ROW = {"token": "a0", "sample_token": "s", "instance_token": "i0", "translation": [100, 11, 1]}
+
+
+@pytest.mark.parametrize(
+    ("table", "rows", "problem"),
+    [
+        ("sample_annotation", [ROW | {"size": [0, 4, 1], "rotation": AHEAD}], r"sample_annotation\.json: 0\.size\.0"),
+        ("sample_annotation", [ROW | {"size": [2, 4, 1], "rotation": [0, 0, 0, 0]}], r"0: rotation: .* no unit quat"),
+        (
+            "sample_annotation",
+            [ROW | {"size": [2, 4, 1], "rotation": AHEAD, "instance_token": "x"}],
+            r"0: instance\.json has no token x",
+        ),
+        ("category", [{"token": "c", "name": "a"}, {"token": "c", "name": "b"}], "1: the token c is there twice"),
+        ("ego_pose", [], r"sample_data\.json: 0: ego_pose\.json has no token p"),
+        ("sensor", [{"token": n, "channel": n, "modality": "lidar"} for n in "FB"], "has no key frame of a camera"),
+        ("instance", {"token": "i0"}, r"instance\.json: the file: Input should be a valid tuple"),
+    ],
+)
+def test_tables_that_do_not_hold_are_named(tmp_path: Path, table: str, rows: Any, problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        read_nuscenes(foreign(tmp_path, **{table: rows}))
+
+
+def test_a_truncated_table(tmp_path: Path) -> None:
+    path = foreign(tmp_path) / "v1.0-mini" / "sensor.json"
+    path.write_text('[\n{"token": "F",')
+    with pytest.raises(FormatError, match=r"sensor\.json:2: is not valid JSON"):
+        read_nuscenes(tmp_path / "v1.0-mini")
