@@ -27,6 +27,8 @@ DONT_CARE = "DontCare"
 FIELDS = 15
 DECIMALS = 2
 TRACKING_FIELDS = 2
+# Of a word that is no number.
+SHOWN = 40
 
 
 @dataclass(frozen=True)
@@ -86,12 +88,15 @@ def dump_label_line(row: KittiLabel) -> str:
     """A row as text, numbers with two decimals as in KITTI's own files; `parse_label_line` reads it.
 
     Args:
-        row: its label must be one word.
+        row: its label must be one word. Of a DontCare area only the 2D box counts, as in KITTI's files.
     """
-    numbers = (row.alpha, row.left, row.top, row.right, row.bottom, row.height, row.width, row.length)
-    place = (row.x, row.y, row.z, row.rotation_y)
-    score = () if row.score is None else (f"{row.score:.6g}",)
-    return " ".join((row.label, _decimal(row.truncated), str(row.occluded), *map(_decimal, (*numbers, *place)), *score))
+    edges = [_decimal(edge) for edge in (row.left, row.top, row.right, row.bottom)]
+    if row.label == DONT_CARE:
+        return " ".join([DONT_CARE, "-1 -1 -10", *edges, "-1 -1 -1 -1000 -1000 -1000 -10"])
+    solid = (row.height, row.width, row.length, row.x, row.y, row.z, row.rotation_y)
+    score = [] if row.score is None else [f"{row.score:.6g}"]
+    first = [row.label, _decimal(row.truncated), str(row.occluded), _decimal(row.alpha)]
+    return " ".join([*first, *edges, *map(_decimal, solid), *score])
 
 
 def _decimal(value: float) -> str:
@@ -172,9 +177,9 @@ def _number(field: str, path: Path, line: int) -> float:
         # float() reads 1_000, too
         value = float(field.replace("_", "?"))
     except ValueError:
-        raise FormatError(path, f"{field!r} is not a number", line) from None
+        raise FormatError(path, f"{field[:SHOWN]!r} is not a number", line) from None
     if not math.isfinite(value):
-        raise FormatError(path, f"{field!r} is not a finite number", line)
+        raise FormatError(path, f"{field[:SHOWN]!r} is not a finite number", line)
     return value
 
 
@@ -199,5 +204,8 @@ def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, p
         raise FormatError(
             path, f"height width length must be positive, not {row.height} {row.width} {row.length}", line
         )
-    box = label_box(row)
-    return Truth(row.label, box if T is None else box.transformed(T), track_id)
+    try:
+        box = label_box(row)
+        return Truth(row.label, box if T is None else box.transformed(T), track_id)
+    except ValueError as error:
+        raise FormatError(path, str(error), line) from error

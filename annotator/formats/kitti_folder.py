@@ -12,7 +12,7 @@ lie in `training/`, those of a part called `test`, too: their labels are known.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.files import new_folder
 from annotator.formats.dataset import DatasetItem
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
-from annotator.formats.kitti import DONT_CARE, dump_label_line
+from annotator.formats.kitti import DONT_CARE, KittiLabel, dump_label_line
 from annotator.formats.kitti_row import is_in_picture, label_frame, rounded_box, upright_box, upright_row
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.numbered import CLASS_NAMES, ClassWords
@@ -48,6 +48,7 @@ def write_kitti(
     classes: Sequence[str],
     losses: Losses,
     *,
+    areas: Callable[[DatasetItem], Sequence[KittiLabel]] = lambda item: (),
     overwrite: bool = False,
 ) -> Counter[str]:
     """Writes the folder `out`, all or not at all, one frame in memory at a time.
@@ -58,6 +59,7 @@ def write_kitti(
         ids: the file name of each (recording, key) (`six_digit_ids`).
         classes: all class names.
         losses: what the format does not hold is counted here.
+        areas: the DontCare rows of a frame, which are written behind its labels.
 
     Returns:
         How many boxes were written, by class.
@@ -73,7 +75,7 @@ def write_kitti(
         for item in items:
             frame_id = ids[item.recording, item.frame.key]
             origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
-            rows = _rows(item, words, counts, losses)
+            rows = _rows(item, words, counts, losses) + "".join(f"{dump_label_line(x)}\n" for x in areas(item))
             with writing(out):
                 _write_frame(part / TRAINING, frame_id, item.frame, rows)
         if not origins:

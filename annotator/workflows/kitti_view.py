@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from annotator.formats.kitti import KittiLabel
+from annotator.formats.kitti import DONT_CARE, KittiLabel
 from annotator.formats.kitti_results import read_kitti_file
 from annotator.formats.kitti_row import kitti_row
 from annotator.geometry.occlusion import Sight
@@ -26,6 +26,16 @@ def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[
     if recording.format == OWN_ROWS and file is not None:
         return read_kitti_file(file, scored=False)
     return rows_of_truth(((truth.label, truth.box) for truth in load_truth(recording, index, frame)), frame)
+
+
+def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
+    """The areas of a frame where nobody labelled, as far as its recording says so.
+
+    Raises:
+        FormatError: its label file is broken.
+    """
+    file = label_file(recording, key) if recording.format == OWN_ROWS else None
+    return [] if file is None else [row for row in read_kitti_file(file, scored=False) if row.label == DONT_CARE]
 
 
 def rows_of_truth(boxes: Iterable[tuple[str, OrientedBox]], frame: Frame) -> list[KittiLabel]:

@@ -219,6 +219,11 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
         read_kitti_labels(folder)
 
 
+def test_areas_nobody_labelled_stay_as_they_are() -> None:
+    text = "DontCare -1 -1 -10 753.33 164.32 798.00 186.74 -1 -1 -1 -1000 -1000 -1000 -10"
+    assert dump_label_line(parse_label_line(text)) == text
+
+
 def test_a_tracking_file(tmp_path: Path) -> None:
     file = tmp_path / "label_02.txt"
     file.write_text(
