@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.kitti import DECIMALS, KittiLabel, heading_rotation
 from annotator.formats.kitti_derived import derived_box, heading, observation_angle
-from annotator.formats.losses import IMAGE_UP
+from annotator.geometry.level import IMAGE_UP
 from annotator.geometry.nearest_upright import nearest_upright
 from annotator.geometry.occlusion import Sight
 from annotator.types import Frame, OrientedBox

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.dataset import DatasetItem
+from annotator.geometry.level import IMAGE_UP
 from annotator.types import ReviewState
 
 
@@ -50,8 +51,6 @@ class Lost(StrEnum):
 
 # A box that leans by less is upright, radians: angles in files have two to six decimals.
 LEAST_TILT_RAD = 1e-3
-# Against gravity, in the camera frame of a camera that looks straight ahead.
-IMAGE_UP = np.array([0.0, -1.0, 0.0])
 
 _WORDS = {
     Lost.TILT: "boxes are tilted; the nearest upright ones were written",

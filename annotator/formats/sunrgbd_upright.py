@@ -10,12 +10,15 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.losses import IMAGE_UP
-from annotator.geometry.transforms import right_handed_frame
+from annotator.geometry.level import level_pose
 from annotator.types import Camera, Frame
 
 # [X, Z, -Y] of a camera's point [X, Y, Z].
 SWAPPED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+# The level frame at the camera has x ahead and y to the left.
+LEVEL_UPRIGHT = RigidTransform.from_rotation(
+    Rotation.from_matrix(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+)
 # SUN RGB-D counts pixels from 1.
 FIRST_PX = 1.0
 # An axis so near to gravity is gravity, and a shift so small is none.
@@ -29,8 +32,7 @@ def upright_frame(frame: Frame) -> RigidTransform:
         own_up = T.rotation.apply([0.0, 0.0, 1.0])
         if np.linalg.norm(own_up - up) < SAME:
             return T
-    z, y, minus_x = right_handed_frame(IMAGE_UP if up is None else up, np.array([0.0, 0.0, 1.0])).T
-    return RigidTransform.from_rotation(Rotation.from_matrix(np.stack([-minus_x, y, z], axis=1)))
+    return level_pose(up).inv() * LEVEL_UPRIGHT
 
 
 def tilt_matrix(T_camera_upright: RigidTransform) -> Float64[np.ndarray, "3 3"]:

@@ -79,7 +79,7 @@ def test_occlusion_is_measured(wall_m: float, occluded: int) -> None:
 BARE = Frame("a", 0, CAMERA, np.zeros((100, 200, 3), np.uint8), PointCloud(np.zeros((1, 3), np.float32)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     st.tuples(*[st.floats(-60, 60)] * 2, st.floats(0.5, 90)),
     st.tuples(*[st.floats(0.02, 20)] * 3),
