@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.files import new_folder
+from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
 from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
 from annotator.types.errors import ConfigError, FormatError
@@ -23,6 +24,8 @@ LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 TRAIN_SHARE = 0.5
 # VoteNet numbers its frames with so many digits, and its lists do without the zeros.
 VOTENET_DIGITS = 6
+# The toolbox's list of all scenes takes about a megabyte.
+MOST_LIST_BYTES = 2**26
 
 
 @dataclass(frozen=True)
@@ -137,17 +140,13 @@ def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
     Raises:
         FormatError: not such a file.
     """
-    from scipy.io import loadmat
-
     try:
-        content = loadmat(str(path), variable_names=["alltrain", "alltest"])
-        train, test = (
-            [_scene_key(str(cell.item())) for cell in content[name].ravel()] for name in ("alltrain", "alltest")
-        )
-    # the reader raises whatever a damaged file leads it to
-    except Exception as error:
-        raise FormatError(path, f"is not the toolbox's list of scenes ({str(error)[:100]})") from error
-    return train, test
+        train, test = (read_mat(path, name, MOST_LIST_BYTES) for name in ("alltrain", "alltest"))
+    except (OSError, MatFileError) as error:
+        raise FormatError(path, f"the list of scenes cannot be read ({error})") from error
+    if not isinstance(train, list) or not isinstance(test, list):
+        raise FormatError(path, "alltrain and alltest are no lists of scenes")
+    return [_scene_key(str(scene)) for scene in train], [_scene_key(str(scene)) for scene in test]
 
 
 def _scene_key(path: str) -> str:

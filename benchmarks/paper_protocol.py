@@ -128,6 +128,7 @@ class InProject:
             "model": trained.model.id,
             "pictures": {"train": trained.manifest.images["train"], "val": trained.manifest.images["val"]},
             "epochs": trained.result.epochs,
+            "seconds_in_all_tries": trained.result.seconds,
             "metrics": trained.result.metrics.model_dump(),
             "start": trained.result.note,
             "left_out": list(trained.left_out),

@@ -103,7 +103,7 @@ class Knowing:
         )
         pictures = len(material.images) if roles[0] is Role.IMAGE else len(material.views)
         metrics = TrainingMetrics(map50=1.0, map50_95=1.0, precision=1.0, recall=1.0, measured_on="train")
-        result = SimpleNamespace(epochs=1, metrics=metrics, note="knows it all")
+        result = SimpleNamespace(epochs=1, seconds=0.5, metrics=metrics, note="knows it all")
         manifest = SimpleNamespace(images={"train": pictures, "val": 0})
         return [SimpleNamespace(model=model, manifest=manifest, result=result, left_out=())]
 
@@ -297,7 +297,7 @@ def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
     assert split.train == ("kv1__NYUdata__NYU0001", "kv2__kinect2data__000002_2014")
     assert split.val == ("xtion__a__b",)
     (raw / "allsplit.mat").write_bytes(b"no such file")
-    with pytest.raises(FormatError, match="is not the toolbox's list of scenes"):
+    with pytest.raises(FormatError, match="the list of scenes cannot be read"):
         split_of(open_recording(raw), 0)
 
 
