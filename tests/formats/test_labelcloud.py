@@ -102,7 +102,7 @@ GIMBAL = make_box((1.0, 2.0, 3.0), tuple(Rotation.from_euler("ZYX", [0.7, np.pi 
 
 @given(BOXES)
 @example(GIMBAL)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_boxes_read_back_and_ten_times_without_drift(box: OrientedBox) -> None:
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     for dump in (centroid_object, vertices_object):

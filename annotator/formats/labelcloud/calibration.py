@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.formats.bounded import MOST
 from annotator.formats.text_folder import text_rows
 from annotator.types import Camera
 from annotator.types.errors import FormatError
@@ -51,8 +52,8 @@ def read_calibration_pose(path: Path) -> RigidTransform:
             matrix = np.array([float(word) for word in words]).reshape(shape)
         except ValueError as error:
             raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers", line) from error
-        if not np.isfinite(matrix).all():
-            raise FormatError(path, f"{name} must be finite", line)
+        if not (np.abs(matrix) <= MOST).all():
+            raise FormatError(path, f"{name} must be finite and not beyond {MOST:g}", line)
         found[name] = matrix
     if missing := [name for name in SHAPES if name not in found]:
         raise FormatError(path, f"has no {' and no '.join(missing)}")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from annotator.formats.bounded import Bounded, Bounded3, BoundedPositive
 
 CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Vertex = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class _Record(BaseModel):
@@ -19,17 +19,17 @@ class _Record(BaseModel):
 class Axes(_Record):
     """A value for each axis: metres, or angles."""
 
-    x: FiniteFloat
-    y: FiniteFloat
-    z: FiniteFloat
+    x: Bounded
+    y: Bounded
+    z: Bounded
 
 
 class Dimensions(_Record):
     """Full sizes along the box's own x, y, z; metres."""
 
-    length: Positive
-    width: Positive
-    height: Positive
+    length: BoundedPositive
+    width: BoundedPositive
+    height: BoundedPositive
 
 
 class BoxObject(_Record):
@@ -39,7 +39,7 @@ class BoxObject(_Record):
     centroid: Axes | None = None
     dimensions: Dimensions | None = None
     rotations: Axes | None = None
-    vertices: Annotated[tuple[Vertex, ...], Field(min_length=8, max_length=8)] | None = None
+    vertices: Annotated[tuple[Bounded3, ...], Field(min_length=8, max_length=8)] | None = None
 
     @model_validator(mode="after")
     def _is_a_box(self) -> BoxObject:

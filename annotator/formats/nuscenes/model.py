@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field
+
+from annotator.formats.bounded import Bounded3, Bounded4, BoundedPositive
 
 Token = Annotated[str, Field(min_length=1)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Vector3 = Bounded3
+Quaternion = Bounded4
+# what JSON numbers, and the project, hold exactly
+TrackId = Annotated[int, Field(ge=-(2**53), le=2**53)]
 
 
 class Record(BaseModel):
@@ -52,7 +55,7 @@ class Instance(Record):
     nbr_annotations: int
     first_annotation_token: str
     last_annotation_token: str
-    track_id: int | None = None
+    track_id: TrackId | None = None
 
 
 class Sensor(Record):
@@ -135,7 +138,7 @@ class SampleAnnotation(Linked):
     visibility_token: str = ""
     attribute_tokens: tuple[str, ...] = ()
     translation: Vector3
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
     rotation: Quaternion
     num_lidar_pts: int = 0
     num_radar_pts: int = 0

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from annotator.formats.bounded import Bounded, Bounded3, Bounded4
 
 SCHEMA_VERSION = "1.0.0"
 
 # Frames are numbered; elements have a number or a UUID.
 FrameNumber = Annotated[str, StringConstraints(pattern=r"^[0-9]{1,18}$")]
 Uid = Annotated[str, StringConstraints(pattern=r"^(-?[0-9]{1,18}|[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12})$")]
-Timestamp = Annotated[str | FiniteFloat, Field(union_mode="left_to_right")]
+Timestamp = Annotated[str | Bounded, Field(union_mode="left_to_right")]
 AttributeKind = Literal["num", "text", "boolean", "vec"]
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Vector4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class _Record(BaseModel):
@@ -29,7 +29,7 @@ class Num(_Record):
     """A named number."""
 
     name: str | None = None
-    val: FiniteFloat
+    val: Bounded
 
 
 class Text(_Record):
@@ -50,7 +50,7 @@ class Cuboid(_Record):
     """`val`: x y z, then qx qy qz qw or rx ry rz, then the full sizes sx sy sz; metres and radians."""
 
     name: str
-    val: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=10)] | None
+    val: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=10)] | None
     coordinate_system: str | None = None
     uid: str | None = None
     attributes: Attributes | None = None
@@ -97,11 +97,11 @@ class Object(_Record):
 class TransformData(_Record):
     """A transform in one of three forms: 4x4 matrix row by row; quaternion x y z w; Euler angles in `sequence`."""
 
-    matrix4x4: Annotated[tuple[FiniteFloat, ...], Field(min_length=16, max_length=16)] | None = None
-    quaternion: Vector4 | None = None
-    euler_angles: Vector3 | None = None
+    matrix4x4: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)] | None = None
+    quaternion: Bounded4 | None = None
+    euler_angles: Bounded3 | None = None
     sequence: Annotated[str, StringConstraints(pattern=r"^[xyzXYZ]{3}$")] | None = None
-    translation: Vector3 | None = None
+    translation: Bounded3 | None = None
 
 
 class CoordinateSystem(_Record):
@@ -126,8 +126,8 @@ class Pinhole(_Record):
 
     width_px: int
     height_px: int
-    camera_matrix: Annotated[tuple[FiniteFloat, ...], Field(min_length=12, max_length=12)]
-    distortion_coeffs: Annotated[tuple[FiniteFloat, ...], Field(min_length=5, max_length=14)]
+    camera_matrix: Annotated[tuple[Bounded, ...], Field(min_length=12, max_length=12)]
+    distortion_coeffs: Annotated[tuple[Bounded, ...], Field(min_length=5, max_length=14)]
 
 
 class Sync(_Record):
