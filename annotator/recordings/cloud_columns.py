@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from annotator.recordings.plausible import LARGEST
 from annotator.types.errors import FrameError
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
 COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
 REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
-# What is further away is no measurement, whatever the unit.
-FARTHEST_M = 1e9
 # Reflectance comes as a share, or as 8 or 16 bits.
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 
@@ -48,7 +47,7 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
         raise FrameError(path, f"has no {' '.join(missing)} (it has {have})", CLOUD_REMEDY)
     xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
     # infinity and NaN are not below it either
-    valid = np.all(np.abs(xyz_m) < FARTHEST_M, axis=1)
+    valid = np.all(np.abs(xyz_m) < LARGEST, axis=1)
     if not valid.any():
         problem = "every point is NaN or infinite" if len(valid) else "has no points"
         raise FrameError(path, problem, CLOUD_REMEDY)

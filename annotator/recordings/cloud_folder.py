@@ -20,7 +20,7 @@ from typing import Annotated, ClassVar, Never
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import inside_image, project
@@ -30,8 +30,9 @@ from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
 from annotator.recordings.kitti_frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.plausible import MOST_PIXELS, is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import FILE_NAME, read_camera, read_up
+from annotator.recordings.rgbd_camera import FILE_NAME, Number, read_camera, read_up
 from annotator.recordings.virtual_image import virtual_image
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -43,9 +44,10 @@ IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
 VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 # Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+MOST_OFF_ROTATION = 1e-3
 # Coordinates that begin further away are those of a map.
 FARTHEST_SEEN_M = 10_000.0
-Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Four = tuple[Number, Number, Number, Number]
 
 
 class CloudPoseFile(BaseModel):
@@ -106,6 +108,9 @@ class CloudFolder(KeyedFrames):
         raw = read_cloud(cloud_path)
         if self.images is None:
             view = self._view(key, None) or _level_view(self.path, raw)
+            if view.camera.width_px * view.camera.height_px > MOST_PIXELS:
+                size = f"{view.camera.width_px} x {view.camera.height_px}"
+                raise FrameError(view.path, f"is of a camera with {size} pixels", "correct the calibration")
             cloud = view.see(raw)
             rgb = virtual_image(view.camera, cloud)
         else:
@@ -166,7 +171,7 @@ def _kitti_view(path: Path, rgb: np.ndarray | None) -> View:
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
     else:
         width, height = (int(2 * calibration.matrix[axis, 2]) + 1 for axis in (0, 1))
-        if not (0 < width <= 1 << 14 and 0 < height <= 1 << 14):
+        if min(width, height) <= 0:
             raise FrameError(path, f"P2 is of an image of {width} x {height} pixels", "correct the calibration")
         camera = calibration.camera(width, height)
     return View(path, calibration.T_camera_lidar, camera, UP, calibration)
@@ -192,9 +197,7 @@ def _pose(path: Path, rows: tuple[Four, ...] | None) -> RigidTransform:
     if rows is None:
         return RigidTransform.identity()
     matrix = np.array(rows)
-    rotation = matrix[:3, :3]
-    is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3 and np.linalg.det(rotation) > 0
-    if not is_rotation or tuple(matrix[3]) != (0, 0, 0, 1):
+    if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
         raise FrameError(path, "cloud_to_camera is not a rotation and a shift above 0 0 0 1", "write it row by row")
     return RigidTransform.from_matrix(matrix)
 

@@ -25,6 +25,8 @@ LENS_MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
 ACCELEROMETER = "CALIBRATION_InertialSensorType_Accelerometer"
 DEPTH_PURPOSE, COLOUR_PURPOSE = "CALIBRATION_CameraPurposeDepth", "CALIBRATION_CameraPurposePhotoVideo"
 Size = tuple[int, int]
+# Shares of a sensor, factors of a polynomial, metres between cameras: small all, and computed in single precision.
+Small = Annotated[FiniteFloat, Field(ge=-1e4, le=1e4)]
 # Image size of a mode -> size of the whole sensor in its pixels, and the window's left and upper edge there.
 DEPTH_MODES: dict[Size, tuple[Size, Size]] = {
     (320, 288): ((512, 512), (96, 90)),
@@ -48,8 +50,8 @@ class _Part(BaseModel):
 
 
 class _Pose(_Part):
-    Rotation: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)]
-    Translation: Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
+    Rotation: Annotated[tuple[Small, ...], Field(min_length=9, max_length=9)]
+    Translation: Annotated[tuple[Small, ...], Field(min_length=3, max_length=3)]
 
     def transform(self) -> RigidTransform:
         """From the device's frame (the depth camera's) to this sensor's, metres."""
@@ -59,7 +61,7 @@ class _Pose(_Part):
 
 class _Intrinsics(_Part):
     ModelType: str
-    ModelParameters: Annotated[tuple[FiniteFloat, ...], Field(min_length=14)]
+    ModelParameters: Annotated[tuple[Small, ...], Field(min_length=14)]
 
 
 class _CameraPart(_Part):

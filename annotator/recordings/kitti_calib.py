@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.errors import FrameError
 
@@ -78,7 +79,7 @@ def read_calibration(path: Path) -> KittiCalibration:
     rows = _read_rows(path)
     P2 = _matrix(path, rows, P2_NAMES, (3, 4))
     R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
-    return _calibration(path, P2, R0, _matrix(path, rows, LIDAR_NAMES, (3, 4)))
+    return _calibration(path, path, P2, R0, _matrix(path, rows, LIDAR_NAMES, (3, 4)))
 
 
 def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
@@ -91,7 +92,7 @@ def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
     P2 = _matrix(cameras, rows, RAW_P2_NAMES, (3, 4))
     R0 = _matrix(cameras, rows, RAW_RECTIFICATION_NAMES, (3, 3))
     Tr = np.concatenate([_matrix(lidar, poses, ("R",), (3, 3)), _matrix(lidar, poses, ("T",), (3, 1))], axis=1)
-    return _calibration(cameras, P2, R0, Tr)
+    return _calibration(cameras, lidar, P2, R0, Tr)
 
 
 def _read_rows(path: Path) -> dict[str, list[str]]:
@@ -109,15 +110,15 @@ def _read_rows(path: Path) -> dict[str, list[str]]:
     return _rows(text)
 
 
-def _calibration(path: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> KittiCalibration:
-    """The calibration that the devkit's three matrices make; `path` is where P2 stands."""
+def _calibration(path: Path, lidar: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> KittiCalibration:
+    """The calibration that the devkit's three matrices make; `path` is where the first two stand."""
     K = P2[:, :3]
-    if K[0, 1] != 0 or K[1, 0] != 0 or tuple(K[2]) != (0, 0, 1) or not (K[0, 0] > 0 and K[1, 1] > 0):
+    if not is_pinhole(K):
         raise FrameError(path, "P2 is no pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
-    T = R0 @ Tr
-    if np.abs(T[:, :3] @ T[:, :3].T - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(T[:, :3]) < 0:
-        raise FrameError(path, "the way from the LiDAR to the camera is no rotation and shift", REMEDY)
-    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), T)
+    for place, name, R in ((path, "rectification", R0), (lidar, "LiDAR's pose", Tr[:, :3])):
+        if not is_rotation(R, MOST_OFF_ROTATION):
+            raise FrameError(place, f"the {name} is no rotation", REMEDY)
+    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr)
 
 
 def _rows(text: str) -> dict[str, list[str]]:
@@ -137,6 +138,8 @@ def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shap
         values = np.array([float(value) for value in rows[name]])
     except ValueError as error:
         raise FrameError(path, f"{name}: {error}", REMEDY) from error
-    if values.size != shape[0] * shape[1] or not np.isfinite(values).all():
+    if values.size != shape[0] * shape[1]:
         raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
+    if not are_plausible(values):
+        raise FrameError(path, f"{name} has a number that is not finite, or too large", REMEDY)
     return values.reshape(shape)

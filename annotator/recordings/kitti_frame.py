@@ -14,6 +14,7 @@ import numpy as np
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti_calib import KittiCalibration
+from annotator.recordings.plausible import LARGEST
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -52,7 +53,7 @@ def read_frame(
 def read_scan(path: Path) -> np.ndarray:
     """The valid points of a Velodyne `.bin`: (n, 4) float32 x y z reflectance, LiDAR frame, metres.
 
-    Points with a NaN or infinite value are left out.
+    Points with a value that is NaN, infinite or beyond all reason are left out.
 
     Raises:
         FrameError: the file is missing, empty, truncated, or has no valid point.
@@ -70,7 +71,8 @@ def read_scan(path: Path) -> np.ndarray:
             "copy it again from the data set",
         )
     points = np.frombuffer(data, "<f4").reshape(-1, 4)
-    points = points[np.isfinite(points).all(axis=1)]
+    # infinity and NaN are not below it either
+    points = points[(np.abs(points) < LARGEST).all(axis=1)]
     if len(points) == 0:
         raise FrameError(path, "every point is NaN or infinite", "copy the scan again from the data set")
     return points

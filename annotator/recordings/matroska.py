@@ -31,8 +31,10 @@ NOWHERE = 1 << 60
 LACING_BITS = 0x06
 LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
-MOST_BLOCKS = 10_000_000
-CHUNK = 1 << 20
+# Some hours' worth; each takes some 150 bytes of memory.
+MOST_BLOCKS = 4_000_000
+# A damaged stretch is read in pieces that grow: many small ones must not cost a large piece each.
+FIRST_CHUNK, LARGEST_CHUNK = 1 << 12, 1 << 20
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Track:
     period_ns: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Block:
     """One block: `size` bytes at `offset`, which may reach beyond the end of a file that was cut off."""
 
@@ -83,6 +85,18 @@ def read_index(path: Path) -> MatroskaIndex | None:
         if file.read(4) != EBML.to_bytes(4):
             return None
         return _Walk(path, file).index()
+
+
+def read_tracks(path: Path) -> tuple[Track, ...] | None:
+    """The tracks that the head of a Matroska file tells of, however long the file is; None for one of another kind.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb", buffering=0) as file:
+        if file.read(4) != EBML.to_bytes(4):
+            return None
+        return _Walk(path, file).head()
 
 
 @dataclass
@@ -123,6 +137,20 @@ class _Walk:
             at += size
         return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), at > end)
 
+    def head(self) -> tuple[Track, ...]:
+        """The tracks, from what stands before the first cluster and before anything damaged."""
+        at = 0
+        while not self.tracks and (found := element_head(self._read(at, LONGEST_HEAD))):
+            kind, size, length = found
+            at += length
+            if kind == SEGMENT:
+                continue
+            if kind == CLUSTER or size is None or not self._is_known(kind):
+                break
+            self._take(kind, at, size)
+            at += size
+        return tuple(self.tracks)
+
     def _is_known(self, kind: int) -> bool:
         taken = {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
         return kind in ENTERED or kind in SKIPPED or kind in taken
@@ -155,8 +183,10 @@ class _Walk:
 
     def _next_cluster(self, at: int, end: int) -> int:
         """Where the next cluster begins, at `at` or later, or the end."""
+        size = FIRST_CHUNK
         while at < end:
-            chunk = self._read(at, CHUNK)
+            chunk = self._read(at, size)
+            size = min(2 * size, LARGEST_CHUNK)
             found = chunk.find(CLUSTER_ID)
             if found >= 0:
                 return at + found

@@ -10,11 +10,14 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole
 from annotator.types import Camera
 from annotator.types.errors import FrameError
 
 FILE_NAME = "camera_intrinsic.json"
-Positive = Annotated[FiniteFloat, Field(gt=0)]
+Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
+Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
 
 
 class IntrinsicFile(BaseModel):
@@ -30,11 +33,11 @@ class IntrinsicFile(BaseModel):
     # Open3D and its users add keys of their own (class_name, version_major ...), which mean nothing here.
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    intrinsic_matrix: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)]
+    width: Side
+    height: Side
+    intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
     depth_scale: Positive = 1000.0
-    distortion: tuple[FiniteFloat, ...] = ()
+    distortion: tuple[Number, ...] = ()
 
 
 class GravityFile(BaseModel):
@@ -42,7 +45,7 @@ class GravityFile(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    up: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    up: tuple[Number, Number, Number]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +95,14 @@ def read_camera(path: Path) -> RgbdCamera:
         content = IntrinsicFile.model_validate_json(path.read_bytes())
     except (OSError, ValidationError) as error:
         raise FrameError(path, f"not a camera file ({_brief(error)})", "compare it with Open3D's format") from error
-    fx, k10, k20, skew, fy, k21, cx, cy, k22 = content.intrinsic_matrix
-    if (k10, k20, skew, k21, k22) != (0, 0, 0, 0, 1):
-        raise FrameError(path, "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1", "write it column by column")
+    K = np.array(content.intrinsic_matrix).reshape(3, 3).T
+    if not is_pinhole(K):
+        raise FrameError(
+            path,
+            "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, with focal lengths of a camera",
+            "write it column by column",
+        )
+    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     try:
         camera = Camera(content.width, content.height, fx, fy, cx, cy, content.distortion)
     except ValueError as error:
@@ -115,7 +123,7 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     except (OSError, ValidationError) as error:
         raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
     length = np.linalg.norm(up)
-    if length == 0:
+    if length < 1 / LARGEST:
         raise FrameError(path, "up has no length", "write the direction against gravity in the camera frame")
     return up / length
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.errors import FrameError
 
@@ -79,14 +80,14 @@ def read_scene_calibration(intrinsics: Path, extrinsics: Path) -> SunCalibration
 
 def _calibration(path: Path, K: np.ndarray, upright_of_camera: np.ndarray) -> SunCalibration:
     R = upright_of_camera
-    if np.abs(R @ R.T - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
+    if not is_rotation(R, MOST_OFF_ROTATION):
         raise FrameError(path, "the tilt is no rotation", REMEDY)
     T = RigidTransform.from_rotation(Rotation.from_matrix(R.T))
     return SunCalibration(path, _pinhole(path, K), T)
 
 
 def _pinhole(path: Path, K: np.ndarray) -> np.ndarray:
-    if K[0, 1] != 0 or K[1, 0] != 0 or tuple(K[2]) != (0, 0, 1) or not (K[0, 0] > 0 and K[1, 1] > 0):
+    if not is_pinhole(K):
         raise FrameError(path, "K is no pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
     return K
 
@@ -103,8 +104,8 @@ def _numbers(path: Path, text: str) -> np.ndarray:
         values = np.array([float(word) for word in text.split()])
     except ValueError as error:
         raise FrameError(path, str(error), REMEDY) from error
-    if not np.isfinite(values).all():
-        raise FrameError(path, "a number is not finite", REMEDY)
+    if not are_plausible(values):
+        raise FrameError(path, "a number is not finite, or too large", REMEDY)
     return values
 
 

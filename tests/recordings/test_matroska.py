@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.recordings.matroska import Block, children, element_head, read_index
+from annotator.recordings import detect_format, matroska
+from annotator.recordings.matroska import Block, children, element_head, read_index, read_tracks
+from annotator.types.errors import RecordingError
 
 HEADS = [
     (b"\xe7\x81", (0xE7, 1, 2)),
@@ -41,6 +43,20 @@ def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
     assert not index.is_cut
     assert [(track.name, track.width_px, track.height_px) for track in index.tracks] == [
         ("COLOR", 1280, 720), ("DEPTH", 320, 288), ("IR", 320, 288)
+    ]  # fmt: skip
+    first = content.index(b"\x1f\x43\xb6\x75")
+    path.write_bytes(content[:first] + b"\x1f\x43\xb6\x75")
+    assert read_tracks(path) == index.tracks, "the head says so, whatever follows"
+
+
+def test_a_recording_is_recognised_by_its_head(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=1)
+    film = tmp_path / "film.mkv"
+    film.write_bytes(path.read_bytes().replace(b"DEPTH", b"OTHER"))
+    (tmp_path / "text.mkv").write_bytes(b"no film")
+    monkeypatch.setattr("annotator.recordings.azure_kinect.read_index", lambda path: pytest.fail("all of it is read"))
+    assert [detect_format(tmp_path / name) for name in ("take.mkv", "film.mkv", "text.mkv")] == [
+        "azure_kinect", None, None
     ]  # fmt: skip
 
 
@@ -74,6 +90,33 @@ def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
     first, second = index.blocks
     assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
+
+
+def test_many_damaged_places_cost_little_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "x.mkv"
+    # a cluster, and in it what is none of its elements, again and again
+    path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + b"\x1f\x43\xb6\x75\xff\x42\x42\x42" * 5000)
+    read = 0
+    whole = matroska._Walk._read
+
+    def counted(self: matroska._Walk, at: int, size: int) -> bytes:
+        nonlocal read
+        content = whole(self, at, size)
+        read += len(content)
+        return content
+
+    monkeypatch.setattr(matroska._Walk, "_read", counted)
+    index = read_index(path)
+    assert index is not None and not index.blocks
+    assert read < 5000 * 5000
+
+
+def test_more_blocks_than_any_recording_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
+    path = tmp_path / "x.mkv"
+    path.write_bytes(b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff" + b"\xa3\x84\x81\x00\x00\x80" * 11)
+    with pytest.raises(RecordingError, match=r"x\.mkv: has more than 10 blocks; cut the recording into parts"):
+        read_index(path)
 
 
 @given(st.binary(max_size=200))

@@ -1,0 +1,194 @@
+"""Whatever stands in a recording's files, what comes is a frame or an error that names the file."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+from test_cloud_folder import SCAN, camera_file, put_image
+from test_kitti_folders import OBJECT_CALIB, TRACKING_CALIB
+from test_kitti_raw import CAMERAS, LIDAR, TIMES
+from test_sunrgbd import IMAGE as SUN_IMAGE
+from test_sunrgbd import RTILT, K, png, upright_points, write_scene
+
+from annotator.recordings import open_recording
+from annotator.types.errors import FrameError, RecordingError
+
+
+def put(path: Path, content: bytes | str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def kitti_object(folder: Path) -> None:
+    put_image(folder / "image_2" / "0.png", 1)
+    put(folder / "velodyne" / "0.bin", SCAN.tobytes())
+    put(folder / "calib" / "0.txt", OBJECT_CALIB)
+
+
+def kitti_tracking(folder: Path) -> None:
+    put_image(folder / "image_02" / "0.png", 1)
+    put(folder / "velodyne" / "0.bin", SCAN.tobytes())
+    put(folder / "calib.txt", TRACKING_CALIB)
+
+
+def kitti_raw(folder: Path) -> None:
+    (folder / "image_02").mkdir()
+    (folder / "image_02" / "data").mkdir()
+    put_image(folder / "image_02" / "data" / "0.png", 1)
+    put(folder / "velodyne_points" / "data" / "0.bin", SCAN.tobytes())
+    put(folder / "calib_cam_to_cam.txt", CAMERAS)
+    put(folder / "calib_velo_to_cam.txt", LIDAR)
+    put(folder / "image_02" / "timestamps.txt", TIMES)
+
+
+def sunrgbd_extracted(folder: Path) -> None:
+    xyz, rgb = upright_points()
+    put(folder / "image" / "0.png", png(SUN_IMAGE))
+    text = "\n".join(" ".join(f"{value:.9g}" for value in matrix.T.ravel()) for matrix in (RTILT, K))
+    put(folder / "calib" / "0.txt", text)
+    (folder / "depth").mkdir()
+    savemat(folder / "depth" / "0.mat", {"instance": np.c_[xyz, rgb / 255][:200]}, do_compression=True)
+
+
+def sunrgbd_scene(folder: Path) -> None:
+    write_scene(folder)
+
+
+def rgbd_folder(folder: Path) -> None:
+    put_image(folder / "color" / "0.png", 1)
+    height, width = cv2.imread(str(folder / "color" / "0.png")).shape[:2]
+    put(folder / "depth" / "0.png", png(np.full((height, width), 1500, np.uint16)))
+    put(folder / "camera_intrinsic.json", camera_file(depth_scale=500.0, distortion=[0.1, 0.01, 0, 0]))
+    put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
+
+
+def cloud_folder(folder: Path) -> None:
+    put(folder / "0.bin", SCAN.tobytes())
+    pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
+    put(folder / "camera_intrinsic.json", camera_file(cloud_to_camera=pose))
+    put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
+
+
+BUILDERS: list[Callable[[Path], None]] = [
+    kitti_object,
+    kitti_tracking,
+    kitti_raw,
+    sunrgbd_extracted,
+    sunrgbd_scene,
+    rgbd_folder,
+    cloud_folder,
+]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, list[Path]]]:
+    """One small recording a format, and its files."""
+    found = []
+    for build in BUILDERS:
+        folder = tmp_path_factory.mktemp(build.__name__)
+        if build is sunrgbd_scene:
+            folder.rmdir()
+        build(folder)
+        recording = open_recording(folder)
+        assert recording.format.startswith(build.__name__)
+        assert len(recording.frame(0).cloud) > 20
+        files = [file for file in sorted(folder.rglob("*")) if file.is_file() and "annotation" not in str(file)]
+        found.append((folder, files))
+    return found
+
+
+NUMBERS = ["nan", "-inf", "1e308", "-1e308", "1e-320", "0", "-1", "1e17", "99999999999999999999", "x", "", "null", "[]"]
+TEXT = {".txt", ".json"}
+
+
+def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
+    if is_text and data.draw(st.booleans()):
+        words = [match.span() for match in re.finditer(rb"[-+.\w]+", content)]
+        for begin, end in sorted(data.draw(st.sets(st.sampled_from(words), min_size=1, max_size=3)), reverse=True):
+            content = content[:begin] + data.draw(st.sampled_from(NUMBERS)).encode() + content[end:]
+        return content
+    damage = data.draw(st.sampled_from(["cut", "noise", "repeat", "empty"]))
+    at = data.draw(st.one_of(st.integers(0, min(300, len(content) - 1)), st.integers(0, len(content) - 1)))
+    if damage == "cut":
+        return content[:at]
+    if damage == "noise":
+        noise = data.draw(st.binary(min_size=1, max_size=8))
+        return content[:at] + noise + content[at + data.draw(st.sampled_from([0, len(noise)])) :]
+    return content[:at] + content if damage == "repeat" else b""
+
+
+@given(st.data())
+@settings(max_examples=250, deadline=None)
+def test_a_frame_or_an_error_that_names_the_file(recordings: list[tuple[Path, list[Path]]], data: st.DataObject):
+    folder, files = data.draw(st.sampled_from(recordings))
+    file = data.draw(st.sampled_from(files))
+    whole = file.read_bytes()
+    file.write_bytes(damaged(whole, file.suffix in TEXT, data))
+    try:
+        frame = open_recording(folder).frame(0)
+        assert np.isfinite(frame.cloud.xyz_m).all()
+        assert len(frame.cloud) > 0
+        assert frame.up is None or abs(np.linalg.norm(frame.up) - 1) < 1e-6
+        assert frame.T_camera_label is None or np.isfinite(frame.T_camera_label.as_matrix()).all()
+    except RecordingError as error:
+        assert str(error).startswith(str(folder))
+    finally:
+        file.write_bytes(whole)
+
+
+CALIB_LINE = "P2 has a number that is not finite, or too large"
+FOUND = [
+    (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e308", old), CALIB_LINE),
+    (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e-320", old), "P2 is no pinhole camera"),
+    (
+        kitti_raw,
+        "calib_velo_to_cam.txt",
+        lambda old: re.sub(rb"R: \S+", b"R: 0.9", old),
+        "the LiDAR's pose is no rotation",
+    ),
+    (kitti_raw, "calib_cam_to_cam.txt", lambda old: re.sub(rb"R_rect_00: \S+", b"R_rect_00: 1e200", old), "too large"),
+    (
+        sunrgbd_scene,
+        "extrinsics/20160101.txt",
+        lambda old: old.replace(b"0.", b"1e200 ", 1),
+        "must have 3 x 4|too large",
+    ),
+    (rgbd_folder, "camera_intrinsic.json", lambda _: b"[" * 200_000, "not a camera file"),
+    (rgbd_folder, "camera_intrinsic.json", lambda old: old.replace(b"500.0", b"1e-320"), "depth_scale"),
+    (rgbd_folder, "gravity.json", lambda _: b'{"up": [1e308, 1e308, 0]}', "not a gravity file"),
+    (rgbd_folder, "gravity.json", lambda _: b'{"up": [0, 1e-300, 0]}', "up has no length"),
+    (
+        cloud_folder,
+        "camera_intrinsic.json",
+        lambda old: re.sub(rb'(width|height)": [0-9]+', rb'\1": 60000', old),
+        "pixels",
+    ),
+    (cloud_folder, "camera_intrinsic.json", lambda old: re.sub(rb'width": [0-9]+', b'width": 9999999', old), "width"),
+    (kitti_tracking, "velodyne/0.bin", lambda _: struct.pack("<4f", 3e38, 0, 0, 1) * 3, "every point is NaN"),
+]
+
+
+@pytest.mark.parametrize(("build", "name", "change", "complaint"), FOUND)
+def test_what_was_found(
+    tmp_path: Path, build: Callable[[Path], None], name: str, change: Callable[[bytes], bytes], complaint: str
+):
+    """Numbers that overflow, pictures that fill the memory: each was let through once."""
+    folder = tmp_path / "take"
+    if build is not sunrgbd_scene:
+        folder.mkdir()
+    build(folder)
+    file = folder / name
+    assert change(file.read_bytes()) != file.read_bytes()
+    file.write_bytes(change(file.read_bytes()))
+    with pytest.raises(FrameError, match=complaint) as caught:
+        open_recording(folder).frame(0)
+    assert str(caught.value).startswith(f"{file}: ")
