@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -11,6 +12,23 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from annotator.types.errors import FormatError
+
+CHUNK_BYTES = 2**20
+
+
+def why_missing(path: Path) -> str | None:
+    """Why there is nothing at `path` that could be used, in words; None where there is something.
+
+    What cannot be looked at counts as missing: it lies on a mount that is gone, in a folder that nobody may read, or
+    its name is too long. `Path.exists` raises there.
+    """
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return "no such file or folder"
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    return None
 
 
 def write_atomic(path: Path, content: bytes) -> None:
@@ -30,6 +48,23 @@ def write_atomic(path: Path, content: bytes) -> None:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def read_at_most(path: Path, limit: int) -> bytes:
+    """The content of a file; of one that is longer than `limit`, its first `limit` + 1 bytes.
+
+    Raises:
+        OSError: it cannot be read, or is no file, such as a pipe that might never end.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "is no file")
+    parts, left = [], limit + 1
+    with path.open("rb") as stream:
+        # a buffer for all that may come would be made before anything has come
+        while left > 0 and (part := stream.read(min(left, CHUNK_BYTES))):
+            parts.append(part)
+            left -= len(part)
+    return b"".join(parts)
 
 
 def sync_folder(folder: Path) -> None:

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.formats.json_file import read_json
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
+from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
 
-Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
+Vector = tuple[Number, Number, Number]
 # Corners are a second way to say the same; files round their numbers, to millimetres at worst.
 CORNERS_AGREE_M = 2e-3
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from annotator.files import write_atomic
+from annotator.files import read_at_most, write_atomic
 from annotator.types.errors import FormatError
 
 # The largest that is in use, COCO's training labels, has 450 MB.
 MAX_BYTES = 2**30
+HALF_CHARACTER = re.compile(rb"\\u[dD][89a-fA-F]")
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -42,15 +44,13 @@ def read_json(path: Path, pairs_hook: Callable[[list[tuple[str, object]]], objec
         FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is no JSON (with the line).
     """
     try:
-        with path.open("rb") as stream:
-            # what is not read cannot fill the memory
-            data = stream.read(MAX_BYTES + 1)
+        data = read_at_most(path, MAX_BYTES)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     if len(data) > MAX_BYTES:
         raise FormatError(path, f"is longer than {MAX_BYTES // 2**20} MiB; split it")
     try:
-        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=pairs_hook)
+        content: object = json.loads(data.decode("utf-8-sig"), object_pairs_hook=pairs_hook)
     except UnicodeDecodeError as error:
         raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
     except json.JSONDecodeError as error:
@@ -62,6 +62,17 @@ def read_json(path: Path, pairs_hook: Callable[[list[tuple[str, object]]], objec
     except ValueError as error:
         # an integer of thousands of digits
         raise FormatError(path, f"has a number that cannot be read ({error})") from error
+    if HALF_CHARACTER.search(data):
+        _require_whole_characters(path, content)
+    return content
+
+
+def _require_whole_characters(path: Path, content: object) -> None:
+    r"""JSON may spell halves of a character (`\ud800`), which nobody could write down or show again."""
+    try:
+        json.dumps(content, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        raise FormatError(path, f"has half a character ({error.object[error.start]!a})") from error
 
 
 def first_problem(error: ValidationError) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.pictures import decode_picture
 from annotator.types.errors import FormatError
 
 SINGLE_OBJECT = 255
@@ -23,12 +24,11 @@ def read_mask(path: Path) -> UInt8[np.ndarray, "h w"]:
     import cv2
 
     try:
-        data = path.read_bytes()
+        mask = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
     except OSError as error:
         raise FormatError(path, f"the mask cannot be read ({error.strerror})") from error
-    mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if mask is None:
-        raise FormatError(path, "the mask is empty, truncated or no image; write it again")
+    except ValueError as error:
+        raise FormatError(path, f"no mask: {error}; write it again") from error
     if mask.ndim != 2 or mask.dtype != np.uint8:
         raise FormatError(path, "a mask must be an 8-bit image with one channel of object numbers")
     if np.isin(mask, (0, SINGLE_OBJECT)).all():

@@ -62,8 +62,11 @@ def read_ply(path: Path) -> PointCloud:
         raise FormatError(path, f"should hold {count} points in {count * dtype.itemsize} bytes, not {len(data) - end}")
     rows = np.frombuffer(data, dtype, count, offset=end)
     names = dtype.names or ()
+    xyz_m = np.stack([rows[name] for name in XYZ], axis=1).astype(np.float32)
+    if not np.isfinite(xyz_m).all():
+        raise FormatError(path, "has a point that is NaN or infinite; an export has none")
     return PointCloud(
-        np.stack([rows[name] for name in XYZ], axis=1).astype(np.float32),
+        xyz_m,
         np.stack([rows[name] for name in RGB], axis=1) if "red" in names else None,
         rows["reflectance"].astype(np.float32) if "reflectance" in names else None,
     )

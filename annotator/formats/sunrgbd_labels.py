@@ -18,18 +18,20 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.json_file import read_model
 from annotator.formats.text_folder import text_rows
 from annotator.types import OrientedBox, Truth
+from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
 
 FIELDS = 13
 # Corners were drawn by hand: a part of a polygon's size.
 MOST_SKEW = 0.1
-Corners = Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=4)]
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
+Corners = Annotated[tuple[Metres, ...], Field(min_length=4, max_length=4)]
 
 
 class ScenePolygon(BaseModel):
@@ -39,8 +41,8 @@ class ScenePolygon(BaseModel):
 
     X: Corners
     Z: Corners
-    Ymin: FiniteFloat
-    Ymax: FiniteFloat
+    Ymin: Metres
+    Ymax: Metres
 
 
 class SceneObject(BaseModel):
@@ -98,11 +100,12 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[str, np.ndarray, np.
         raise FormatError(path, f"a label has {FIELDS} fields, not {len(fields)}", line)
     label, *numbers = fields
     try:
-        values = np.array([float(number) for number in numbers])
+        # float() reads 1_000, too
+        values = np.array([float(number.replace("_", "?")) for number in numbers])
     except ValueError as error:
         raise FormatError(path, str(error), line) from error
-    if not np.isfinite(values).all():
-        raise FormatError(path, "a number is not finite", line)
+    if not (np.abs(values) <= FARTHEST_M).all():
+        raise FormatError(path, f"a number is not finite, or beyond {FARTHEST_M:g}", line)
     half_width, half_length, half_height = values[7:10]
     return label, values[4:7], 2 * np.array([half_length, half_width, half_height]), values[10:12]
 

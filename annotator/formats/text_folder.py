@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import lzma
 import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePath, PurePosixPath
 
+from annotator.files import read_at_most
 from annotator.types.errors import FormatError
 
 # A label file of a single frame is some kilobytes.
 MAX_BYTES = 16 * 2**20
 MAX_FILES = 1_000_000
+# RuntimeError: encrypted; NotImplementedError: a compression that Python does not know; the rest: damaged.
+ARCHIVE_ERRORS = (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 
 def text_files(path: Path, suffix: str = ".txt") -> Iterator[tuple[str, Path, str]]:
@@ -60,8 +64,7 @@ def read_text(file: Path) -> str:
         FormatError: it cannot be read, is no UTF-8 or longer than `MAX_BYTES`.
     """
     try:
-        with file.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
+        content = read_at_most(file, MAX_BYTES)
     except OSError as error:
         raise FormatError(file, f"cannot be read ({error.strerror})") from error
     return _text(file, content)
@@ -95,7 +98,15 @@ def _of_archive(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
                     content = stream.read(MAX_BYTES + 1)
                 file = path / PurePosixPath(named[key].filename).name
                 yield key, file, _text(file, content)
-    except (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        OSError,
+        EOFError,
+        RuntimeError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+        lzma.LZMAError,
+    ) as error:
         # RuntimeError: encrypted; NotImplementedError: a compression that Python does not know
         raise FormatError(path, f"the archive cannot be read ({error})") from error
 

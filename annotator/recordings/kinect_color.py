@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.recordings.image_file import image_problem
+from annotator.pictures import image_problem
 
 # The four characters that a track names its format with -> bytes a pixel, in halves; None where it is compressed.
 FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}

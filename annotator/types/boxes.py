@@ -10,6 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.types.checks import as_array, require_finite
 
+# What is larger or further away is no object, and its volume no number.
+FARTHEST_M = 1e9
+
 
 @dataclass(frozen=True)
 class Box2D:
@@ -56,6 +59,8 @@ class OrientedBox:
         T_camera_box: pose of the box frame (origin at the centre; x length, y width, z height) in the
             camera frame, metres.
         size_m: full (length, width, height) along the box's own x, y, z; all positive.
+
+    Raises ValueError for a size that is not positive, and for anything that is not finite or beyond `FARTHEST_M`.
     """
 
     T_camera_box: RigidTransform
@@ -69,6 +74,8 @@ class OrientedBox:
         if not self.T_camera_box.single:
             raise ValueError("T_camera_box must be one transform, not a stack")
         require_finite("T_camera_box", self.T_camera_box.as_matrix())
+        if max(size.max(), np.abs(self.T_camera_box.translation).max()) > FARTHEST_M:
+            raise ValueError(f"a box must be within {FARTHEST_M:g} m, in metres")
         object.__setattr__(self, "size_m", size)
 
     @classmethod
@@ -80,7 +87,9 @@ class OrientedBox:
         """
         center = as_array("center_m", center_m, np.float64, (3,))
         matrix = as_array("rotation", rotation, np.float64, (3, 3))
-        if np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
+        # the first question keeps what would overflow from the others
+        no_rotation = not (np.abs(matrix) < 2).all() or np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3
+        if no_rotation or np.linalg.det(matrix) < 0:
             raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
         return cls(RigidTransform.from_components(center, Rotation.from_matrix(matrix)), np.asarray(size_m, np.float64))
 

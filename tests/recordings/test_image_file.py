@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.recordings.image_file import image_problem, read_rgb
+from annotator.pictures import image_problem
+from annotator.recordings.image_file import read_rgb
 from annotator.types.errors import FrameError
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)

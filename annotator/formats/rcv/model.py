@@ -16,8 +16,10 @@ CORNER_ORDER = ("---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++")
 PIXELS = "continuous; the centre of the first pixel is (0, 0)"
 DISTORTION = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty for an ideal pinhole"
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+# Nothing that is measured in metres, pixels or radians is larger; squares of it are still numbers.
+LARGEST = 1e9
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 Vector3 = tuple[Number, Number, Number]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Row8 = tuple[Number, Number, Number, Number, Number, Number, Number, Number]

@@ -6,15 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest
+from annotator.pictures import decode_picture
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
+
+# Of a name that is none.
+SHOWN = 60
+MOST_LENGTH = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +95,14 @@ class RcvDataset:
     def _record(self, i: int) -> tuple[Path, RcvLabels]:
         """The content of frame `i`'s label file, and its path."""
         frame_id, path = self.manifest.frames[i], self.label_path(i)
+        if not _is_within(self.path, f"labels/{frame_id}.json"):
+            raise FormatError(self.path / MANIFEST, f"the labels of {frame_id[:SHOWN]!r} are no file of this dataset")
         record = read_model(path, RcvLabels)
         if record.id != frame_id:
             raise FormatError(path, f"says that its id is {record.id!r}")
         for name in (record.image, record.cloud):
-            if not (self.path / name).resolve().is_relative_to(self.path.resolve()):
-                raise FormatError(path, f"{name!r} is not a file of this dataset")
+            if not _is_within(self.path, name):
+                raise FormatError(path, f"{name[:SHOWN]!r} is not a file of this dataset")
         return path, record
 
 
@@ -108,7 +115,19 @@ def read_rcv(path: Path) -> RcvDataset:
     manifest = read_model(path / MANIFEST, RcvManifest)
     if len(manifest.frames) != manifest.counts.frames or len(set(manifest.frames)) != len(manifest.frames):
         raise FormatError(path / MANIFEST, f"frames must list {manifest.counts.frames} different ids, as counts says")
+    for frame_id in manifest.frames:
+        if frame_id != Path(frame_id).name:
+            raise FormatError(path / MANIFEST, f"the id {frame_id[:SHOWN]!r} is not the name of a file")
     return RcvDataset(path, manifest)
+
+
+def _is_within(folder: Path, name: str) -> bool:
+    """Whether a name, links followed, stays in a folder; whether there is such a file is another question."""
+    try:
+        return (folder / name).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        # too long, a link to itself, a zero byte
+        return False
 
 
 def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -116,12 +135,11 @@ def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     import cv2
 
     try:
-        data = path.read_bytes()
+        bgr = decode_picture(path.read_bytes(), cv2.IMREAD_COLOR)
     except OSError as error:
         raise FormatError(path, f"the image cannot be read ({error.strerror})") from error
-    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if bgr is None:
-        raise FormatError(path, "the image is empty, truncated or of another kind; export the dataset again")
+    except ValueError as error:
+        raise FormatError(path, f"{error}; export the dataset again") from error
     return np.ascontiguousarray(bgr[..., ::-1])
 
 
@@ -133,11 +151,21 @@ def _frame(path: Path, record: RcvLabels, rgb: np.ndarray, cloud: PointCloud) ->
             camera=camera_from(record.camera),
             rgb=rgb,
             cloud=cloud,
-            up=None if record.up is None else np.array(record.up),
+            up=_direction(record.up),
             timestamp_ns=record.timestamp_ns,
         )
     except ValueError as error:
         raise FormatError(path, str(error)) from error
+
+
+def _direction(up: tuple[float, float, float] | None) -> Float64[np.ndarray, "3"] | None:
+    """Raises ValueError for numbers that are no direction."""
+    if up is None:
+        return None
+    vector = np.array(up)
+    if not 0 < np.abs(vector).max() < MOST_LENGTH:
+        raise ValueError(f"up must be a direction, not {list(up)}")
+    return vector
 
 
 def _labels(path: Path, record: RcvLabels) -> tuple[Label, ...]:

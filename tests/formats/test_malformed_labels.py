@@ -1,0 +1,362 @@
+"""Whatever is in a label file, a reader gives labels or an error for people that names the file; nothing is written."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import struct
+import tempfile
+import tracemalloc
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.box_csv import read_box_csv
+from annotator.formats.boxes_json import read_boxes
+from annotator.formats.coco import read_coco
+from annotator.formats.kitti import read_object_labels, read_tracking_labels
+from annotator.formats.kitti_results import read_kitti_file
+from annotator.formats.masks import read_mask
+from annotator.formats.rcv import read_rcv
+from annotator.formats.sunrgbd_labels import read_extracted_labels, read_scene_labels
+from annotator.formats.text_folder import text_files
+from annotator.types.errors import AnnotatorError, FormatError
+
+CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
+T = RigidTransform.from_translation([0.1, 0.2, 0.3])
+IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+BOXES = {"000": {"label": "hand", "center": [0.1, 0.2, 0.9], "size": [0.1, 0.2, 0.3], "rotation": IDENTITY, "track": 3}}
+COCO = {
+    "images": [{"id": 1, "file_name": "a.png", "width": 20, "height": 10}],
+    "annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1.0, 2.0, 3.0, 4.0], "iscrowd": 0}],
+    "categories": [{"id": 1, "name": "hand"}],
+}
+SCENE = {"objects": [{"name": "bed", "polygon": [{"X": [0, 1, 1, 0], "Z": [1, 1, 3, 3], "Ymin": 0.5, "Ymax": 1.5}]}]}
+
+
+def png(width: int = 4, height: int = 3) -> bytes:
+    return bytes(cv2.imencode(".png", np.ones((height, width), np.uint8))[1].tobytes())
+
+
+def zipped(names: tuple[str, ...] = ("a.txt", "b/c.txt")) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in names:
+            archive.writestr(name, CAR + "\n")
+    return buffer.getvalue()
+
+
+def rcv_files() -> dict[str, bytes]:
+    """A dataset of one frame, as `export_rcv` writes it."""
+    from annotator.formats.dataset import DatasetItem
+    from annotator.formats.rcv import RcvInfo, export_rcv
+    from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+
+    box = OrientedBox.from_parts(np.array([0.1, 0.2, 0.9]), np.eye(3), np.array([0.1, 0.2, 0.3]))
+    label = Label("u1", "hand", box, 0.5, Source.AUTO, ReviewState.ACCEPTED, "ann", 17)
+    cloud = PointCloud(np.ones((3, 3), np.float32), np.ones((3, 3), np.uint8))
+    frame = Frame("000", 0, Camera(6, 4, 5.0, 5.0, 2.5, 1.5), np.ones((4, 6, 3), np.uint8), cloud)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
+        export_rcv(out, [DatasetItem("rec", frame, [label])], RcvInfo(("hand",), (), "annotator"))
+        return {str(file.relative_to(out)): file.read_bytes() for file in out.rglob("*.*") if file.is_file()}
+
+
+RCV = rcv_files()
+RCV_LABELS = next(name for name in RCV if name.startswith("labels/"))
+
+
+def read_dataset(path: Path) -> None:
+    """All of the dataset that a file of it lies in."""
+    dataset = read_rcv(path if (path / "dataset.json").is_file() else path.parent)
+    for i in range(len(dataset)):
+        dataset.named_labels(i)
+        dataset.frame(i)
+
+
+Reader = Callable[[Path], object]
+READERS: dict[str, tuple[str, bytes, Reader]] = {
+    "kitti": ("000.txt", f"{CAR}\n{CAR}\n".encode(), lambda path: read_object_labels(path, T)),
+    "kitti_tracking": ("l.txt", f"0 1 {CAR}\n1 1 {CAR}\n".encode(), lambda path: read_tracking_labels(path, T)),
+    "kitti_results": ("000.txt", f"{CAR} 0.5\n".encode(), lambda path: read_kitti_file(path, scored=True)),
+    "sunrgbd": (
+        "000.txt",
+        b"bed 1 2 30 40 0.1 0.2 0.3 0.5 1 0.4 0.6 0.8\n",
+        lambda path: read_extracted_labels(path, T),
+    ),
+    "sunrgbd_scene": ("index.json", json.dumps(SCENE, indent=1).encode(), lambda path: read_scene_labels(path, T)),
+    "coco": ("coco.json", json.dumps(COCO, indent=1).encode(), read_coco),
+    "boxes_json": ("boxes.json", json.dumps(BOXES, indent=1).encode(), read_boxes),
+    "box_csv": (
+        "boxes.csv",
+        b"image,class,cx,cy,cz,l,w,h,yaw,score\na,bed,1,2,3,4,5,6,0.5,0.9\n",
+        lambda path: read_box_csv(path, scored=True),
+    ),
+    "archive": ("labels.zip", zipped(), lambda path: list(text_files(path))),
+    "mask": ("000.png", png(), read_mask),
+    **{f"rcv/{name}": (name, content, read_dataset) for name, content in RCV.items() if name != "README.md"},
+}
+HOSTILE = [
+    "nan", "inf", "-inf", "NaN", "Infinity", "-1", "0", "1e308", "1e-320", "1e999", "9" * 5000, "1_0", "0x10", "٣",
+    "", " ", "\t", "\n", "\x00", "�", '"', "'", ",", "null", "true", "[]", "{}", "[" * 3000, '"../../x"', '"/x"',
+    '"a\\u0000b"', '"\\ud800"', f'"{"x" * 5000}"', "-1e30", "3.5", "99999999999999999999",
+]  # fmt: skip
+TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[^\s,:\[\]{}"]+')
+
+
+@st.composite
+def damage(draw: st.DrawFn, content: bytes) -> bytes:
+    """A file after some accidents: cut off, parts lost, doubled or overwritten, values replaced."""
+    for _ in range(draw(st.integers(1, 3))):
+        kind = draw(st.sampled_from(["cut", "lose", "double", "overwrite", "replace", "replace", "replace", "replace"]))
+        at = draw(st.integers(0, len(content)))
+        end = draw(st.integers(at, min(len(content), at + 40)))
+        if kind == "cut":
+            content = content[:at]
+        elif kind == "lose":
+            content = content[:at] + content[end:]
+        elif kind == "double":
+            content = content[:end] + content[at:end] * draw(st.integers(1, 5)) + content[end:]
+        elif kind == "overwrite":
+            content = content[:at] + draw(st.binary(max_size=12)) + content[end:]
+        else:
+            tokens = list(TOKEN.finditer(content))
+            if tokens:
+                token = draw(st.sampled_from(tokens))
+                new = draw(st.sampled_from(HOSTILE)).encode()
+                content = content[: token.start()] + new + content[token.end() :]
+    return content
+
+
+@contextmanager
+def only_reads(folder: Path) -> Iterator[None]:
+    """Nothing below a folder is made, changed or removed."""
+
+    def state() -> list[tuple[str, int, int]]:
+        return sorted((str(p), p.lstat().st_size, p.lstat().st_mtime_ns) for p in folder.rglob("*"))
+
+    before = state()
+    yield
+    assert state() == before
+
+
+def complaint(read: Reader, path: Path) -> str | None:
+    """What a reader says of a file; None where it read it. Any other exception is the test's failure."""
+    try:
+        read(path)
+    except AnnotatorError as error:
+        message = str(error)
+        assert path.name in message or path.parent.name in message, message
+        message.encode()  # can be printed
+        return message
+    return None
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A sound file for every reader."""
+    found = {}
+    for number, (name, (file, content, _)) in enumerate(READERS.items()):
+        path = tmp_path_factory.mktemp(f"reader{number}") / "data" / file
+        for other, kept in {**(RCV if name.startswith("rcv/") else {}), file: content}.items():
+            (path.parents[file.count("/")] / other).parent.mkdir(parents=True, exist_ok=True)
+            (path.parents[file.count("/")] / other).write_bytes(kept)
+        found[name] = path
+    return found
+
+
+def root_of(name: str, path: Path) -> Path:
+    """What the reader is given: the file, or the dataset that it lies in."""
+    return path.parents[READERS[name][0].count("/")] if name.startswith("rcv/") else path
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_damaged_files_are_told(name: str, places: dict[str, Path]) -> None:
+    path, read = places[name], READERS[name][2]
+    assert complaint(read, root_of(name, path)) is None, "the sound file is read"
+
+    @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None)
+    @given(damage(READERS[name][1]))
+    def fuzz(content: bytes) -> None:
+        path.write_bytes(content)
+        complaint(read, root_of(name, path))
+
+    with only_reads(path.parents[1]) if name == "archive" else only_reads(path.parents[2]):
+        before = path.stat()
+        try:
+            fuzz()
+        finally:
+            path.write_bytes(READERS[name][1])
+            os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def png_header(width: int, height: int) -> bytes:
+    """A picture that promises so many pixels and has none."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    size = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", size) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+def bomb() -> bytes:
+    """300 MB in a few kilobytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.txt", b"\0" * (300 << 20))
+    return buffer.getvalue()
+
+
+def broken_lzma() -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("a.txt", b"0" * 4000)
+    content = bytearray(buffer.getvalue())
+    content[60] ^= 255
+    return bytes(content)
+
+
+def changed(content: object, value: object, *place: str | int) -> bytes:
+    """A JSON file with one value replaced."""
+    content = json.loads(json.dumps(content))
+    inner: Any = content
+    for part in place[:-1]:
+        inner = inner[part]
+    inner[place[-1]] = value
+    return json.dumps(content).encode()
+
+
+def rcv(value: object, *place: str | int, file: str = RCV_LABELS) -> bytes:
+    return changed(json.loads(RCV[file]), value, *place)
+
+
+LABELS = f"rcv/{RCV_LABELS}"
+CLOUD = next(name for name in READERS if name.startswith("rcv/clouds"))
+PLY = READERS[CLOUD][1]
+# What was found by hand or by chance, each with what is said now; the first of them ended the program.
+FOUND: list[tuple[str, bytes, str]] = [
+    ("boxes_json", b'{"0": ' + b"9" * 5000 + b"}", "boxes.json: has a number that cannot be read"),
+    ("boxes_json", b"[" * 200_000, "boxes.json: is nested too deeply"),
+    ("boxes_json", changed(BOXES, "\ud800", "000", "label"), r"has half a character \('.ud800'\)"),
+    ("boxes_json", changed(BOXES, 1e308, "000", "rotation", 0, 0), "000.0.rotation.0.0: Input should be less than"),
+    ("boxes_json", changed(BOXES, 1e300, "000", "center", 0), "000.0.center.0: Input should be less than"),
+    ("boxes_json", changed(BOXES, [[1e308] * 3] * 8, "000", "corners"), "000.0.corners.0.0: Input should be less than"),
+    ("sunrgbd_scene", changed(SCENE, 1e308, "objects", 0, "polygon", 0, "X", 0), r"objects\.0\.polygon\.0\.X\.0: "),
+    ("kitti", CAR.replace("48.22", "1e300").encode(), r"000\.txt:1: a box must be within 1e\+09 m"),
+    ("kitti", CAR.replace("48.22", "9" * 5000).encode(), r"000\.txt:1: '9{40}' is not a finite number"),
+    ("kitti_tracking", f"0 1 {CAR}\n1e999 1 {CAR}".encode(), r"l\.txt:2: '1e999' is not a finite number"),
+    ("sunrgbd", READERS["sunrgbd"][1].replace(b"30", b"1_0"), r"000\.txt:1: could not convert"),
+    ("sunrgbd", READERS["sunrgbd"][1].replace(b"0.4", b"1e308"), r"000\.txt:1: a number is not finite, or beyond"),
+    ("mask", png_header(100_000, 100_000), "says that it has 100000 x 100000 pixels; so many are not read"),
+    ("mask", png_header(0, 5), "cannot be decoded"),
+    ("archive", bomb(), r"labels\.zip/a\.txt: is longer than 16 MiB"),
+    ("archive", broken_lzma(), r"labels\.zip: the archive cannot be read \(Corrupt input data\)"),
+    (LABELS, rcv("a\0b", "image"), "'a.x00b' is not a file of this dataset"),
+    (LABELS, rcv("../../../etc/passwd", "cloud"), "'../../../etc/passwd' is not a file of this dataset"),
+    (LABELS, rcv("/etc/passwd", "image"), "'/etc/passwd' is not a file of this dataset"),
+    (LABELS, rcv([0, 0, 0], "up"), r"up must be a direction, not \[0.0, 0.0, 0.0\]"),
+    (LABELS, rcv([1e308] * 3, "objects", 0, "size"), "objects.0.size.0: Input should be less than"),
+    (
+        "rcv/dataset.json",
+        rcv("../../x", "frames", 0, file="dataset.json"),
+        "the id '../../x' is not the name of a file",
+    ),
+    ("rcv/dataset.json", rcv("a\0b", "frames", 0, file="dataset.json"), "are no file of this dataset"),
+    (
+        CLOUD,
+        PLY.replace(b"vertex 3", b"vertex 999999999999"),
+        "should hold 999999999999 points in 14999999999985 bytes",
+    ),
+    (CLOUD, PLY[:-45] + struct.pack("<f", np.nan) + PLY[-41:], "has a point that is NaN or infinite"),
+]
+
+
+@contextmanager
+def content_of(path: Path, content: bytes, kept: bytes) -> Iterator[None]:
+    """A file has another content for a while."""
+    path.write_bytes(content)
+    try:
+        yield
+    finally:
+        path.write_bytes(kept)
+
+
+@pytest.mark.parametrize(("name", "content", "says"), FOUND, ids=[f"{n}-{i}" for i, (n, _, _) in enumerate(FOUND)])
+def test_found_cases(name: str, content: bytes, says: str, places: dict[str, Path]) -> None:
+    path, read = places[name], READERS[name][2]
+    with content_of(path, content, READERS[name][1]):
+        tracemalloc.start()
+        try:
+            message = complaint(read, root_of(name, path))
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    assert message is not None and re.search(says, message), message
+    assert peak < 64 << 20
+    assert len(message) < 1000
+
+
+def test_links_do_not_lead_out_of_a_dataset(tmp_path: Path) -> None:
+    secret = tmp_path / "secret.json"
+    secret.write_bytes(RCV[RCV_LABELS])
+    for name in RCV:
+        (tmp_path / "data" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "data" / name).write_bytes(RCV[name])
+    image = tmp_path / "data" / next(name for name in RCV if name.startswith("images/"))
+    labels = tmp_path / "data" / RCV_LABELS
+    for file, target, says in (
+        (image, secret, "is not a file of this dataset"),
+        (image, image.name, "is not a file of this dataset"),
+        (labels, secret, "are no file of this dataset"),
+    ):
+        kept = file.read_bytes()
+        file.unlink()
+        file.symlink_to(target)
+        assert says in (complaint(read_dataset, tmp_path / "data") or "")
+        file.unlink()
+        file.write_bytes(kept)
+    assert complaint(read_dataset, tmp_path / "data") is None
+
+
+def test_archives_with_hostile_names_write_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "in" / "labels.zip"
+    path.parent.mkdir()
+    path.write_bytes(zipped(("../../up.txt", "/etc/root.txt", "C:\\x\\windows.txt")))
+    with only_reads(tmp_path):
+        files = {key: file for key, file, _ in text_files(path)}
+    assert set(files) == {"up", "root", r"C:\x\windows"}
+    assert all(file.parent == path for file in files.values())
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.txt")
+    with pytest.raises(FormatError, match=r"pipe\.txt: cannot be read \(is no file\)"):
+        list(text_files(tmp_path))
+    (tmp_path / "pipe.txt").rename(tmp_path / "boxes.json")
+    with pytest.raises(FormatError, match=r"boxes\.json: cannot be read \(is no file\)"):
+        read_boxes(tmp_path / "boxes.json")
+
+
+def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("annotator.formats.json_file.MAX_BYTES", 1 << 20)
+    path = tmp_path / "boxes.json"
+    with path.open("wb") as file:
+        file.truncate(4 << 30)  # sparse
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="is longer than 1 MiB"):
+        read_boxes(path)
+    assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    tracemalloc.stop()
