@@ -9,7 +9,7 @@
  *   api, effort, events, keys, state, toast,
  *   viewport,                    js/viewport.js
  *   go(hash, given?),            follows an address (router.makeHash makes one)
- *   given,                       what the mode before has for the next one to begin with: {frame, image_box}, or null
+ *   given,                       what the mode before has for the next one to begin with: {project, frame, image_box}, or null
  *   path(...parts),              the open project's resource: app.path("frames", 3)
  *   refreshProject(),            reads the project's summary again into state.project
  *   frames,                      js/frame_state.js: which state of the open frame is the newest
@@ -108,6 +108,8 @@ async function mayLeave() {
 }
 
 function comeBack({ project, mode, frame }) {
+  // the mode that it was for is not opened
+  app.given = null;
   history.replaceState(null, "", project === null ? "#/" : makeHash(project, mode, frame));
   app.state.set({ route: parseHash(location.hash) });
 }

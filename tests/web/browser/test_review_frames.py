@@ -32,6 +32,20 @@ def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
     wait_for(lambda: not desk.project.frames.get(frames[0]).finalised, 5)
 
 
+def test_of_two_frames_asked_for_the_later_one_is_opened(desk: Desk) -> None:
+    frames = [stored.id for stored in desk.project.frames.of()]
+    desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    later = desk.project.labels.of_frame(frames[2])[0]
+    desk.page.route(f"**/frames/{frames[2]}", lambda route: None)
+    with desk.page.expect_request(f"**/frames/{frames[2]}"):
+        desk.page.locator(f'[data-testid="queue-item"][data-uid="{later.uid}"]').click()
+    desk.press("n")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    desk.settled()
+    assert desk.frame == frames[1]
+
+
 def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
     frame, uid = desk.frame, desk.uid
     revision = desk.project.frames.get(frame).revision

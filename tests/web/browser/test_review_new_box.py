@@ -51,6 +51,25 @@ def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for)
     wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before), 5)
 
 
+# A new box is accepted again before the server has answered: what is sent, and which boxes are left unsaved.
+ACCEPTED_TWICE = """async () => {
+  const { createDesk } = await import("/assets/js/review/desk.js");
+  const sent = [];
+  const state = { operator: "Ada", frame: { frame: { id: 1, revision: 3 }, labels: [] } };
+  const change = async (_, { changes }) => {
+    sent.push(...changes.map(({ kind }) => kind));
+    await new Promise((resolve) => setTimeout(resolve, 20));
+    return { frame: { id: 1, revision: 4 }, labels: [{ uid: "stored" }] };
+  };
+  const frames = { take: (answer) => (state.frame = answer) };
+  const desk = createDesk({ state, frames, path: () => "", api: { change }, effort: { action() {} }, toast() {} });
+  desk.add({ label: "person", box: {}, image_box: {} });
+  const { uid } = desk;
+  await Promise.all([desk.decide("accept", uid), desk.decide("accept", uid)]);
+  return [sent, desk.labels().map(({ uid }) => uid).filter((one) => one !== "stored")];
+}"""
+
+
 def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
     """Presses B and drags a box on the image."""
     desk.press("b")
@@ -80,14 +99,18 @@ def test_a_new_box_is_drawn_on_the_image(
     expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box that nobody has accepted")
     page.get_by_test_id("dialog-stay").click()
     page.locator("dialog").wait_for(state="detached")
-    desk.press("Space")
+    page.get_by_test_id("ortho-top").get_by_test_id("editor2d").focus()
+    desk.press("ArrowRight", "Space")  # the arrow keys leave a draft for a moment
     wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1, 5)
     (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
     assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
     assert made.label.box.size_m[0] == pytest.approx(0.9)
     assert np.linalg.norm(made.label.box.center_m - scene.objects[0].box.center_m) < 0.1
     statistics = desk.live.client.get(f"{desk.api}/statistics").json()
-    assert statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 3  # the drag, the number, Space
+    assert (
+        statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 4
+    )  # the drag, the number, the arrow, Space
+    assert page.evaluate(ACCEPTED_TWICE) == [["create"], []]
 
     # without a detector, Label goes on with it
     monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))

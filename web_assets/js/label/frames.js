@@ -74,7 +74,9 @@ export function createFrames(app, work, parts) {
   function takeGiven(frame) {
     const { given } = app;
     app.given = null;
-    if (given?.frame === frame && !work.is_readonly) objects.onImageChange([given.image_box], "draw", 0, 1);
+    // frames count from 1 in each project
+    const is_mine = given?.project === app.state.route.project && given.frame === frame;
+    if (is_mine && !work.is_readonly) objects.onImageChange([given.image_box], "draw", 0, 1);
   }
 
   /** Somebody set the frame's state: a new frame, an undo, another operator. Own savings come through onSaved. */

@@ -17,9 +17,9 @@ export const isOpen = (label) => label.state === "proposed";
 
 export function createDesk(app) {
   const listeners = new Set();
-  /** uid -> {wanted, sending, problem} of the boxes of the frame `home`. */
+  /** uid -> {wanted, sending, sent, problem} of the boxes of the frame `home`. */
   const drafts = new Map();
-  /** uid -> {label, image_box, actions, problem} of new boxes of the same frame. */
+  /** uid -> {label, image_box, actions, problem, sending} of new boxes of the same frame. */
   const added = new Map();
   let number = 0;
   let home = null;
@@ -109,6 +109,8 @@ export function createDesk(app) {
   async function commit(actions = 1) {
     if (!drafts.has(uid) || !stored()) return true;
     if (added.has(uid)) return change(uid, actions);
+    const draft = drafts.get(uid);
+    if (draft.sending === draft.wanted) return draft.sent;
     app.effort.action(actions);
     return save(uid);
   }
@@ -123,10 +125,16 @@ export function createDesk(app) {
     return true;
   }
 
-  /** Accepts a new box: only now it is stored. */
-  async function create(id) {
-    change(id, 1);
+  /** Accepts a new box: only now it is stored. Accepted again meanwhile, it is stored once. */
+  function create(id) {
     const entry = added.get(id);
+    return (entry.sending ??= storeNew(id, entry).finally(() => (entry.sending = null)));
+  }
+
+  async function storeNew(id, entry) {
+    // presses of the arrow keys that came just before
+    if (uid === id) leave();
+    change(id, 1);
     const { label, box, track_id } = entry.label;
     const known = new Set(labels().map((one) => one.uid));
     app.effort.action(entry.actions);
@@ -148,8 +156,12 @@ export function createDesk(app) {
     return true;
   }
 
-  async function save(id) {
+  function save(id) {
     const draft = drafts.get(id);
+    return (draft.sent = sendDraft(id, draft));
+  }
+
+  async function sendDraft(id, draft) {
     const wanted = draft.wanted;
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
@@ -203,7 +215,7 @@ export function createDesk(app) {
       keep();
       uid = `new-${(number += 1)}`;
       const label = { ...found, uid, is_new: true, state: "proposed", source: "drawn", author: app.state.operator, track_id: null, doubt: null };
-      added.set(uid, { label, image_box, actions: 1, problem: null });
+      added.set(uid, { label, image_box, actions: 1, problem: null, sending: null });
       tell("selection");
     },
 

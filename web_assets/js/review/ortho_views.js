@@ -159,11 +159,10 @@ function createPanel(name, desk) {
 
     /** Presses of the arrow keys count; a drag in the middle does not. */
     leave() {
+      editor.flush();
       if (editor.isDragging) {
         editor.cancel();
         desk.revert();
-      } else {
-        editor.flush();
       }
       end();
     },

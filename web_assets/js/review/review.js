@@ -41,6 +41,7 @@ export function mount(root, app) {
   const problem = createFrameProblem(image.body, { onRetry: () => void open(broken), onStep: step });
   const fields = createFields(parts.fields, desk, { classes: () => app.state.project.classes, up: () => app.state.frame?.up ?? null });
   let loading = false;
+  let openings = 0;
   let opened = null;
   let broken = null;
   let seen_queue = false;
@@ -142,12 +143,14 @@ export function mount(root, app) {
 
   // -- where one is
 
-  /** Resolves to false where the operator stays at the frame before. */
+  /** Resolves to false where the operator stays at the frame before, to null where another frame is being opened instead. */
   async function open(id, uid) {
+    const own = (openings += 1);
     setLoading(true);
     try {
       if (opened !== id && opened !== null && !(await app.mayLeave())) return false;
       await desk.flush();
+      if (own !== openings) return null;
       // what another mode has left in app.state may be old
       if (opened !== id || !desk.stored(uid)) {
         desk.select(null);
@@ -157,10 +160,13 @@ export function mount(root, app) {
       }
       pick(uid);
     } catch (error) {
-      if (error.name !== "AbortError") showProblem(error, id);
+      if (own !== openings || error.name === "AbortError") return null;
+      showProblem(error, id);
     } finally {
-      setLoading(false);
-      showAll();
+      if (own === openings) {
+        setLoading(false);
+        showAll();
+      }
     }
     return true;
   }
@@ -211,12 +217,16 @@ export function mount(root, app) {
     const label = desk.shown;
     if (!label || loading) return;
     const { id: frame } = app.state.frame.frame;
+    const before = openings;
     const saved = save(kind, label);
     const next = queue.after(label.uid);
     // a box on the same picture is there at once; another frame only after this one is safe
     if (next?.frame === frame) desk.select(next.uid);
     else if (next) setLoading(true);
-    if (!(await saved)) {
+    const is_saved = await saved;
+    // the operator has asked for another frame meanwhile
+    if (before !== openings) return;
+    if (!is_saved) {
       setLoading(false);
       if (app.state.frame?.frame.id === frame) desk.select(label.uid);
       return;
@@ -226,7 +236,8 @@ export function mount(root, app) {
   }
 
   function save(kind, label) {
-    if (kind === "accept" && desk.hasDraft) return desk.commit();
+    // a new box is stored with what is drafted of it
+    if (kind === "accept" && desk.hasDraft && !label.is_new) return desk.commit();
     if (kind === "accept" && (label.state === "accepted" || label.state === "edited")) return Promise.resolve(true);
     if (kind === "reject" && label.state === "rejected") return Promise.resolve(true);
     return desk.decide(kind, label.uid);
@@ -262,7 +273,7 @@ export function mount(root, app) {
         desk.add({ ...found, label: image_box.label, image_box });
       } else {
         app.toast(`${note[0].toUpperCase()}${note.slice(1)}: go on here with four drags on its views.`, "warn");
-        app.go(makeHash(project, "label", id), { frame: id, image_box });
+        app.go(makeHash(project, "label", id), { project, frame: id, image_box });
       }
     } catch (error) {
       app.toast(error);
@@ -348,7 +359,7 @@ export function mount(root, app) {
     route({ frame, query }) {
       const uid = query.get("uid");
       if (frame === null) void begin().catch(app.toast);
-      else if (frame !== opened && frame !== broken) void open(frame, uid).then((is_open) => is_open || app.stay(opened));
+      else if (frame !== opened && frame !== broken) void open(frame, uid).then((is_open) => is_open === false && app.stay(opened));
       else if (uid) desk.select(uid);
     },
     unsaved: () => desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll },
