@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass
 
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
@@ -23,6 +25,19 @@ FRAMES_KEPT = 8
 PAUSE_S = 0.4
 
 
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """The frame that an operator looks at, and when what is beside it may be read (`time.monotonic`)."""
+
+    project: Project
+    stored: StoredFrame
+    due_s: float
+
+    @property
+    def key(self) -> tuple[Project, int]:
+        return self.project, self.stored.id
+
+
 class FrameCache:
     """Reads frames once and keeps the last few; the ones beside each are read ahead. Threads share it."""
 
@@ -32,7 +47,9 @@ class FrameCache:
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
         self._ahead = ThreadPoolExecutor(1, "read-ahead")
-        self._newest: OpenFrame | None = None
+        # one an operator, the newest: no frame is kept for its sake
+        self._waiting: dict[str, _Wanted] = {}
+        self._is_reading_ahead = False
         self._closed = threading.Event()
 
     def read(self, project: Project, frame_id: int) -> Frame:
@@ -44,11 +61,15 @@ class FrameCache:
         """
         return self.open(project, frame_id).frame
 
-    def open(self, project: Project, frame_id: int) -> OpenFrame:
-        """A frame with what is computed from it; as `read`."""
+    def open(self, project: Project, frame_id: int, who: str = "") -> OpenFrame:
+        """A frame with what is computed from it; as `read`.
+
+        Args:
+            who: looks at it; what they looked at before needs no reading ahead any more.
+        """
         stored = project.frames.get(frame_id)
         found = self._open(project, stored)
-        self._read_ahead(project, stored, found)
+        self._read_ahead(_Wanted(project, stored, time.monotonic() + PAUSE_S), who)
         return found
 
     def forget(self, project: Project) -> None:
@@ -104,34 +125,59 @@ class FrameCache:
                 self._sources[project] = (threading.Lock(), FrameSource(project))
             return self._sources[project]
 
-    def _read_ahead(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
-        self._newest = found
-        if found.is_prepared:
-            return
-        found.is_prepared = True
-        # after `close` nothing is read ahead any more
-        with suppress(RuntimeError):
-            self._ahead.submit(self._prepare, project, stored, found)
+    def _read_ahead(self, wanted: _Wanted, who: str) -> None:
+        with self._lock:
+            known = self._waiting.get(who)
+            if known is None or known.key != wanted.key:
+                self._waiting[who] = wanted
+            if self._is_reading_ahead:
+                return
+            # after `close` nothing is read ahead any more
+            with suppress(RuntimeError):
+                self._ahead.submit(self._prepare_all)
+                self._is_reading_ahead = True
 
-    def _prepare(self, project: Project, stored: StoredFrame, found: OpenFrame) -> None:
+    def _prepare_all(self) -> None:
+        """One frame after the other, each once its operator has stayed with it for a moment."""
+        while not self._closed.is_set():
+            with self._lock:
+                if not self._waiting:
+                    self._is_reading_ahead = False
+                    return
+                who, wanted = min(self._waiting.items(), key=lambda entry: entry[1].due_s)
+                pause_s = wanted.due_s - time.monotonic()
+                if pause_s <= 0:
+                    del self._waiting[who]
+            if pause_s > 0:
+                self._closed.wait(pause_s)
+            else:
+                self._prepare(wanted, who)
+
+    def _is_wanted(self, wanted: _Wanted, who: str) -> bool:
+        """False once the operator is somewhere else."""
+        with self._lock:
+            newer = self._waiting.get(who, wanted)
+        return newer.key == wanted.key and not self._closed.is_set()
+
+    def _prepare(self, wanted: _Wanted, who: str) -> None:
         """What will be asked for next: about this frame, the next one and the one before."""
-        if self._closed.wait(PAUSE_S):
-            return
-        if self._newest is not found:
-            # the operator is somewhere else already
-            found.is_prepared = False
+        project, found = wanted.project, self._known(wanted.key)
+        if found is None or found.is_prepared:
             return
         try:
             _ = found.jpeg, found.index, found.with_normals
-            before, following = neighbours(project, stored)
+            before, following = neighbours(project, wanted.stored)
             for beside in (following, before):
-                if beside is not None and self._newest is found and self._known((project, beside)) is None:
+                if not self._is_wanted(wanted, who):
+                    return
+                if beside is not None and self._known((project, beside)) is None:
                     self._make_ready(project, beside)
+            found.is_prepared = True
         except AnnotatorError as error:
             # whoever opens the frame is told what is wrong with it
-            LOG.debug("frames beside %s: %s", stored.key, error)
+            LOG.debug("frames beside %s: %s", wanted.stored.key, error)
         except Exception:
-            LOG.exception("reading ahead of frame %s failed", stored.key)
+            LOG.exception("reading ahead of frame %s failed", wanted.stored.key)
 
     def _make_ready(self, project: Project, frame_id: int) -> None:
         ready = self._open(project, project.frames.get(frame_id))

@@ -36,7 +36,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
         FrameError, RecordingError: the frame cannot be read.
     """
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id)
+    opened = ctx.annotation.frames.open(project, frame_id, operator)
     shown = show_frame(project, frame_id, opened)
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from annotator.project import Project, create_project
 from annotator.recordings import open_recording
 from annotator.types import Frame
 from annotator.types.errors import FrameError, NotFoundError
-from annotator.web.frame_cache import FrameCache
+from annotator.web.frame_cache import PAUSE_S, FrameCache
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.recordings import register_recording
 
@@ -64,6 +65,29 @@ def test_only_a_few_are_kept(project: Project, reads: list[str]) -> None:
     for frame in (1, 2, 3, 1):
         cache.read(project, frame)
     assert reads == ["000000", "000001", "000002", "000000"]
+
+
+def test_reading_ahead_follows_an_operator_at_once_and_keeps_no_frame(project: Project, reads: list[str]) -> None:
+    cache = FrameCache(kept=3)
+    left = weakref.ref(cache.open(project, 1, "Ada"))
+    begin = time.monotonic()
+    for frame in (2, 3, 4, 5, 2, 3, 4, 5, 2, 3, 4, 5, 2, 3):
+        cache.open(project, frame, "Ada")
+    assert left() is None, "a frame that was left waits for nothing"
+    last = len(reads)
+    _wait(reads, last + 1)
+    assert reads[last] == "000003", "the one after the last"
+    assert time.monotonic() - begin < 10 * PAUSE_S
+    cache.close()
+
+
+def test_reading_ahead_is_each_operators_own(project: Project, reads: list[str]) -> None:
+    cache = FrameCache()
+    cache.open(project, 1, "Ada")
+    cache.open(project, 5, "Bob")
+    _wait(reads, 4)
+    assert sorted(reads) == ["000000", "000001", "000003", "000004"]
+    cache.close()
 
 
 def test_many_threads_read_a_frame_once(project: Project, reads: list[str]) -> None:

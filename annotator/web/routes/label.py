@@ -106,7 +106,7 @@ class SuggestionsOut(Wire):
 def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) -> StepsOut:
     """The views that an object's drags lead to, with suggestions, and its box so far. Nothing is kept."""
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id)
+    opened = ctx.annotation.frames.open(project, frame_id, who)
     ready = ctx.annotation.detectors.look(project, Role.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
     detector = ready.detector if body.suggest else None
     boxes = [None if box is None else box.box() for box in body.boxes]
@@ -136,7 +136,7 @@ def suggestions(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> Suggesti
     ready = ctx.annotation.detectors.look(project, Role.IMAGE)
     if ready.detector is None:
         return SuggestionsOut(boxes=[], problem=None if ready.problem is None else ctx.told(ready.problem))
-    opened = ctx.annotation.frames.open(project, frame_id)
+    opened = ctx.annotation.frames.open(project, frame_id, who)
     least = frame_config(project, opened.frame).min_image_score
     found = suggested_image_boxes(opened, ready.detector, least, project.config.classes)
     return SuggestionsOut(boxes=[Box2DOut.of(box) for box in found])
@@ -146,7 +146,7 @@ def suggestions(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> Suggesti
 def save(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut | JSONResponse:
     """Keeps what was drawn; with all four boxes on its views, the object becomes a label."""
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id)
+    opened = ctx.annotation.frames.open(project, frame_id, who)
     effort = None if body.effort is None else body.effort.stored()
     change = Change(body.revision, who, effort=effort, subject=body.subject)
     image_boxes = [box.box() for box in body.image_boxes]

@@ -101,7 +101,7 @@ class CopyIn(Wire):
 @router.post("/api/projects/{name}/frames/{frame_id}/ortho")
 def ortho(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: OrthoIn) -> OrthoOut:
     """Three pictures along the box's own axes; what lies around it is dimmed."""
-    opened = ctx.annotation.frames.open(ctx.project(name), frame_id)
+    opened = ctx.annotation.frames.open(ctx.project(name), frame_id, who)
     found = ortho_views(opened, body.box.box(), body.size_px)
     views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view))) for item in found]
     return OrthoOut(views=views)
@@ -110,7 +110,7 @@ def ortho(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: OrthoIn) ->
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
 def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
     """The box fitted anew from where it is. Nothing is kept."""
-    opened, config, detector = _ready(ctx, name, frame_id)
+    opened, config, detector = _ready(ctx, name, frame_id, who)
     found = refit(opened, body.box.box(), body.label, config, detector)
     return RefitOut(
         box=Box3DOut.of(found.box),
@@ -124,7 +124,7 @@ def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn)
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
 def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> FitOut:
     """The object in a box on the image. Nothing is kept."""
-    opened, config, detector = _ready(ctx, name, frame_id)
+    opened, config, detector = _ready(ctx, name, frame_id, who)
     found = find_box(opened, body.image_box.box(), config, detector)
     return FitOut(
         box=None if found.box is None else Box3DOut.of(found.box),
@@ -136,10 +136,10 @@ def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> Fit
     )
 
 
-def _ready(ctx: Context, name: str, frame_id: int) -> tuple[OpenFrame, RcvConfig, ReadyDetector | None]:
+def _ready(ctx: Context, name: str, frame_id: int, who: str) -> tuple[OpenFrame, RcvConfig, ReadyDetector | None]:
     """A frame, the recursion's settings for it, and the project's detector for pseudo-views."""
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id)
+    opened = ctx.annotation.frames.open(project, frame_id, who)
     detector = ctx.annotation.detectors.get(project, Role.VIEW)
     config = frame_config(project, opened.frame)
     if detector is not None:
