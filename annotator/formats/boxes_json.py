@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.formats.json_file import read_json
+from annotator.formats.json_file import no_twins, read_json
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -58,7 +58,7 @@ def read_entries(path: Path) -> dict[str, list[object]]:
     Raises:
         FormatError: the file is missing, or is no JSON object.
     """
-    content = read_json(path, _no_twins)
+    content = read_json(path, no_twins)
     if not isinstance(content, dict):
         raise FormatError(path, "must be an object with one entry a frame")
     return {key: value if isinstance(value, list) else [value] for key, value in content.items()}
@@ -76,16 +76,6 @@ def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
         first = error.errors()[0]
         where = ".".join(str(part) for part in (key, number, *first["loc"]))
         raise FormatError(path, f"{where}: {first['msg']}") from error
-
-
-def _no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """JSON objects as dicts; a key that is there twice would silently lose labels, so it is a KeyError."""
-    content: dict[str, object] = {}
-    for key, value in pairs:
-        if key in content:
-            raise KeyError(key)
-        content[key] = value
-    return content
 
 
 def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:

@@ -18,27 +18,42 @@ MAX_BYTES = 2**30
 HALF_CHARACTER = re.compile(rb"\\u[dD][89a-fA-F]")
 
 Model = TypeVar("Model", bound=BaseModel)
+PairsHook = Callable[[list[tuple[str, object]]], object]
 
 
-def read_model(path: Path, model: type[Model]) -> Model:
+def no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """JSON objects as dicts; a key that is there twice would silently lose labels, so it is a KeyError."""
+    content: dict[str, object] = {}
+    for key, value in pairs:
+        if key in content:
+            raise KeyError(key)
+        content[key] = value
+    return content
+
+
+def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = None) -> Model:
     """The content of a JSON file, validated.
+
+    Args:
+        pairs_hook: as of `read_json`.
 
     Raises:
         FormatError: the file cannot be read, is no JSON (with the line), or does not fit the model (with the
             place within the file, such as `annotations.3.bbox`).
     """
-    content = read_json(path)
+    content = read_json(path, pairs_hook)
     try:
         return model.model_validate(content)
     except ValidationError as error:
         raise FormatError(path, first_problem(error)) from error
 
 
-def read_json(path: Path, pairs_hook: Callable[[list[tuple[str, object]]], object] | None = None) -> object:
+def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     """The content of a JSON file.
 
     Args:
-        pairs_hook: makes an object of its pairs in place of `dict`; a KeyError of it says which key is there twice.
+        pairs_hook: makes an object of its pairs in place of `dict`, such as `no_twins`; a KeyError of it says which key
+            is there twice.
 
     Raises:
         FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is no JSON (with the line).

@@ -200,7 +200,7 @@ CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
         (cuboid_with(val=[0, 0, "a", 0, 0, 0, 1, 1, 1]), CUBOID + r"\.val\.2"),
         (cuboid_with(coordinate_system="mars"), CUBOID + ".*nothing leads from the coordinate system 'mars' to 'cam'"),
         (cuboid_with(coordinate_system=None), CUBOID + ": names no coordinate_system"),
-        (cuboid_with(attributes={"num": [{"name": "track_id", "val": 1e300}]}), CUBOID + ": track_id must be"),
+        (cuboid_with(attributes={"num": [{"name": "track_id", "val": 1.5}]}), CUBOID + ": track_id must be"),
         (foreign(objects={}), r"openlabel\.objects has no 12"),
         (foreign(streams={}), "has no stream of type camera"),
         (foreign(metadata={"schema_version": "2.0.0"}), r"openlabel\.metadata\.schema_version"),
@@ -218,6 +218,9 @@ def test_damaged_files_and_matrices(tmp_path: Path) -> None:
     content["openlabel"]["coordinate_systems"]["cam"]["pose_wrt_parent"]["matrix4x4"][0] = 1
     with pytest.raises(FormatError, match=r"pose_wrt_parent of cam: matrix4x4 is no rigid motion"):
         read_openlabel(written(tmp_path, content))
+    (tmp_path / "foreign.json").write_text('{"openlabel": {"frames": {"0": {}, "0": {}}}}')
+    with pytest.raises(FormatError, match="the key '0' is there twice"):
+        read_openlabel(tmp_path)
     (tmp_path / "foreign.json").write_text('{"openlabel":\n {"metadata": ')
     with pytest.raises(FormatError, match=r"foreign\.json:2: is not valid JSON"):
         read_openlabel(tmp_path)

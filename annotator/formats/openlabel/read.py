@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 from annotator.formats.frames_csv import FrameOrigin, read_frames
-from annotator.formats.json_file import read_model
+from annotator.formats.json_file import no_twins, read_model
 from annotator.formats.openlabel.coordinates import Coordinates
 from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Document, Frame, FrameProperties, Object
 from annotator.formats.openlabel.shapes import box_from
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import FormatError
-
-# JSON's numbers are exact so far.
-MOST_TRACKS = 2**53
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +61,7 @@ def read_openlabel(path: Path) -> dict[str, OpenLabelFrame]:
     for file in _documents(path):
         # parts of a divided dataset share the table above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
-        for frame in parse(file, read_model(file, Document), origins):
+        for frame in parse(file, read_model(file, Document, no_twins), origins):
             if frame.name in found:
                 where = f"and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
                 raise FormatError(file, f"the frame {frame.name} is here {where}; import one of them at a time")
@@ -171,7 +168,7 @@ def _box(
 
 def _track(said: float | None, uid: str) -> int | None:
     if said is not None:
-        if not said.is_integer() or abs(said) > MOST_TRACKS:
+        if not said.is_integer():
             raise ValueError(f"track_id must be a whole number, not {said}")
         return int(said)
     return int(uid) if "-" not in uid[1:] else None
