@@ -164,15 +164,17 @@ class FrameCache:
         project, found = wanted.project, self._known(wanted.key)
         if found is None or found.is_prepared:
             return
+        # once, also where something beside it is broken
+        found.is_prepared = True
         try:
             _ = found.jpeg, found.index, found.with_normals
             before, following = neighbours(project, wanted.stored)
             for beside in (following, before):
                 if not self._is_wanted(wanted, who):
+                    found.is_prepared = False
                     return
                 if beside is not None and self._known((project, beside)) is None:
                     self._make_ready(project, beside)
-            found.is_prepared = True
         except AnnotatorError as error:
             # whoever opens the frame is told what is wrong with it
             LOG.debug("frames beside %s: %s", wanted.stored.key, error)
