@@ -20,7 +20,7 @@ class Lost(StrEnum):
     TILT: pitch and roll; the nearest upright box was written.
     SCORE, TRACK, STATE: the label's score, its track id, its state in the review.
     LENS: the lens's distortion; image and boxes were written for an ideal pinhole camera.
-    DEPTH_COLOR: the colours of points, or other values of theirs.
+    DEPTH_COLOR, REFLECTANCE: the colours of points, and how much of the LiDAR's light they return.
     OUTSIDE: objects that are not in the picture, left out where the format needs a 2D box.
     NAME: characters of a class name that the format cannot hold.
     TIME: when frames were taken.
@@ -38,6 +38,7 @@ class Lost(StrEnum):
     STATE = "state"
     LENS = "lens"
     DEPTH_COLOR = "point_color"
+    REFLECTANCE = "reflectance"
     OUTSIDE = "outside"
     NAME = "name"
     TIME = "time"
@@ -58,7 +59,8 @@ _WORDS = {
     Lost.TRACK: "boxes have a track id",
     Lost.STATE: "boxes were not reviewed or were corrected, which the format cannot say",
     Lost.LENS: "frames have a lens distortion; images were straightened for an ideal camera",
-    Lost.DEPTH_COLOR: "clouds have colours or other values of their points",
+    Lost.DEPTH_COLOR: "clouds have colours",
+    Lost.REFLECTANCE: "clouds have reflectances",
     Lost.OUTSIDE: "boxes are not in the picture and were left out",
     Lost.NAME: "boxes have a class name that was written with other characters",
     Lost.TIME: "frames have a time",
@@ -129,6 +131,7 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> No
     has = {
         Lost.LENS: not frame.camera.is_ideal,
         Lost.DEPTH_COLOR: frame.cloud.rgb is not None,
+        Lost.REFLECTANCE: frame.cloud.reflectance is not None,
         Lost.TIME: frame.timestamp_ns is not None,
         Lost.GRAVITY: frame.up is not None and float(np.linalg.norm(frame.up - IMAGE_UP)) > LEAST_TILT_RAD,
         Lost.SCORE: sum(label.score is not None for label in item.labels),

@@ -39,7 +39,7 @@ from annotator.types.errors import FormatError
 
 PARTS = ("image", "calib", "depth", "label")
 INDEX = "{}_data_idx.txt"
-NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.TIME)
+NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.REFLECTANCE, Lost.TIME)
 UP = np.array([0.0, 0.0, 1.0])
 # An object that is narrower than this on the image has no 2D box, pixels.
 LEAST_SIDE_PX = 0.01
@@ -127,8 +127,6 @@ def _write_frame(
     T = upright_frame(frame)
     if frame.up is None:
         losses.add(Lost.LEVEL)
-    if frame.cloud.reflectance is not None:
-        losses.add(Lost.DEPTH_COLOR)
     (part / "image" / f"{stem}.jpg").write_bytes(encoded_image(rgb, "jpg"))
     (part / "calib" / f"{stem}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
     # the data set compresses, too: it halves the file

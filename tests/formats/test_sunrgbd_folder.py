@@ -150,7 +150,7 @@ def test_a_folder_and_what_it_does_not_hold(tmp_path: Path) -> None:
     ids = six_digit_ids([("room", "x"), ("room", "y")], 1)
     assert write_sunrgbd(out, items, ids, classes, losses) == {"night stand": 1, "bed": 1}
     once = (Lost.TILT, Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.OUTSIDE, Lost.NAME, Lost.TIME, Lost.LEVEL)
-    assert {loss.kind: loss.count for loss in losses.report()} == {**dict.fromkeys(once, 1), Lost.DEPTH_COLOR: 2}
+    assert {loss.kind: loss.count for loss in losses.report()} == {**dict.fromkeys(once, 1), Lost.REFLECTANCE: 2}
     assert (out / "train_data_idx.txt").read_text() == "1\n"
     assert (out / "val_data_idx.txt").read_text() == "2\n"
     points = loadmat(out / "depth" / "000001.mat")["instance"]
