@@ -92,17 +92,20 @@ def _padded(coefficients: Coefficients) -> Coefficients:
     return coefficients + (0.0,) * (14 - len(coefficients))
 
 
-def _radial(full: Coefficients, q: Plane) -> tuple[Plane, Plane]:
-    """The radial factor and its derivative after q = r^2."""
+def _radial(full: Coefficients, q: Plane) -> Plane:
+    """The radial factor at q = r^2."""
     k1, k2, _, _, k3, k4, k5, k6 = full[:8]
     above = 1.0 + q * (k1 + q * (k2 + q * k3))
-    above_slope = k1 + q * (2.0 * k2 + q * 3.0 * k3)
+    return above / (1.0 + q * (k4 + q * (k5 + q * k6))) if k4 or k5 or k6 else above
+
+
+def _radial_slope(full: Coefficients, q: Plane, factor: Plane) -> Plane:
+    """The radial factor's derivative after q."""
+    k1, k2, _, _, k3, k4, k5, k6 = full[:8]
+    slope = k1 + q * (2.0 * k2 + q * 3.0 * k3)
     if not (k4 or k5 or k6):
-        return above, above_slope
-    below = 1.0 + q * (k4 + q * (k5 + q * k6))
-    below_slope = k4 + q * (2.0 * k5 + q * 3.0 * k6)
-    factor = above / below
-    return factor, (above_slope - factor * below_slope) / below
+        return slope
+    return (slope - factor * (k4 + q * (2.0 * k5 + q * 3.0 * k6))) / (1.0 + q * (k4 + q * (k5 + q * k6)))
 
 
 def _lens(full: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane]:
@@ -110,9 +113,11 @@ def _lens(full: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane]:
     p1, p2 = full[2:4]
     s1, s2, s3, s4 = full[8:12]
     q = x * x + y * y
-    factor, _ = _radial(full, q)
-    x_out = x * factor + 2.0 * p1 * x * y + p2 * (q + 2.0 * x * x) + q * (s1 + q * s2)
-    y_out = y * factor + p1 * (q + 2.0 * y * y) + 2.0 * p2 * x * y + q * (s3 + q * s4)
+    factor, doubled = _radial(full, q), 2.0 * x * y
+    x_out = x * factor + p1 * doubled + p2 * (q + 2.0 * x * x)
+    y_out = y * factor + p1 * (q + 2.0 * y * y) + p2 * doubled
+    if any(full[8:12]):
+        x_out, y_out = x_out + q * (s1 + q * s2), y_out + q * (s3 + q * s4)
     return x_out, y_out
 
 
@@ -121,7 +126,8 @@ def _lens_jacobian(full: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane
     p1, p2 = full[2:4]
     s1, s2, s3, s4 = full[8:12]
     q = x * x + y * y
-    factor, slope = _radial(full, q)
+    factor = _radial(full, q)
+    slope = _radial_slope(full, q, factor)
     prism_x, prism_y = 2.0 * (s1 + 2.0 * q * s2), 2.0 * (s3 + 2.0 * q * s4)
     mixed = 2.0 * (x * y * slope + p1 * x + p2 * y)
     xx = factor + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x + x * prism_x

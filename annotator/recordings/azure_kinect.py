@@ -10,6 +10,7 @@ known where the accelerometer says that the device stood still (`kinect_imu`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,14 +22,15 @@ from jaxtyping import Float64, UInt8, UInt16
 from annotator.recordings.kinect_attachments import REMEDY, tagged_ns, tags_and_calibration
 from annotator.recordings.kinect_calibration import KinectCalibration, Size, parse_calibration
 from annotator.recordings.kinect_captures import Capture, find_captures
-from annotator.recordings.kinect_cloud import seen_cloud
+from annotator.recordings.kinect_cloud import seen_points
 from annotator.recordings.kinect_color import FORMATS, decode_color
 from annotator.recordings.kinect_imu import blocks_near, parse_samples, up_at_rest
-from annotator.recordings.matroska import Block, MatroskaIndex, Track, read_index
+from annotator.recordings.matroska import Block, MatroskaIndex, Track, read_index, read_tracks
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.types import Frame
+from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
 
+TRACKS = frozenset({"COLOR", "DEPTH"})
 LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
 
 
@@ -67,8 +69,12 @@ class AzureKinect(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        color, depth_mm = self.color_image(i), self.depth_image(i)
-        cloud = seen_cloud(self.calibration, depth_mm, color)
+        # the image is decoded beside the geometry: each takes a good part of the time
+        with ThreadPoolExecutor(1) as beside:
+            decoding = beside.submit(self.color_image, i)
+            xyz_m, pixel = seen_points(self.calibration, self.depth_image(i))
+            color = decoding.result()
+        cloud = PointCloud(xyz_m, rgb=color.reshape(-1, 3).take(pixel, axis=0))
         if len(cloud) == 0:
             raise FrameError(
                 self.path,
@@ -163,13 +169,22 @@ class AzureKinect(KeyedFrames):
         return found
 
 
+def is_azure_kinect(path: Path) -> bool:
+    """Whether a file's head says that it is such a recording; opening it finds every image, which takes longer.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return _is_mkv(path) and {track.name for track in read_tracks(path) or ()} >= TRACKS
+
+
 def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
     """The Azure Kinect recording at `path`, where it is one; its headers are read, and no image.
 
     Raises:
         RecordingError: it has no frame, no usable calibration, or a colour format that no Azure Kinect has.
     """
-    if path.suffix.lower() != ".mkv" or not path.is_file():
+    if not _is_mkv(path):
         return NotFound(LOOKED_FOR)
     known = path.stat()
     index = _index(path, known.st_mtime_ns, known.st_size)
@@ -198,9 +213,13 @@ def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
     )
 
 
+def _is_mkv(path: Path) -> bool:
+    return path.suffix.lower() == ".mkv" and path.is_file()
+
+
 @lru_cache(maxsize=32)
 def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
-    """Kept, since folders of recordings are looked at again and again."""
+    """Kept, since a recording that is added is opened several times."""
     return read_index(path)
 
 

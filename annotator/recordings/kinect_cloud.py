@@ -8,11 +8,11 @@ out.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8, UInt16
+from jaxtyping import Bool, Float32, Int32, UInt16
 
 from annotator.geometry.distortion import distort
 from annotator.recordings.kinect_calibration import KinectCalibration
-from annotator.types import Camera, PointCloud
+from annotator.types import Camera
 
 # A point is hidden where another one at the same place in the colour image is nearer by more than this.
 HIDDEN_BEHIND_M, HIDDEN_BEHIND_SHARE = 0.01, 0.03
@@ -20,10 +20,13 @@ CELL_DEPTH_PX = 1.5
 POINTS_AT_ONCE = 16384
 
 
-def seen_cloud(
-    calibration: KinectCalibration, depth_mm: UInt16[np.ndarray, "h w"], rgb: UInt8[np.ndarray, "H W 3"]
-) -> PointCloud:
-    """The points of a depth image that the colour camera sees, in its frame, with their colours."""
+def seen_points(
+    calibration: KinectCalibration, depth_mm: UInt16[np.ndarray, "h w"]
+) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
+    """The points of a depth image that the colour camera sees, in its frame, metres; and the pixel of each.
+
+    A pixel is `v * width + u` of the colour image. Its colours are looked up last, so that it can be decoded meanwhile.
+    """
     # some rows at a time: what is computed on the way then stays in the processor's cache, three times as fast
     rows = max(POINTS_AT_ONCE // depth_mm.shape[1], 1)
     parts = [
@@ -33,8 +36,7 @@ def seen_cloud(
     xyz_m, u, v = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))
     visible = np.flatnonzero(~_hidden(calibration, u, v, xyz_m[2]))
     nearest = v.take(visible) * calibration.color.width_px + u.take(visible)
-    seen_m = np.stack([each.take(visible) for each in xyz_m], axis=1)
-    return PointCloud(seen_m, rgb=rgb.reshape(-1, 3).take(nearest, axis=0))
+    return np.stack([each.take(visible) for each in xyz_m], axis=1), nearest
 
 
 def _inside(
