@@ -75,13 +75,13 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
 
 
 def read_frames(folder: Path) -> dict[str, FrameOrigin]:
-    """The origins of a dataset's frames, by id; empty where the dataset has no such file (somebody else made it).
+    """The origins of a dataset's frames, by id; empty where the dataset has no such file, or one about other things.
 
     Raises:
         FormatError: as `parse_frames`, or it cannot be read.
     """
     path = folder / FRAMES_CSV
-    return parse_frames(path, read_text(path)) if path.exists() else {}
+    return parse_frames(path, read_text(path)) if has_frames(folder) else {}
 
 
 def has_frames(folder: Path) -> bool:

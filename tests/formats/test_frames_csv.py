@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.frames_csv import FrameOrigin, dump_frames, parse_frames
+from annotator.formats.frames_csv import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.types.errors import FormatError
 
 # a NUL and lone surrogates are in no file name
@@ -33,3 +33,12 @@ def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
 def test_damage_is_named_with_its_line(text: str, problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         parse_frames(Path("frames.csv"), text)
+
+
+def test_a_table_of_that_name_about_other_things_is_left_alone(tmp_path: Path) -> None:
+    assert read_frames(tmp_path) == {}
+    (tmp_path / "frames.csv").write_text("time,exposure\n1,2\n")
+    assert read_frames(tmp_path) == {}
+    (tmp_path / "frames.csv").write_text("id,recording\n1,2\n")
+    with pytest.raises(FormatError, match=r"frames\.csv:1: must begin with"):
+        read_frames(tmp_path)

@@ -5,18 +5,22 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from dataset_samples import make_item, make_label
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from annotator.formats.dataset import DatasetItem
 from annotator.formats.labelcloud import read_labelcloud, write_labelcloud
 from annotator.formats.losses import Losses
 from annotator.formats.nuscenes import read_nuscenes, write_nuscenes
 from annotator.formats.openlabel import read_openlabel, write_openlabel
+from annotator.types import PointCloud
 from annotator.types.errors import FormatError
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -83,3 +87,15 @@ def test_a_damaged_file_is_an_error_that_names_it(datasets: Path, name: str, dat
         assert error.path.is_relative_to(folder)
     finally:
         path.write_bytes(whole)
+
+
+def test_a_frame_without_points_or_labels(tmp_path: Path) -> None:
+    item = make_item([make_label()])
+    bare = replace(item.frame, cloud=PointCloud(np.zeros((0, 3), np.float32)))
+    items = [DatasetItem("rec", bare, item.labels), make_item(key="b", index=4)]
+    write_openlabel(tmp_path / "openlabel", items, "annotator 1")
+    write_labelcloud(tmp_path / "labelcloud", items, ("hand",), Losses(), "1")
+    write_nuscenes(tmp_path / "nuscenes", items, ("hand",), Losses())
+    assert [len(each.boxes) for each in read_openlabel(tmp_path / "openlabel").values()] == [1, 0]
+    assert [len(each.boxes) for each in read_labelcloud(tmp_path / "labelcloud").values()] == [1, 0]
+    assert [len(boxes) for boxes in read_nuscenes(tmp_path / "nuscenes").values()] == [1, 0]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.project import Change, NewLabel, Project
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.workflows.exporting import ExportFormat, ExportOptions, Split, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 
 # Each format's precision, metres and radians.
@@ -70,3 +70,15 @@ def assert_same(before: Project, after: Project, precision: float, tracks: bool)
             np.testing.assert_allclose(have.box.center_m, want.box.center_m, atol=precision)
             np.testing.assert_allclose(have.box.size_m, want.box.size_m, atol=precision)
             np.testing.assert_allclose(have.box.rotation, want.box.rotation, atol=precision)
+
+
+def test_boxes_that_nobody_accepted_stay_behind(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    """OpenLABEL says the state of each box."""
+    label_freely(people)
+    choose = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED))
+    report = export_project(people, tmp_path / "out", ExportFormat.OPENLABEL, choose=choose)
+    assert report.objects == 12
+    other = make_project(generated / "people")
+    assert import_labels(other, read_labels(BoxFormat.OPENLABEL, tmp_path / "out")).labels == {"person": 8}
