@@ -107,10 +107,11 @@ def read_config(folder: Path) -> ProjectConfig:
         ProjectError: no project, an unreadable file, or one written by a newer annotator.
     """
     path = folder / CONFIG_FILE
-    if not path.is_file():
-        raise ProjectError(f"{folder} is not a project: it has no {CONFIG_FILE}; create one with `annotator new`")
     try:
         content = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
+        message = f"{folder} is not a project: it has no {CONFIG_FILE}; create one with `annotator new`"
+        raise ProjectError(message) from error
     except OSError as error:
         raise ProjectError(f"{path}: cannot be read: {error}") from error
     try:

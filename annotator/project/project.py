@@ -220,8 +220,14 @@ def list_projects(root: Path) -> tuple[ListedProject, ...]:
     """The projects in a folder of projects, by name; a damaged one is listed with its problem."""
     if not root.is_dir():
         return ()
-    found = sorted(path for path in root.iterdir() if not path.name.startswith(".") and (path / CONFIG_FILE).exists())
-    return tuple(map(_listed, found))
+    return tuple(map(_listed, sorted(filter(_looks_like_project, root.iterdir()))))
+
+
+def _looks_like_project(path: Path) -> bool:
+    try:
+        return not path.name.startswith(".") and (path / CONFIG_FILE).exists()
+    except OSError:  # listed with what is wrong with it
+        return True
 
 
 def _listed(path: Path) -> ListedProject:

@@ -20,11 +20,13 @@ class Entry:
     Attributes:
         path: `ROOT/sub/...`, as a browser names it.
         recording: the format where it is a recording, else None.
+        is_folder: there may be more in it, also where it is a recording.
     """
 
     name: str
     path: str
     recording: str | None
+    is_folder: bool
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,13 @@ class Folders:
             NotFoundError: no such folder.
         """
         if not path:
-            return Listing("", None, tuple(_entry(name, name, root)[0] for name, root in self._roots.items()))
+            return Listing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
         folder = self.find(path)
         if not folder.is_dir():
             raise _missing(path)
         parent = path.rpartition("/")[0]
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
-        return Listing(path, parent, tuple(e for e, is_folder in entries if is_folder or e.recording is not None))
+        return Listing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
 
     def places(self) -> tuple[tuple[Path, str], ...]:
         """The roots with their names, inner ones first."""
@@ -94,13 +96,12 @@ class Folders:
                 continue
 
 
-def _entry(name: str, path: str, place: Path) -> tuple[Entry, bool]:
-    """The entry, and whether it is a folder."""
+def _entry(name: str, path: str, place: Path) -> Entry:
     try:
         recording = detect_format(place)
     except RecordingError:  # of a clear format but without frames, or not to be read
         recording = None
-    return Entry(name, path, recording), place.is_dir()
+    return Entry(name, path, recording, place.is_dir())
 
 
 def _odd(part: str) -> bool:

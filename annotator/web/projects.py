@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from annotator.files import why_missing
 from annotator.project import ListedProject, Project, Role, StoredModel, StoredRecording
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
@@ -97,7 +98,7 @@ def summary_of(name: str, project: Project) -> ProjectSummary:
         missing=[
             MissingRecording(id=recording.id, name=recording.name)
             for recording in project.recordings.all()
-            if not recording.path.exists()
+            if why_missing(recording.path)
         ],
     )
 
@@ -127,7 +128,7 @@ def recording_info(stored: StoredRecording) -> RecordingInfo:
         format=stored.format,
         frames=stored.frames,
         is_sequence=stored.is_sequence,
-        missing=not stored.path.exists(),
+        missing=why_missing(stored.path) is not None,
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.files import why_missing
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.project import Project
@@ -58,9 +59,10 @@ class FrameSource:
     def _open(self, recording_id: int) -> tuple[Recording, dict[str, int]]:
         if recording_id not in self._opened:
             stored = self.stored(recording_id)
-            if not stored.path.exists():
+            missing = why_missing(stored.path)
+            if missing is not None:
                 raise RecordingError(
-                    f"{stored.path}: no such file or folder; bring {stored.name} back, or say where it is now: "
+                    f"{stored.path}: {missing}; bring {stored.name} back, or say where it is now: "
                     f"annotator move {self._project.path.name} {stored.name} PATH, or Locate on the start page"
                 )
             recording = open_recording(stored.path)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -119,12 +121,19 @@ def test_recordings_are_recognised(generated: Path) -> None:
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
 
 
+def test_a_stray_cloud_hides_nothing_of_its_folder(tree: Path) -> None:
+    (tree / "sub" / "stray.npy").write_bytes(b"")
+    entries = Folders((tree,)).list("data").entries
+    found = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
+    assert found == [("inside", "cloud_folder", True), ("sub", "cloud_folder", True)]
+
+
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
     top = live.client.get("/api/folders").json()
     assert top == {
         "path": "",
         "parent": None,
-        "entries": [{"name": generated.name, "path": generated.name, "recording": None}],
+        "entries": [{"name": generated.name, "path": generated.name, "recording": None, "is_folder": True}],
     }
     inside = live.client.get("/api/folders", params={"path": generated.name}).json()
     assert [entry["name"] for entry in inside["entries"]] == ["hands", "people"]
@@ -134,7 +143,7 @@ def test_folders_through_the_api(live: Live, generated: Path) -> None:
     assert live.client.get("/api/folders", params={"path": "a" * 5000}).status_code == 422
 
 
-def test_project_from_nothing(live: Live, generated: Path) -> None:
+def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     client, wanted = live.client, {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
     made = client.post("/api/projects", json=wanted)
     assert made.status_code == 201
@@ -162,6 +171,10 @@ def test_project_from_nothing(live: Live, generated: Path) -> None:
     assert ended(live, again.json()["job"])["message"] == "0 boxes taken over"
     bare = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands", "labels": False})
     assert bare.json()["job"] is None
+    monkeypatch.setattr("annotator.web.jobs.runner.MOST_WAITING", 0)
+    full = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands"}).json()
+    assert (full["added"][0]["new_frames"], full["job"]) == (0, None), "it is there all the same"
+    assert "0 jobs wait already; stop some" in full["note"]
 
     info = client.get("/api/projects/two").json()
     assert info["settings"]["rotation"] == "upright"
@@ -175,7 +188,21 @@ def test_project_from_nothing(live: Live, generated: Path) -> None:
     assert (listed["two"]["frames"], listed["two"]["recordings"]) == (10, 2)
 
 
-def test_a_moved_recording_is_located(live: Live, generated: Path, tmp_path: Path) -> None:
+def _stale(place: Path) -> Callable[..., os.stat_result]:
+    """`Path.stat` where a place lies on a mount that is gone."""
+    stat = Path.stat
+
+    def asked(path: Path, **options: bool) -> os.stat_result:
+        if path == place:
+            raise OSError(errno.ESTALE, "Stale file handle")
+        return stat(path, **options)
+
+    return asked
+
+
+def test_a_moved_recording_is_located(
+    live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing of it is lost, and it is readable again at once."""
     client, root = live.client, tmp_path / "takes"
     shutil.copytree(generated / "people", root / "people")
@@ -190,6 +217,12 @@ def test_a_moved_recording_is_located(live: Live, generated: Path, tmp_path: Pat
         client.post("/api/projects/two/frames/1/changes", json={"revision": 0, "changes": [drawn]})
         (root / "archive").mkdir()
         (root / "people").rename(root / "archive" / "2024")
+        with monkeypatch.context() as gone_mount:
+            gone_mount.setattr(Path, "stat", _stale(root / "people"))
+            (listed,) = client.get("/api/projects").json()["projects"]
+            assert (listed["problem"], listed["missing"]) == (None, [{"id": 1, "name": "people"}])
+            gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
+            assert gone.startswith("takes/people: cannot be read (Stale file handle); bring people back, or say")
         (listed,) = client.get("/api/projects").json()["projects"]
         assert listed["missing"] == [{"id": 1, "name": "people"}]
         assert client.get("/api/projects/two").json()["recordings"][0]["missing"] is True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -15,11 +16,12 @@ FolderPath = Annotated[str, Query(max_length=4096)]
 
 
 class FolderEntry(BaseModel):
-    """A sub-folder, or a recording."""
+    """A sub-folder, a recording, or both."""
 
     name: str
     path: str
     recording: str | None
+    is_folder: bool
 
 
 class FolderListing(BaseModel):
@@ -34,5 +36,5 @@ class FolderListing(BaseModel):
 def folders(ctx: Ctx, who: Operator, path: FolderPath = "") -> FolderListing:
     """The sub-folders and recordings in a folder; "" lists the folders that the server was told of."""
     listing = ctx.folders.list(path)
-    entries = [FolderEntry(name=e.name, path=e.path, recording=e.recording) for e in listing.entries]
+    entries = [FolderEntry(**asdict(entry)) for entry in listing.entries]
     return FolderListing(path=listing.path, parent=listing.parent, entries=entries)

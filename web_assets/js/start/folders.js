@@ -1,4 +1,4 @@
-/** Walks through the server's folders; what is a recording has a button. */
+/** Walks through the server's folders, also into recordings; what is a recording has a button. */
 
 import { glyph, h } from "../dom.js";
 
@@ -39,9 +39,8 @@ function makeCrumbs(path, show) {
 
 function makeEntry(entry, show, { text, testid, onPick }) {
   const name = h("span", { class: "grow ellipsis", title: entry.name }, entry.name);
-  if (entry.recording === null) {
-    return h("li", {}, h("button", { type: "button", class: "quiet entry", onclick: () => show(entry.path), "data-testid": `folder-${entry.name}` }, glyph("folder"), name));
-  }
+  const way_in = h("button", { type: "button", class: "quiet entry", onclick: () => show(entry.path), "data-testid": `folder-${entry.name}` }, glyph("folder"), name);
+  if (entry.recording === null) return h("li", {}, way_in);
   const button = h("button", { type: "button", class: "primary", "data-testid": `${testid}-${entry.name}`, onclick: () => onPick(entry, button) }, text);
-  return h("li", { class: "entry" }, name, h("span", { class: "chip format" }, entry.recording), button);
+  return h("li", { class: "entry recording" }, entry.is_folder ? way_in : name, h("span", { class: "chip format" }, entry.recording), button);
 }

@@ -26,10 +26,13 @@ async function add(app, { project, done, labels }, entry, button) {
   button.disabled = true;
   button.textContent = "Adding …";
   try {
-    const { added, job } = await app.api.post(projectPath(project, "recordings"), { path: entry.path, labels: labels.checked });
+    const { added, job, note } = await app.api.post(projectPath(project, "recordings"), { path: entry.path, labels: labels.checked });
     done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
     if (job) done.append(jobLine(app, job));
-    button.textContent = "Added";
+    if (note) done.append(h("p", { class: "error-box", role: "alert", "data-testid": "recording-note" }, note));
+    // added again, what could not be begun is
+    button.textContent = note ? "Add" : "Added";
+    button.disabled = !note;
   } catch (error) {
     done.append(h("p", { class: "error-box", role: "alert" }, error.message));
     button.textContent = "Add";
