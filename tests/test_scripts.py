@@ -58,6 +58,22 @@ def test_packages_are_installed_once_for_each_set_of_extras(clone: Path, tmp_pat
     assert log.read_text().endswith("install -q -e .[kinect,test]\n")
 
 
+def test_readers_of_others_have_an_environment_over_the_first(clone: Path) -> None:
+    log = fake_environment(clone)
+    wanted = clone / "tests/interop/requirements.txt"
+    wanted.parent.mkdir(parents=True)
+    wanted.write_text("one==1\n")
+    for _ in range(2):
+        result = setup(clone, "test", "interop")
+        assert result.returncode == 0, result.stderr
+        assert [line.split()[-1] for line in log.read_text().splitlines()] == [".[test]", str(wanted).split()[-1]]
+    (site,) = (clone / ".venv-interop").rglob("annotator-packages.pth")
+    assert Path(site.read_text().strip()).is_dir()
+    wanted.write_text("one==2\n")
+    assert setup(clone, "interop").returncode == 0
+    assert len(log.read_text().splitlines()) == 3
+
+
 def test_changed_metadata_is_installed_anew(clone: Path) -> None:
     log = fake_environment(clone)
     setup(clone)

@@ -1,0 +1,231 @@
+"""Our exports, opened with software that others wrote: what it sees is what was written.
+
+One project leaves in every format; corners must be where ours are, in whatever order a program names them. The readers
+run in `.venv-interop` (`scripts/setup interop`) as programs of their own, in `readers/`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.nearest_upright import nearest_upright
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import project as to_image
+from annotator.project import Change, NewLabel, Project, create_project
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Source
+from annotator.workflows.exporting import ExportFormat, ExportOptions, Split, export_project
+from annotator.workflows.frames import FrameSource
+from annotator.workflows.recordings import register_recording
+from annotator.workflows.truth import load_truth
+
+HERE = Path(__file__).resolve().parent
+PYTHON = HERE.parent.parent / ".venv-interop/bin/python"
+CORNER_M, PIXEL = 1e-3, 0.5
+LABELLED = (0, 1, 3)
+DRAWN = (Box2D("person", 10.25, 20.5, 60.75, 90.0), Box2D("person", 100.0, -0.5, 160.5, 239.5))
+Read = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def read() -> Read:
+    """`read("read_coco", ARGUMENT, ..., cwd=...)`: what a foreign reader says, as JSON."""
+    if not (PYTHON.parent.parent / "setup.done").is_file():
+        if os.environ.get("ANNOTATOR_INTEROP") == "required":
+            pytest.fail("scripts/setup interop has not finished, and the foreign readers are required")
+        pytest.skip("no .venv-interop; scripts/setup interop makes it")
+
+    def run(name: str, *arguments: str | Path, cwd: Path | None = None) -> dict[str, Any]:
+        command = [str(PYTHON), str(HERE / f"readers/{name}.py"), *map(str, arguments)]
+        done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stderr[-3000:]
+        return json.loads(done.stdout)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def project(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
+    """People in three frames with their true boxes as tracks, the first of each tilted by 10 degrees."""
+    made = create_project(tmp_path_factory.mktemp("interop"), "interop", ("person", "dog"))
+    register_recording(made, open_recording(generated / "people"))
+    recording = open_recording(generated / "people")
+    for index in LABELLED:
+        truths = load_truth(recording, index, recording.frame(index))
+        tilt = Rotation.from_euler("XY", [10, -4], degrees=True).as_matrix()
+        boxes = [t.box for t in truths]
+        boxes[0] = OrientedBox.from_parts(boxes[0].center_m, boxes[0].rotation @ tilt, boxes[0].size_m)
+        new = [NewLabel("person", box, track_id=number) for number, box in enumerate(boxes)]
+        made.labels.create(made.frames.of()[index].id, new, Change(0, "me", Source.MANUAL))
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def frames(project: Project) -> dict[str, tuple[Frame, list[OrientedBox]]]:
+    """The labelled frames with their boxes, camera frame, by the name of their files."""
+    source, stored = FrameSource(project), project.frames.of()
+    return {
+        f"people-{stored[index].key}": (
+            source.read(stored[index]),
+            [label.box for label in project.labels.of_frame(stored[index].id)],
+        )
+        for index in LABELLED
+    }
+
+
+def assert_same_corners(seen: Sequence[Any], boxes: Sequence[OrientedBox], within_m: float = CORNER_M) -> None:
+    """Every box has its eight corners where ours are, in whatever order software names them."""
+    assert len(seen) == len(boxes)
+    for corners, box in zip(seen, boxes, strict=True):
+        distances, nearest = cKDTree(box_corners(box)).query(np.array(corners))
+        assert sorted(nearest.tolist()) == list(range(8))
+        assert distances.max() < within_m
+
+
+def export(project: Project, out: Path, format: ExportFormat, **options: Any) -> Path:
+    export_project(project, out, format, **options)
+    return out
+
+
+def test_the_formats_page_names_the_versions() -> None:
+    page = (HERE.parent.parent / "docs/formats.md").read_text(encoding="utf-8")
+    pins = dict(line.split("==") for line in (HERE / "requirements.txt").read_text().splitlines() if "==" in line)
+    for name in ("pycocotools", "nuscenes-devkit", "labelCloud", "vcd", "openlabel-checker"):
+        assert f"{name} {pins[name]}" in page
+
+
+def test_nuscenes_devkit(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    out = export(project, tmp_path / "out", ExportFormat.NUSCENES)
+    seen = read("read_nuscenes", out, "v1.0-annotator")
+    assert set(seen["frames"]) == set(frames)
+    for name, (frame, boxes) in frames.items():
+        there = seen["frames"][name]
+        assert {box["label"] for box in there["boxes"]} == {"person"} and there["scene"] == "people"
+        assert_same_corners([box["corners"] for box in there["boxes"]], boxes)
+        ours_px = to_image(frame.camera, np.array([box.center_m for box in boxes]))
+        np.testing.assert_allclose([box["centre_px"] for box in there["boxes"]], ours_px, atol=PIXEL)
+        assert there["points"] == len(frame.cloud)
+        assert set(there["instances"]) == set(seen["tracks"])
+
+
+def test_labelcloud(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    forms = {"centroid_rel": False, "vertices": True}
+    outs = [
+        export(project, tmp_path / form, ExportFormat.LABELCLOUD, options=ExportOptions(vertices=vertices))
+        for form, vertices in forms.items()
+    ]
+    folders = read("read_labelcloud", *outs)["folders"]
+    assert [(seen["classes"], seen["format"]) for seen in folders] == [(["person", "dog"], form) for form in forms]
+    for out, seen in zip(outs, folders, strict=True):
+        for name, (frame, boxes) in frames.items():
+            there = seen["frames"][name]
+            assert (there["points"], there["colored"]) == (len(frame.cloud), frame.cloud.rgb is not None)
+            # its calibration is KITTI's: from the cloud's frame to the camera
+            rows = [line.split() for line in (out / f"calib/{name}.txt").read_text().splitlines()]
+            (T,) = (np.array(row[1:], np.float64).reshape(3, 4) for row in rows if row[0] == "Tr_velo_to_cam:")
+            assert_same_corners([np.array(box["corners"]) @ T[:, :3].T + T[:, 3] for box in there["boxes"]], boxes)
+            first_m = T[:, :3] @ there["first_m"] + T[:, 3]
+            np.testing.assert_allclose(first_m, frame.cloud.xyz_m[0], atol=CORNER_M)
+
+
+def test_openlabel(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    out = export(project, tmp_path / "out", ExportFormat.OPENLABEL)
+    (file,) = out.glob("*.json")
+    seen = read("read_openlabel", file)
+    assert [issue for issue in seen["issues"] if issue["severity"] == "error"] == []
+    assert len(seen["frames"]) == len(frames)
+    for there, (_, boxes) in zip(seen["frames"].values(), frames.values(), strict=True):
+        assert {(box["label"], box["frame"]) for box in there["boxes"]} == {("person", "camera")}
+        assert_same_corners([box["corners"] for box in there["boxes"]], boxes)
+    assert "camera" in seen["systems"]
+
+
+def test_kitti(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    """Two decimals, upright: the corners are rebuilt from what torchvision reads, by KITTI's own definition."""
+    export(project, tmp_path / "Kitti/raw", ExportFormat.KITTI)
+    seen = read("read_kitti", tmp_path)
+    assert set(seen["frames"]) == {frame.key for frame, _ in frames.values()}
+    for frame, boxes in frames.values():
+        there = seen["frames"][frame.key]
+        assert there["size"] == [frame.camera.width_px, frame.camera.height_px]
+        # boxes out of the picture have no row
+        shown = [box for box in boxes if box_on_image(frame.camera, box, "person") is not None]
+        assert [found["type"] for found in there["objects"]] == ["person"] * len(shown)
+        for found, box in zip(there["objects"], shown, strict=True):
+            upright, _ = nearest_upright(box, np.array([0.0, -1.0, 0.0]))
+            h, w, length = found["dimensions"]
+            c, s = np.cos(found["rotation_y"]), np.sin(found["rotation_y"])
+            R = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+            signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-1, 0) for z in (-0.5, 0.5)])
+            corners = (signs * [length, h, w]) @ R.T + found["location"]
+            assert_same_corners([corners], [upright], within_m=0.03)
+            # the 2D box is that of the rounded 3D box, on pixels that KITTI counts from 0 to width - 1
+            px = to_image(frame.camera, corners).clip(0, np.array(there["size"]) - 1)
+            np.testing.assert_allclose(found["bbox"], [*px.min(axis=0), *px.max(axis=0)], atol=PIXEL)
+
+
+def draw(project: Project) -> None:
+    """Boxes on the image of a frame without labels, and on one that shows nothing."""
+    ids = [frame.id for frame in project.frames.of()]
+    for index, boxes in ((2, DRAWN), (4, ())):
+        revision = project.frames.get(ids[index]).revision
+        project.boxes.set_on_image(ids[index], boxes, BoxKind.SILHOUETTE, Change(revision, "me"))
+
+
+def outlines(frames: dict[str, Any]) -> dict[str, list[Box2D]]:
+    """What the pictures show: the outlines of 3D boxes, and what `draw` drew."""
+    found = {
+        name: [box for each in boxes if (box := box_on_image(frame.camera, each, "person")) is not None]
+        for name, (frame, boxes) in frames.items()
+    }
+    return {**found, "people-000002": list(DRAWN), "people-000004": []}
+
+
+def test_coco_and_yolo(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    draw(project)
+    split = Split({"train": 0.6, "val": 0.4})
+    coco = export(project, tmp_path / "coco", ExportFormat.COCO, split=split)
+    yolo = export(project, tmp_path / "yolo", ExportFormat.YOLO, split=split)
+    by_yolo = read("read_yolo", yolo / "data.yaml", cwd=tmp_path)["pictures"]
+    assert len(by_yolo) == 5
+    for part in ("train", "val"):
+        by_coco = read("read_coco", coco / f"annotations/instances_{part}.json")["pictures"]
+        assert {f"{part}/{name}" for name in by_coco} == {name for name in by_yolo if name.startswith(part)}
+        for name, there in by_coco.items():
+            width, height = there["size"]
+            ours = outlines(frames)[name.removesuffix(".png")]
+            assert by_yolo[f"{part}/{name}"]["size"] == [width, height] == [320, 240]
+            # both measure from the picture's corner, half a pixel from the first one's centre
+            corners = np.array([box.xyxy for box in ours]).reshape(-1, 4) + 0.5
+            x, y, w, h, area = np.array([row[1:] for row in there["boxes"]]).reshape(-1, 5).T
+            np.testing.assert_allclose(np.column_stack([x, y, x + w, y + h]), corners, atol=1e-6)
+            np.testing.assert_allclose(area, w * h)
+            rows = np.array([row[1:] for row in by_yolo[f"{part}/{name}"]["boxes"]]).reshape(-1, 4)
+            cx, cy, w, h = rows.T * np.array([[width], [height]] * 2)
+            seen = np.column_stack([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2])
+            np.testing.assert_allclose(seen, corners, atol=1e-3)
+
+
+def test_open3d_reads_the_clouds(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    out = export(project, tmp_path / "out", ExportFormat.RCV)
+    files = {name: str(out / f"clouds/{name}.ply") for name in frames}
+    seen = read("read_clouds", *files.values())
+    for name, (frame, _) in frames.items():
+        there = seen["clouds"][files[name]]
+        assert there["points"] == len(frame.cloud)
+        np.testing.assert_allclose(there["low"], frame.cloud.xyz_m.min(axis=0), atol=1e-5)
+        np.testing.assert_allclose(there["high"], frame.cloud.xyz_m.max(axis=0), atol=1e-5)
+        assert frame.cloud.rgb is not None
+        np.testing.assert_allclose(there["colour"], frame.cloud.rgb.mean(axis=0), atol=1e-3)
