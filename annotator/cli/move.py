@@ -12,7 +12,7 @@ AUTHOR = "annotator move"
 
 
 def run(project: str, recording: str, path: Path, /, *, root: Root = None) -> None:
-    """Say where a recording is now whose folder was moved. Its frames must be the same; labels and boxes stay.
+    """Say where a recording is now whose folder was moved. All its frames must be there; labels and boxes stay.
 
     Args:
         project: the project's name.
@@ -23,4 +23,6 @@ def run(project: str, recording: str, path: Path, /, *, root: Root = None) -> No
     with open_named(project, root) as opened:
         before = opened.recordings.find(recording)
         now = move_recording(opened, before.id, path, AUTHOR)
-    print_line(f"{now.name}: {now.frames} frames, now at {now.path}")
+    new = now.frames - before.frames
+    grown = f" ({new} new)" if new > 0 else ""
+    print_line(f"{now.name}: {now.frames} frames{grown}, now at {now.path}")

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import ScalarSelect, bindparam, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
-from annotator.project.frames import StoredFrame, frame_of, read_frame
+from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
 from annotator.project.schema import frames, image_labels, labels, recordings
 from annotator.types import ReviewState
+from annotator.types.errors import NotFoundError
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +67,11 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         NotFoundError: no such frame.
     """
     with project.store.read() as connection:
-        frame = read_frame(connection, frame_id)
-        chosen = recordings.c.id == frame.recording_id
-        name: str = connection.execute(select(recordings.c.name).where(chosen)).scalar_one()
-        previous, following = _neighbours(connection, frame)
+        row = connection.execute(_HEAD, {"frame": frame_id}).first()
+        if row is None:
+            raise NotFoundError(f"the project has no frame with id {frame_id}")
+        frame, name = frame_of(row), row.recording_name
+        previous, following = row.previous, row.next
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
         query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
@@ -80,16 +83,32 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
 def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
     """Ids of the frames before and after one in its recording; both None for one that is no longer there."""
     with project.store.read() as connection:
-        return _neighbours(connection, frame)
+        row = connection.execute(_HEAD, {"frame": frame.id}).first()
+    return (None, None) if row is None else (row.previous, row.next)
 
 
-def _neighbours(connection: Connection, frame: StoredFrame) -> tuple[int | None, int | None]:
-    if frame.index is None:
-        return None, None
-    here = select(frames.c.id).where(frames.c.recording_id == frame.recording_id, frames.c.position.is_not(None))
-    before = here.where(frames.c.position < frame.index).order_by(frames.c.position.desc()).limit(1)
-    after = here.where(frames.c.position > frame.index).order_by(frames.c.position).limit(1)
-    return connection.execute(before).scalar(), connection.execute(after).scalar()
+def _beside(is_before: bool) -> ScalarSelect[Any]:
+    """The id of the frame before or after a frame; none for one that has no place in its recording."""
+    other = frames.alias()
+    place = other.c.position
+    query = select(other.c.id).where(
+        other.c.recording_id == frames.c.recording_id,
+        place < frames.c.position if is_before else place > frames.c.position,
+    )
+    return query.order_by(place.desc() if is_before else place).limit(1).correlate(frames).scalar_subquery()
+
+
+# asked for by every page all the time; made once, as putting it together takes longer than its answer
+_HEAD = (
+    select(
+        frames,
+        recordings.c.name.label("recording_name"),
+        _beside(is_before=True).label("previous"),
+        _beside(is_before=False).label("next"),
+    )
+    .join(recordings, recordings.c.id == frames.c.recording_id)
+    .where(frames.c.id == bindparam("frame"))
+)
 
 
 def list_frames(

@@ -122,22 +122,20 @@ class Recordings:
             _require_unique(_recording(connection, recording_id).path, keys)
             own = frames.c.recording_id == recording_id
             known = {row.key: row.position for row in connection.execute(select(frames).where(own))}
-            _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
-            new = [(index, key) for index, key in enumerate(keys) if key not in known]
-            _insert_frames(connection, recording_id, new)
+            new = _take_keys(connection, recording_id, known, keys)
         present = set(keys)
-        return Rescan(tuple(key for _, key in new), tuple(key for key in known if key not in present))
+        return Rescan(new, tuple(key for key in known if key not in present))
 
     def move(self, recording_id: int, path: Path, keys: Sequence[str], author: str) -> StoredRecording:
         """Take over the new place of a recording; frames, labels and all that was drawn stay as they are.
 
         Args:
             path: where it is now; kept absolute.
-            keys: the frames' keys there, which must be those of the latest scan; frames that it missed may be back.
+            keys: the frames' keys there: all of the latest scan; it may have grown since.
             author: who says so.
 
         Raises:
-            ProjectError: no such recording, other frames, or another recording of the project is there.
+            ProjectError: no such recording, frames are missing, or another recording of the project is there.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -150,7 +148,7 @@ class Recordings:
             own = frames.c.recording_id == recording_id
             known = {row.key: row.position for row in connection.execute(select(frames).where(own))}
             _require_same(before, path, known, keys)
-            _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
+            _take_keys(connection, recording_id, known, keys)
             if path != before.path:
                 chosen = recordings.c.id == recording_id
                 connection.execute(update(recordings).where(chosen).values(path=str(path)))
@@ -225,13 +223,14 @@ def _require_unique(path: Path, keys: Sequence[str]) -> None:
 def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, int | None], keys: Sequence[str]) -> None:
     present = set(keys)
     missing = [key for key, position in known.items() if position is not None and key not in present]
+    if not missing:
+        return
     foreign = [key for key in keys if key not in known]
-    problems = [f"{what} {_some(found)}" for what, found in (("lacks", missing), ("also has", foreign)) if found]
-    if problems:
-        raise ProjectError(
-            f"{path} is not {recording.name}: it {' and '.join(problems)}; "
-            f"give the folder with the same {recording.frames} frames, and nothing was changed"
-        )
+    also = f" and also has {_some(foreign)}" if foreign else ""
+    raise ProjectError(
+        f"{path} is not {recording.name}: it lacks {_some(missing)}{also}; "
+        f"give the folder with the same {recording.frames} frames, and nothing was changed"
+    )
 
 
 def _some(keys: Sequence[str]) -> str:
@@ -262,6 +261,16 @@ def _insert_frames(connection: Connection, recording_id: int, places: list[tuple
             for index, key in places
         ]
         connection.execute(insert(frames), rows)
+
+
+def _take_keys(
+    connection: Connection, recording_id: int, known: dict[str, int | None], keys: Sequence[str]
+) -> tuple[str, ...]:
+    """The places of all frames as they are now; the keys of those that are new."""
+    _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
+    new = [(index, key) for index, key in enumerate(keys) if key not in known]
+    _insert_frames(connection, recording_id, new)
+    return tuple(key for _, key in new)
 
 
 def _move_frames(

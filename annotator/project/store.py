@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
@@ -19,6 +20,8 @@ from annotator.types.errors import ProjectError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
+# A web server answers in about so many threads at once, each with a connection of its own.
+THREADS = 20
 
 Clock = Callable[[], int]
 
@@ -33,11 +36,13 @@ class Store:
         path: the database file.
         engine: SQLAlchemy's pool of connections.
         clock: gives the present, UTC nanoseconds since the epoch.
+        turn: held by the thread that writes.
     """
 
     path: Path
     engine: Engine
     clock: Clock = time.time_ns
+    turn: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -53,13 +58,20 @@ class Store:
     def write(self) -> Iterator[Connection]:
         """A transaction that holds the write lock from its beginning; all of it is kept, or nothing.
 
-        The lock is taken at once: a reader that turns writer later would have to be refused as stale.
+        The lock is taken at once: a reader that turns writer later would have to be refused as stale. Threads wait for
+        each other here, without a connection: SQLite would let them sleep and try again, and readers would find none.
 
         Raises:
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
-        with self._transaction("BEGIN IMMEDIATE") as connection:
-            yield connection
+        # after so long SQLite itself says what is wrong
+        has_turn = self.turn.acquire(timeout=BUSY_TIMEOUT_S)
+        try:
+            with self._transaction("BEGIN IMMEDIATE") as connection:
+                yield connection
+        finally:
+            if has_turn:
+                self.turn.release()
 
     @contextmanager
     def _transaction(self, begin: str) -> Iterator[Connection]:
@@ -160,7 +172,7 @@ def _store(path: Path, mode: str, busy_timeout_s: float, clock: Clock) -> Store:
         connection.execute("PRAGMA recursive_triggers = ON")
         return connection
 
-    engine = create_engine("sqlite://", creator=connect, poolclass=QueuePool)
+    engine = create_engine("sqlite://", creator=connect, poolclass=QueuePool, pool_size=THREADS, max_overflow=THREADS)
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:

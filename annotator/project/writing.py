@@ -78,6 +78,9 @@ class Writer:
             FinalisedFrameError: an automatic pass wanted to change a finalised frame.
             ProjectError: an unknown frame, label or class; or the database refuses.
         """
+        # who comes too late is told so without waiting for those who write
+        with self.store.read() as connection:
+            require_writable(connection, frame_id, change)
         with self.store.write() as connection:
             return self.to_frame_in(connection, frame_id, payloads, change)
 

@@ -69,7 +69,8 @@ def register_recording(
 
 
 def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
-    """Points a recording whose folder was moved to its new place. Nothing that is known of its frames changes.
+    """Points a recording whose folder was moved to its new place. Nothing that is known of its frames changes; it may
+    have grown since, and what is new is taken over.
 
     Args:
         author: who says so.
@@ -77,8 +78,8 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     Raises:
         NotFoundError: no such recording.
         RecordingError: `path` holds no recording, one of another format, or none of its first frames can be read.
-        ProjectError: its frames are not those of the recording (the message names what differs), or it is another
-            recording of the project.
+        ProjectError: frames of the recording are not there (the message names them), or it is another recording of the
+            project.
     """
     known, found = project.recordings.get(recording_id), open_recording(path)
     if found.format != known.format:

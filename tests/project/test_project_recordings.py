@@ -119,13 +119,21 @@ def test_frames_that_were_missed_may_be_back_at_another_place(project: Project, 
     assert _keys(project) == [("0", 0), ("1", 1), ("2", 2), ("4", 3), ("3", None)]
 
 
+def test_a_recording_may_have_grown_at_its_new_place(project: Project, recording: StoredRecording) -> None:
+    before = project.frames.of()
+    keys = ["early", *[str(n) for n in range(5)], "late"]
+    moved = project.recordings.move(recording.id, recording.path / "there", keys, "ann")
+    assert moved.frames == 7 and [key for key, _ in _keys(project)] == keys
+    assert [project.frames.find(recording.id, frame.key).id for frame in before] == [frame.id for frame in before]
+
+
 @pytest.mark.parametrize(
     ("keys", "problem"),
     [
         (["0", "1", "2", "4"], "it lacks frame 3; give the folder with the same 5 frames, and nothing was changed"),
-        (["0", "1", "2", "3", "4", "x"], "it also has frame x;"),
+        (["0", "1", "2", "4", "x"], "it lacks frame 3 and also has frame x;"),
         (["a"], "it lacks frames 0, 1, 2, 3, 4 and also has frame a;"),
-        ([f"{n}" for n in range(12)], "it also has frames 5, 6, 7, 8, 9 and 2 more;"),
+        ([f"{n}" for n in range(1, 12)], "it lacks frame 0 and also has frames 5, 6, 7, 8, 9 and 2 more;"),
         (["0", "0"], "'0' comes twice"),
     ],
 )
