@@ -11,6 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.cli.main import main
@@ -29,6 +31,7 @@ CALIB = (
 KEYS = ("000000", "000001", "000002")
 DONT_CARE = "DontCare -1 -1 -10 10 10 20 20 -1 -1 -1 -1000 -1000 -1000 -10"
 
+HOSTILE = ["nan", "1e999", "1e300", "-1e300", "1e9", "-1e9", "1e-300", "0", "-1", "1", "3.5", "x", "\x00", "1e4"]
 Found = list[tuple[str, str, int | None]]
 Edit = Callable[[Path], object]
 
@@ -251,9 +254,18 @@ def test_a_folder_of_datasets(kitti: Path, exported: Path) -> None:
     shutil.copytree(exported, kitti.parent / "deep" / "rcv")
     (kitti.parent / "empty" / "color").mkdir(parents=True)
     (kitti.parent / "empty" / "depth").mkdir()
+    (kitti.parent / "other" / "samples" / "LIDAR_TOP").mkdir(parents=True)
+    (kitti.parent / "other" / "samples" / "LIDAR_TOP" / "a.pcd.bin").write_bytes(b"\0" * 20)
+    (kitti.parent / "other" / "v1.0-mini").mkdir()
+    (kitti.parent / "other" / "v1.0-mini" / "sample_annotation.json").write_text("[]")
     report = check_datasets(kitti.parent)
     assert [(facts.format, facts.frames) for facts in report.datasets] == [("kitti_object", 3), ("rcv", 5)]
-    assert [(f.rule, Path(f.file).name) for f in report.findings] == [("unreadable-dataset", "empty")]
+    assert [(f.rule, Path(f.file).name) for f in report.findings] == [
+        ("unreadable-dataset", "empty"),
+        ("unchecked-dataset", "other"),
+    ]
+    with pytest.raises(RecordingError, match="other: holds nuScenes tables, which the check does not read"):
+        check_datasets(kitti.parent / "other")
     with pytest.raises(RecordingError, match="no known recording format"):
         check_datasets(kitti / "label_2")
 
@@ -322,3 +334,15 @@ def test_real_data_are_not_complained_about(shared: Path) -> None:
     assert told == [("empty-box", "000060.txt", 3)]
     for name in ("sunrgbd/sunrgbd_trainval", "rgbd_open3d_testdata"):
         assert check_datasets(shared / "data" / name).findings == (), name
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], database=None)
+@given(st.lists(st.tuples(st.integers(1, 14), st.sampled_from(HOSTILE)), min_size=1, max_size=4))
+def test_whatever_the_labels_say_the_check_goes_on(kitti: Path, changes: list[tuple[int, str]]) -> None:
+    words = line(ROWS[1]).split()
+    for place, word in changes:
+        words[place] = word
+    (kitti / LABELS).write_text("\n".join([line(ROWS[0]), " ".join(words), line(ROWS[2])]))
+    report = check_datasets(kitti)
+    assert report.datasets[0].frames == 3
+    assert {(finding.file, finding.line) for finding in report.findings} <= {(str(kitti / LABELS), 2)}

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.workflows.checking.dataset_check import DatasetCheck, DatasetFacts, Progress
 from annotator.workflows.checking.findings import Finding, Findings
-from annotator.workflows.checking.rules import UNREADABLE_DATASET, Severity
-from annotator.workflows.checking.sources import find_sources
+from annotator.workflows.checking.rules import UNCHECKED_DATASET, UNREADABLE_DATASET, Severity
+from annotator.workflows.checking.sources import NotChecked, find_sources
 
 
 class DatasetReport(BaseModel):
@@ -36,6 +36,8 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
     for source in find_sources(path):
         if isinstance(source, tuple):
             findings.add_error(UNREADABLE_DATASET, source[1], source[0])
+        elif isinstance(source, NotChecked):
+            findings.add(UNCHECKED_DATASET, source.path, f"{source.format} are not looked at")
         else:
             facts.append(DatasetCheck(source, findings).run(progress))
     found = findings.all()

@@ -46,6 +46,10 @@ def _warning(rule_id: str, meaning: str) -> Rule:
     return _rule(rule_id, Severity.WARNING, meaning)
 
 
+def _note(rule_id: str, meaning: str) -> Rule:
+    return _rule(rule_id, Severity.NOTE, meaning)
+
+
 # Files
 UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset and cannot be opened")
 MISSING_FILE = _error("missing-file", "a frame lacks one of its files, such as an image without its cloud")
@@ -57,6 +61,8 @@ UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing, damaged or of an
 MISSING_LABELS = _error("missing-labels", "a frame has no label file, and others of its dataset have one")
 STRAY_FILE = _error("stray-file", "labels or other files of a frame that is not there")
 MANIFEST_MISMATCH = _error("manifest-mismatch", "a dataset's manifest counts other than there is")
+
+UNCHECKED_DATASET = _note("unchecked-dataset", "labels of a format that the check does not read (nuScenes, OpenLABEL)")
 
 # Rows
 BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is no label")
@@ -72,7 +78,7 @@ ODD_SIZE = _warning("odd-size", "a box is far from the median size of its class"
 DUPLICATE_LABEL = _error("duplicate-label", "two boxes are one: exact 3D IoU >= 0.7 (>= 0.9 for different classes)")
 BOX_OVERLAP = _warning("box-overlap", "two boxes of a class reach into each other: exact 3D IoU >= 0.3")
 EMPTY_BOX = _warning("empty-box", "no point of the cloud lies in a box")
-SPARSE_BOX = _rule("sparse-box", Severity.NOTE, "fewer than 5 points of the cloud lie in a box")
+SPARSE_BOX = _note("sparse-box", "fewer than 5 points of the cloud lie in a box")
 BOX_BEHIND_CAMERA = _error("box-behind-camera", "a box is fully behind the camera")
 BOX_OUTSIDE_IMAGE = _error("box-outside-image", "a box is in front of the camera and fully beside the image")
 HEADING_JUMP = _warning("heading-jump", "in a sequence a box has turned by more than 60 degrees in one frame")
