@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from annotator.recordings.listing import looking_at
 from annotator.recordings.recording import NotFound, Recording
-from annotator.recordings.table import READERS
+from annotator.recordings.table import LOOKS, READERS
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 MOST_HINTS = 5
@@ -37,15 +38,20 @@ def detect_format(path: Path) -> str | None:
     Raises:
         RecordingError: the format is clear, but the recording has no frames; or the path cannot be read.
     """
-    found = _ask_all(path)
-    return None if isinstance(found, list) else found.format
+    for name, target in READERS.items():
+        ask: Callable[[Path], Recording | NotFound | bool] = _load(LOOKS.get(name, target))
+        with looking_at(path):
+            answer = ask(path)
+        if answer is not False and not isinstance(answer, NotFound):
+            return name
+    return None
 
 
 def _ask_all(path: Path) -> Recording | list[str]:
     """What the first reader that recognises `path` opens, or one line a reader of what it looked for."""
     looked_for = []
     for name, target in READERS.items():
-        reader = _load(target)
+        reader: Callable[[Path], Recording | NotFound] = _load(target)
         with looking_at(path):
             answer = reader(path)
         if not isinstance(answer, NotFound):
@@ -54,10 +60,9 @@ def _ask_all(path: Path) -> Recording | list[str]:
     return looked_for
 
 
-def _load(target: str) -> Callable[[Path], Recording | NotFound]:
+def _load(target: str) -> Any:
     module, _, function = target.partition(":")
-    reader: Callable[[Path], Recording | NotFound] = getattr(import_module(module), function)
-    return reader
+    return getattr(import_module(module), function)
 
 
 def _explain(path: Path, looked_for: list[str]) -> str:
@@ -79,10 +84,10 @@ def _openable_children(path: Path) -> list[str]:
     names: list[str] = []
     for child in sorted(child for child in path.iterdir() if child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
         try:
-            answer = _ask_all(child)
+            is_known = detect_format(child) is not None
         except RecordingError:  # no frames, or not to be read: no hint worth giving
             continue
-        if not isinstance(answer, list):
+        if is_known:
             names.append(child.name)
         if len(names) == MOST_HINTS:
             break

@@ -15,3 +15,8 @@ READERS: dict[str, str] = {
     # after all that have clouds among other things
     "cloud_folder": "annotator.recordings.cloud_folder:open_cloud_folder",
 }
+
+# Where opening takes long: says whether the reader would recognise a path.
+LOOKS: dict[str, str] = {
+    "azure_kinect": "annotator.recordings.azure_kinect:is_azure_kinect",
+}
