@@ -102,7 +102,8 @@ def run(
 
 def _tell(report: ExportReport) -> None:
     counts = ", ".join(f"{number} {name}" for name, number in report.objects_by_class.items())
-    print_line(f"{report.out}: {report.frames} frames, {counts}")
+    what = "pictures" if WRITERS[ExportFormat(report.format)].flat else "frames"
+    print_line(f"{report.out}: {report.frames} {what}, {counts}")
     if report.splits:
         print_line("divided: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
     for loss in report.losses:

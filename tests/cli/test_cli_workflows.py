@@ -124,6 +124,13 @@ def test_views_and_import_go_round(project: str, tmp_path: Path, capsys: Capture
     counts = stats(capsys)
     assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
 
+    said = run(capsys, "export", project, "yolo", "--format", "yolo", "--pictures", "both")
+    assert said.startswith("yolo: 3 pictures, 3 person\nyolo does not hold: 2 boxes reach around all of the object")
+    assert said.endswith("; --split train=0.8,val=0.2 holds some back\n")
+    assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
+        "3 boxes on 1 camera images and 2 pseudo-views\n"
+    )
+
 
 def test_3d_boxes_come_in_as_2d_ones(project: str, capsys: Capture) -> None:
     said = run(capsys, "import", project, "--as-2d", "--fraction", "0.2", "--seed", "1")
