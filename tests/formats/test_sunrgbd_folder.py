@@ -23,6 +23,7 @@ from annotator.formats.sunrgbd_labels import extracted_truth
 from annotator.formats.sunrgbd_meta import META, dump_meta, meta_frame, read_meta
 from annotator.formats.sunrgbd_sets import read_extracted_folder
 from annotator.formats.sunrgbd_upright import upright_frame
+from annotator.geometry.oriented_box import box_corners
 from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError
 
@@ -130,6 +131,20 @@ def test_the_data_set_s_own_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth.box.rotation, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
 
 
+def as_others_read_it(out: Path, expected: Sequence[OrientedBox]) -> None:
+    """The last objects of frame 1: by the names of the table's fields, as SUNRGBDtoolbox takes corners from them."""
+    frames = loadmat(out / META, squeeze_me=True, struct_as_record=False)["SUNRGBDMeta"]
+    assert list(frames[0]._fieldnames) == list(sunrgbd_meta.FRAME_FIELDS)
+    assert (frames[0].sequenceName, frames[0].rgbname) == ("room/x", "000001.jpg")
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    for each, box in zip(frames[0].groundtruth3DBB[-len(expected) :], expected, strict=True):
+        found = each.centroid + signs * np.abs(each.coeffs) @ each.basis
+        ours = box_corners(box)
+        gaps = np.linalg.norm(found[:, None] - ours, axis=2)
+        assert (each.classname, np.linalg.det(each.basis)) == ("bed", pytest.approx(1.0))
+        assert gaps.min(axis=0).max() < 1e-9
+
+
 def test_a_folder_and_what_it_does_not_hold(tmp_path: Path) -> None:
     up = DOWN_30.apply([0.0, -1.0, 0.0])
     upright = upright_frame(frame("a", up))
@@ -163,6 +178,7 @@ def test_a_folder_and_what_it_does_not_hold(tmp_path: Path) -> None:
     }
     first, second = read_meta(out / META)
     assert (first.name, second.name, second.truths) == ("room/x", "room/y", ())
+    as_others_read_it(out, [leaning.transformed(upright.inv())])
     np.testing.assert_allclose(
         first.truths[1].box.transformed(first.T_camera_upright).rotation, leaning.rotation, atol=1e-9
     )
