@@ -54,13 +54,41 @@ def test_the_boxes_of_a_recording_are_read_in_the_background(start: Page, live: 
     start.reload()
     start.get_by_test_id("add-recording-crowd").click()
     start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
-    start.get_by_test_id("add-people").click()
     dialog = start.get_by_test_id("add-recording-dialog")
+    dialog.get_by_test_id("folder-people").click()  # what else is in its folder can be looked at
+    crumbs = dialog.get_by_label("Folder", exact=True)
+    expect(crumbs).to_contain_text("people")
+    crumbs.get_by_role("button").nth(1).click()
+    dialog.get_by_test_id("add-people").click()
     expect(dialog.get_by_test_id("added-recording")).to_have_text("people: 5 frames", timeout=15_000)
     expect(dialog.get_by_test_id("job-import-text")).to_have_text("15 boxes taken over", timeout=60_000)
     start.get_by_test_id("dialog-done").click()
     expect(start.get_by_test_id("project-crowd")).to_contain_text("15 accepted")
     expect(start.get_by_test_id("project-crowd").get_by_test_id("job-import")).to_be_hidden()
+
+
+# How long `imports.js` waits between its questions, while a job goes on for as many of them; times pass at once.
+WAITS = """async (questions) => {
+  const { followImports } = await import("/assets/js/start/imports.js");
+  const waits = [];
+  const job = { id: "1", kind: "import", state: "running" };
+  const state = { jobs: [job], on: () => () => {}, set: (changes) => Object.assign(state, changes) };
+  const answer = () => ({ jobs: waits.length < questions ? [job] : [{ ...job, state: "done" }] });
+  const plain = window.setTimeout;
+  window.setTimeout = (fn, ms) => (waits.push(Math.round(ms)), plain(fn, 0));
+  try {
+    await new Promise((resolve) => followImports({ state, api: { get: async () => answer() } }, resolve));
+  } finally {
+    window.setTimeout = plain;
+  }
+  return waits;
+}"""
+
+
+def test_a_long_import_is_asked_for_less_and_less(start: Page) -> None:
+    waits = start.evaluate(WAITS, 9)
+    assert len(waits) == 9 and waits[0] == 700
+    assert waits == sorted(waits) and waits[-1] == 5000
 
 
 def test_a_recording_that_was_moved_is_located(start: Page, live: Live, tmp_path: Path, generated: Path) -> None:
