@@ -55,15 +55,23 @@ class Refit:
     note: str | None
 
 
-def refit(opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector | None) -> Refit:
+def refit(
+    opened: OpenFrame,
+    box: OrientedBox,
+    label: str,
+    config: RcvConfig,
+    detector: Detector | None,
+    problem: str | None = None,
+) -> Refit:
     """A box fitted anew from where it is.
 
     Args:
         label: the box's class.
         config: its orientation is the frame's, its kind of boxes the detector's.
         detector: for pseudo-views; None where there is none (yet).
+        problem: why there is none, where it could not be loaded.
     """
-    lack = _lack(detector, label)
+    lack = _lack(detector, label, problem)
     if lack is not None or detector is None:
         return _from_points(opened, box, config, lack or "")
     state = _recurse(opened, box, label, config, detector)
@@ -92,15 +100,18 @@ class Found:
     note: str | None
 
 
-def find_box(opened: OpenFrame, image_box: Box2D, config: RcvConfig, detector: Detector | None) -> Found:
+def find_box(
+    opened: OpenFrame, image_box: Box2D, config: RcvConfig, detector: Detector | None, problem: str | None = None
+) -> Found:
     """The object in a box that a person has drawn on the image, by Recursive Cross-View.
 
     Args:
         image_box: its class is the object's.
         config: its orientation is the frame's, its kind of boxes the detector's.
         detector: for pseudo-views; None where there is none (yet).
+        problem: why there is none, where it could not be loaded.
     """
-    lack = _lack(detector, image_box.label)
+    lack = _lack(detector, image_box.label, problem)
     if lack is not None or detector is None:
         return _not_found(lack or "")
     # the box of an object that got lost on the way is none
@@ -124,10 +135,10 @@ def _not_found(reason: str) -> Found:
     return Found(None, np.zeros((0, 2, 2)), 0, None, None, reason)
 
 
-def _lack(detector: Detector | None, label: str) -> str | None:
+def _lack(detector: Detector | None, label: str, problem: str | None) -> str | None:
     """Why there is no detector to ask, or None."""
     if detector is None:
-        return "there is no pseudo-view detector yet"
+        return "there is no pseudo-view detector yet" if problem is None else f"no pseudo-view detector: {problem}"
     return None if label in detector.labels else f"the pseudo-view detector has not learned {label}"
 
 

@@ -74,3 +74,10 @@ def test_a_detector_that_failed_says_why(live: Live, generated: Path, tmp_path: 
         assert len(found["steps"][0]["views"]) == 2
     told = live.client.get("/api/projects/room/frames/1/label/suggestions").json()
     assert told["boxes"] == [] and "model.json: no such file" in told["problem"]
+    # and so do the tools of Review
+    box = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
+    frame = "/api/projects/room/frames/1"
+    for tool, asked in (("refit", {"box": box, "label": "person"}), ("fit", {"image_box": body["image_box"]})):
+        note = live.client.post(f"{frame}/{tool}", json=asked).json()["note"]
+        assert "no pseudo-view detector: " in note and "model.json: no such file" in note
+        assert str(tmp_path) not in note

@@ -91,6 +91,11 @@ def test_labels_are_shown_and_a_preview_takes_the_place_of_its_label(live: Any, 
     assert scene.selected.state is ReviewState.ACCEPTED
     show(live, bench, frame=frame_id, preview={"uid": None, "box": moved}, labels="none")
     assert [shown.uid for shown in scene.content.boxes] == [None]
+    # boxes that nobody has accepted yet are all there, the selected one as it is being changed
+    added = [{"uid": f"new-{n}", "box": {**moved, "center": [n, 0, 3]}} for n in (1, 2)]
+    show(live, bench, frame=frame_id, selected="new-2", added=added, preview={"uid": "new-2", "box": moved})
+    assert {shown.uid: shown.box.center_m[0] for shown in scene.content.boxes} == {uid: 0, "new-1": 1, "new-2": 0.5}
+    assert {shown.state for shown in scene.content.boxes[1:]} == {ReviewState.PROPOSED}
 
 
 def test_a_draft_shows_its_views(live: Any, frame_id: int) -> None:

@@ -26,6 +26,7 @@ const STYLE = ".mantine-Paper-root, [data-floating-window], .mantine-Notificatio
  *   on(event, handler),    -> function that ends it. Events: `box` {uid, box, final}, `select` {uid}, `shown` {shown_points,
  *                          points, ms}, `state` (opening | ready | lost | unsupported)
  *   id, state,             of the workbench; null before it is open
+ *   graphics,              who draws: "card", "software", or "none"
  *   focus(), detach(), destroy()
  * }
  */
@@ -223,6 +224,7 @@ export function createViewport(app) {
     get state() {
       return state;
     },
+    graphics,
     /** Keys work either way; this is for a pointer that shall turn the view with the wheel. */
     focus() {
       frame?.contentWindow?.focus();

@@ -10,10 +10,10 @@ from fastapi.responses import JSONResponse
 
 from annotator.project.overview import list_frames
 from annotator.types.errors import StaleRevisionError
-from annotator.web.context import Context, Ctx, Operator
-from annotator.web.errors import error_response
+from annotator.web.answers import frame_answer, stale_answer
+from annotator.web.context import Ctx, Operator
 from annotator.web.frame_changes import ChangesIn
-from annotator.web.shown import frame_row, frame_state
+from annotator.web.shown import frame_row
 from annotator.web.wire import FrameListJson, FrameStateJson, RowId
 from annotator.workflows.changes import apply_changes
 
@@ -35,16 +35,16 @@ def frames(
     return FrameListJson(frames=[frame_row(row) for row in rows], total=total)
 
 
-@router.get("/api/projects/{name}/frames/{frame_id}")
-def frame(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> FrameStateJson:
+@router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
+def frame(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> JSONResponse:
     """All that a page shows of a frame."""
-    state = frame_state(ctx, name, frame_id, who)
+    state = frame_answer(ctx, name, frame_id, who)
     ctx.annotation.detectors.warm(ctx.project(name))
     return state
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
-def changes(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: ChangesIn) -> FrameStateJson | JSONResponse:
+def changes(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: ChangesIn) -> JSONResponse:
     """Changes to one frame: all of them, or none; one step for undo."""
     project = ctx.project(name)
     open_frame = partial(ctx.annotation.frames.open, project, frame_id)
@@ -53,12 +53,4 @@ def changes(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: ChangesIn
     except StaleRevisionError as error:
         return stale_answer(ctx, name, frame_id, who, error, body.model_dump(mode="json")["changes"])
     ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
-    return frame_state(ctx, name, frame_id, who)
-
-
-def stale_answer(
-    ctx: Context, name: str, frame_id: int, who: str, error: StaleRevisionError, sent: Any
-) -> JSONResponse:
-    """Both versions: what is there now, and what was sent."""
-    state = frame_state(ctx, name, frame_id, who).model_dump(mode="json")
-    return error_response(type(error).__name__, str(error), 409, state=state, changes=sent)
+    return frame_answer(ctx, name, frame_id, who)

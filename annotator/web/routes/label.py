@@ -11,8 +11,9 @@ from pydantic import Field
 from annotator.project import Change, Role
 from annotator.types import BoxKind
 from annotator.types.errors import StaleRevisionError
+from annotator.web.answers import stale_answer
 from annotator.web.context import Ctx, Operator
-from annotator.web.routes.frames import STALE, stale_answer
+from annotator.web.routes.frames import STALE
 from annotator.web.shown import drawn_view, frame_state
 from annotator.web.wire import (
     MOST_BOXES,

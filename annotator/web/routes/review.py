@@ -11,8 +11,9 @@ from pydantic import Field
 from annotator.project import Change, Role
 from annotator.rcv.config import RcvConfig
 from annotator.types.errors import StaleRevisionError
+from annotator.web.answers import stale_answer
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.routes.frames import STALE, stale_answer
+from annotator.web.routes.frames import STALE
 from annotator.web.shown import drawn_view, frame_state, quality_json
 from annotator.web.wire import (
     Box2DJson,
@@ -28,7 +29,7 @@ from annotator.web.wire import (
     Wire,
 )
 from annotator.workflows.copying import copy_boxes
-from annotator.workflows.detectors_ready import ReadyDetector
+from annotator.workflows.detectors_ready import Readiness
 from annotator.workflows.labelling import frame_config
 from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.ortho import ortho_views
@@ -110,8 +111,8 @@ def ortho(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: OrthoIn) ->
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
 def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
     """The box fitted anew from where it is. Nothing is kept."""
-    opened, config, detector = _ready(ctx, name, frame_id, who)
-    found = refit(opened, body.box.box(), body.label, config, detector)
+    opened, config, ready = _ready(ctx, name, frame_id, who)
+    found = refit(opened, body.box.box(), body.label, config, ready.detector, ready.problem)
     return RefitOut(
         box=Box3DOut.of(found.box),
         outline=found.outline.round(2).tolist(),
@@ -124,8 +125,8 @@ def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn)
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
 def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> FitOut:
     """The object in a box on the image. Nothing is kept."""
-    opened, config, detector = _ready(ctx, name, frame_id, who)
-    found = find_box(opened, body.image_box.box(), config, detector)
+    opened, config, ready = _ready(ctx, name, frame_id, who)
+    found = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)
     return FitOut(
         box=None if found.box is None else Box3DOut.of(found.box),
         outline=found.outline.round(2).tolist(),
@@ -136,15 +137,15 @@ def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> Fit
     )
 
 
-def _ready(ctx: Context, name: str, frame_id: int, who: str) -> tuple[OpenFrame, RcvConfig, ReadyDetector | None]:
-    """A frame, the recursion's settings for it, and the project's detector for pseudo-views."""
+def _ready(ctx: Context, name: str, frame_id: int, who: str) -> tuple[OpenFrame, RcvConfig, Readiness]:
+    """A frame, the recursion's settings for it, and how far the project's detector for pseudo-views is."""
     project = ctx.project(name)
     opened = ctx.annotation.frames.open(project, frame_id, who)
-    detector = ctx.annotation.detectors.get(project, Role.VIEW)
+    ready = ctx.annotation.detectors.look(project, Role.VIEW)
     config = frame_config(project, opened.frame)
-    if detector is not None:
-        config = config.model_copy(update={"box_kind": detector.box_kind})
-    return opened, config, detector
+    if ready.detector is not None:
+        config = config.model_copy(update={"box_kind": ready.detector.box_kind})
+    return opened, config, ready
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)

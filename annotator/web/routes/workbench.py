@@ -20,7 +20,7 @@ from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor
 from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.web.viewport.workbench import Workbench
 from annotator.web.viewport.workbenches import Workbenches
-from annotator.web.wire import Box2DJson, Box3DJson, ClassName, RowId, Uid, Wire
+from annotator.web.wire import MOST_BOXES, Box2DJson, Box3DJson, ClassName, RowId, Uid, Wire
 from annotator.workflows.frame_view import present_page
 from annotator.workflows.labelling import frame_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
@@ -84,7 +84,8 @@ class PreviewJson(Wire):
 class SceneRequest(Wire):
     """What the 3D view shall show. What is left out takes its default, so each request says all.
 
-    `point_size` is a factor of what suits the recording.
+    `added` are boxes that are not stored yet; `preview` is the one that is being changed. `point_size` is a factor of
+    what suits the recording.
     """
 
     frame: RowId | None
@@ -93,6 +94,7 @@ class SceneRequest(Wire):
     labels: Literal["all", "none"] = "all"
     draft: DraftJson | None = None
     preview: PreviewJson | None = None
+    added: Annotated[tuple[PreviewJson, ...], Field(max_length=MOST_BOXES)] = ()
     point_size: Annotated[float, Field(ge=0.05, le=20, allow_inf_nan=False)] | None = None
     color: PointColor = PointColor.RGB
     most_points: Annotated[int, Field(ge=1000, le=MOST_POINTS)] = MOST_POINTS
@@ -156,11 +158,11 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
     opened = ctx.annotation.frames.open(project, frame_id)
     page = present_page(project, frame_id, opened)
     labels = [stored.label for stored in page.labels] if body.labels == "all" else []
-    preview = None if body.preview is None else (body.preview.uid, body.preview.box.box())
+    previews = [*body.added, *([] if body.preview is None else [body.preview])]
     return SceneContent(
         place=(project.path.name, page.frame.recording_id),
         frame=opened.frame,
-        boxes=_boxes(labels, preview),
+        boxes=_boxes(labels, [(preview.uid, preview.box.box()) for preview in previews]),
         selected=body.selected,
         gizmo=body.gizmo,
         draft=None if body.draft is None else _draft(project, opened, body.draft),
@@ -171,13 +173,15 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
     )
 
 
-def _boxes(labels: Sequence[Label], preview: tuple[str | None, OrientedBox] | None) -> tuple[ShownBox, ...]:
-    boxes = [ShownBox(label.uid, label.box, label.state) for label in labels]
-    if preview is None:
-        return tuple(boxes)
-    uid, box = preview
-    state = next((label.state for label in labels if label.uid == uid), ReviewState.PROPOSED)
-    return (*(shown for shown in boxes if shown.uid != uid), ShownBox(uid, box, state))
+def _boxes(labels: Sequence[Label], previews: Sequence[tuple[str | None, OrientedBox]]) -> tuple[ShownBox, ...]:
+    """The stored boxes, and those that are not stored: each in place of the one with its uid, the last one counts."""
+    states = {label.uid: label.state for label in labels}
+    shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
+    nameless = [ShownBox(None, box, ReviewState.PROPOSED) for uid, box in previews if uid is None]
+    for uid, box in previews:
+        if uid is not None:
+            shown[uid] = ShownBox(uid, box, states.get(uid, ReviewState.PROPOSED))
+    return (*shown.values(), *nameless)
 
 
 def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:

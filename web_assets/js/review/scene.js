@@ -4,6 +4,8 @@ import { h } from "../dom.js";
 
 const COLORS = [["rgb", "Colour"], ["depth", "Depth"], ["height", "Height"], ["intensity", "Intensity"]];
 const POINT_LIMITS = [0.1, 10];
+/** What others save comes into the 3D view no more often than this, ms; a processor draws for a third of a second. */
+const CALM_MS = { card: 300, software: 2500, none: 0 };
 
 export function createScene(host, app, desk) {
   const body = h("div", { class: "viewport-host" });
@@ -16,7 +18,9 @@ export function createScene(host, app, desk) {
   let is_dragging = false;
   /** A frame that cannot be read: the 3D view says why, too. */
   let broken = null;
-  let sent = "";
+  /** What was sent last: the scene, the revision that it shows, and when. */
+  let sent = { scene: "", revision: null, at: -Infinity };
+  let timer = 0;
   if (!viewport) {
     body.append(h("p", { class: "view-note" }, "The 3D view could not be loaded. Reload the page to try again."));
     return { gizmo: "off", setGizmo() {}, show() {}, fail() {}, preview() {}, points() {}, destroy() {} };
@@ -29,21 +33,33 @@ export function createScene(host, app, desk) {
     viewport.on("box", ({ uid, box, final }) => {
       if (uid !== desk.uid) return;
       // the gizmo has moved away from what was sent
-      sent = "";
+      sent.scene = "";
       is_dragging = !final;
       desk.preview({ box });
       if (final) void desk.commit();
     }),
   ];
 
-  /** What is shown already is not sent again: without a graphics card each drawing of the cloud takes time. */
+  /**
+   * What is shown already is not sent again: without a graphics card each drawing of the cloud takes time. Where nothing but
+   * the labels has changed, as when others save, it comes at a calm pace.
+   */
   function send(more = {}) {
+    clearTimeout(timer);
     const { id = broken, revision = null } = app.state.frame?.frame ?? {};
     const preview = desk.hasDraft || desk.shown?.is_new ? { uid: desk.uid, box: desk.shown.box } : null;
-    const scene = { frame: id, selected: desk.uid, labels: "all", preview, ...chosen, ...more };
-    const key = JSON.stringify([scene, revision]);
-    if (key !== sent) viewport.show(scene);
-    sent = key;
+    const others = desk.labels().filter(({ uid, is_new }) => is_new && uid !== desk.uid);
+    const added = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
+    const scene = { frame: id, selected: desk.uid, labels: "all", preview, added, ...chosen, ...more };
+    const text = JSON.stringify(scene);
+    if (text === sent.scene && revision === sent.revision) return;
+    const wait_ms = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;
+    if (wait_ms > 0) {
+      timer = setTimeout(send, wait_ms);
+      return;
+    }
+    viewport.show(scene);
+    sent = { scene: text, revision, at: performance.now() };
   }
 
   function choose(name, value) {
@@ -68,6 +84,9 @@ export function createScene(host, app, desk) {
     /** Larger or smaller points, by a factor. */
     points: (factor) => choose("point_size", Math.min(Math.max(chosen.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1])),
 
-    destroy: () => stop.forEach((end) => end()),
+    destroy() {
+      clearTimeout(timer);
+      stop.forEach((end) => end());
+    },
   };
 }
