@@ -30,13 +30,19 @@ def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[n
         Distorted normalised coordinates, in the precision of `xy`; NaN beyond the radius up to which the radial model
         grows. Further out the polynomials turn back, and points far off the image would land in it.
     """
+    return np.stack(distort_planes(coefficients, xy[:, 0], xy[:, 1]), axis=1)
+
+
+def distort_planes(coefficients: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane]:
+    """`distort`, coordinate by coordinate: on many points faster than pairs are."""
     full = _padded(coefficients)
-    x, y = xy[:, 0], xy[:, 1]
     x_out, y_out = _lens(full, x, y)
     if full[12] or full[13]:
         x_out, y_out = _apply(_tilt_matrix(full[12], full[13]), x_out, y_out)
-    inside = x * x + y * y <= radius_limit_squared(coefficients)
-    return np.stack([np.where(inside, x_out, np.nan), np.where(inside, y_out, np.nan)], axis=1)
+    outside = ~(x * x + y * y <= radius_limit_squared(coefficients))
+    if outside.any():
+        x_out[outside] = y_out[outside] = np.nan
+    return x_out, y_out
 
 
 def undistort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt16
 
-from annotator.geometry.distortion import distort
+from annotator.geometry.distortion import distort_planes
 from annotator.recordings.kinect_calibration import KinectCalibration
 from annotator.types import Camera
 
@@ -45,9 +45,11 @@ def _inside(
     """The points inside the image, coordinate by coordinate, and the column and row of the pixel that each falls on."""
     # in single precision, unlike `project`: a ten-thousandth of a pixel decides no colour, and it takes half the time
     x, y, z = xyz_m.T
-    u, v = distort(camera.distortion, np.stack([x / z, y / z]).T).T
-    u = u * np.float32(camera.fx) + np.float32(camera.cx + 0.5)
-    v = v * np.float32(camera.fy) + np.float32(camera.cy + 0.5)
+    u, v = distort_planes(camera.distortion, x / z, y / z)
+    u *= np.float32(camera.fx)
+    u += np.float32(camera.cx + 0.5)
+    v *= np.float32(camera.fy)
+    v += np.float32(camera.cy + 0.5)
     kept = np.flatnonzero((z > 0) & (u >= 0) & (u < camera.width_px) & (v >= 0) & (v < camera.height_px))
     return xyz_m.T.take(kept, axis=1), u.take(kept).astype(np.int32), v.take(kept).astype(np.int32)
 
