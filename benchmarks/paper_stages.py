@@ -39,6 +39,8 @@ class StageRecord(BaseModel):
 class Stages:
     """Runs one stage after the other; each depends on its own settings and on all before it.
 
+    Where one is done, those after it are done, too, whatever their records say.
+
     Attributes:
         folder: of the records, one JSON file a stage and settings.
         tell: is told a line when a stage begins, ends or is skipped.
@@ -70,7 +72,8 @@ class Stages:
         key = hashlib.sha256(json.dumps([stage, known], sort_keys=True).encode()).hexdigest()[:12]
         path = self.folder / f"{stage}-{key}.json"
         record = _read(path)
-        if record is not None and (is_kept is None or is_kept(record.result)):
+        all_before = len(self.skipped) == len(self.done)
+        if record is not None and all_before and (is_kept is None or is_kept(record.result)):
             self.skipped.append(stage)
             self.tell(f"{stage}: done already, in {record.seconds:.1f} s")
         else:
