@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import sqlite3
 import threading
 from collections.abc import Callable
+from functools import partialmethod
 from pathlib import Path
 
 import pytest
@@ -212,6 +214,24 @@ def test_projects_are_listed_with_their_problems(tmp_path: Path) -> None:
     assert listed[0].problem is None
     assert "project.json" in (listed[2].problem or "")
     assert list_projects(tmp_path / "none") == ()
+
+
+def test_a_project_that_nobody_may_read_is_listed_with_its_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        create_project(tmp_path, name, ["a"]).close()
+
+    def refused(path: Path, ask: Callable[..., object], **options: object) -> object:
+        if path.parent.name == "b":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return ask(path, **options)
+
+    for name in ("stat", "read_bytes"):
+        monkeypatch.setattr(Path, name, partialmethod(refused, getattr(Path, name)))
+    fine, locked = list_projects(tmp_path)
+    assert fine.problem is None
+    assert "cannot be read: [Errno 13] Permission denied" in (locked.problem or "")
 
 
 def test_classes_can_be_added_but_not_taken_from_boxes(project: Project, frame: int) -> None:
