@@ -88,3 +88,21 @@ def test_ten_round_trips_lose_the_first_rounding_and_no_more(picture: tuple[tupl
 def test_a_broken_line_says_what_and_where(row: str, says: str) -> None:
     with pytest.raises(FormatError, match=rf"a\.txt:3: {says}|a\.txt:3: .*{says}"):
         parse_boxes(FILE, f"1 0.5 0.5 0.2 0.2\n\n{row}\n", NAMES)
+
+
+numbers = st.one_of(st.floats(-0.1, 1.1), st.floats(), st.integers(-2, 3), st.sampled_from([1e-9, 1e-300, 1.01, -0.01]))
+rows = st.one_of(st.text(max_size=20), st.lists(numbers.map(repr), min_size=4, max_size=7).map(" ".join))
+
+
+@given(st.lists(rows, max_size=4), st.integers(1, 20000), st.integers(1, 20000))
+def test_whatever_a_file_holds_it_is_boxes_on_the_picture_or_an_error(
+    lines: list[str], width_px: int, height_px: int
+) -> None:
+    try:
+        boxes = parse_boxes(FILE, "\n".join(f"1 {line}" for line in lines), NAMES)
+    except FormatError as error:
+        assert str(error).startswith("labels/a.txt:")
+        return
+    for box in boxes:
+        x_min, y_min, x_max, y_max = box.on(width_px, height_px).xyxy
+        assert -0.5 <= x_min < x_max <= width_px - 0.5 and -0.5 <= y_min < y_max <= height_px - 0.5
