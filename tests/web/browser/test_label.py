@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import brings_views, drag_box, draw_on_views, sign_in
+from browser_page import brings_views, drag_box, draw_on_views, sign_in, until
 from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
@@ -177,6 +177,61 @@ def test_a_finished_object_follows_a_correction(bench: Bench) -> None:
     (after,) = bench.labels
     assert after.uid == before.uid
     assert not np.allclose(after.box.size_m, before.box.size_m)
+
+
+def _metres(state: dict[str, Any]) -> np.ndarray:
+    """What the boxes of the frame's one object span on its views, metres along their axes."""
+    views = state["objects"][0]["views"]
+    px = np.array([[[box[edge] for edge in EDGES[:2]], [box[edge] for edge in EDGES[2:]]] for _, box in views])
+    scale, origin = (np.array([view[name] for view, _ in views]) for name in ("metres_per_px", "origin_m"))
+    found: np.ndarray = px * scale[:, None, None] + origin[:, None]
+    return found
+
+
+def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Bench) -> None:
+    bench.draw_object(0)
+    page, before = bench.page, bench.state
+    (label,) = bench.labels
+    problem = page.get_by_test_id("save-problem")
+
+    def move(key: str) -> None:
+        page.get_by_test_id("image-editor").get_by_test_id("editor-box").click(force=True)
+        for _ in range(6):
+            page.keyboard.press(key)
+
+    # the new views cannot be had
+    page.route("**/label/steps", lambda route: route.abort())
+    move("ArrowRight")
+    problem.get_by_role("button").wait_for()
+    assert bench.state == before
+    expect(page.locator(".views img.picture[src]")).to_have_count(0)
+    page.unroute("**/label/steps")
+    problem.get_by_role("button").click()
+    expect(problem).to_have_text("")
+    bench.saved()
+    moved = bench.state
+    assert moved["image_boxes"]["boxes"][0]["x_min"] > before["image_boxes"]["boxes"][0]["x_min"] + 5
+    assert moved["objects"][0]["views"][0][0]["origin_m"] != before["objects"][0]["views"][0][0]["origin_m"]
+    np.testing.assert_allclose(_metres(moved)[:2], _metres(before)[:2], atol=1e-6)
+    guesses = page.locator(".views .box.suggested")
+    expect(guesses).to_have_count(2)  # the second step's views have other axes
+
+    # they come when the object is not the current one any more
+    held: list[Any] = []
+    page.route("**/label/steps", lambda route: route.continue_() if held else held.append(route))
+    move("ArrowLeft")
+    until(page, lambda: held)
+    for _ in ("its box", "itself"):
+        page.keyboard.press("Escape")
+    expect(page.get_by_test_id("object").locator("[aria-current=true]")).to_have_count(0)
+    held[0].continue_()
+    bench.saved()
+    assert _close(bench.image_boxes[0], before["image_boxes"]["boxes"][0])
+    np.testing.assert_allclose(_metres(bench.state)[:2], _metres(before)[:2], atol=1e-6)
+    assert [known.uid for known in bench.labels] == [label.uid]
+    np.testing.assert_allclose(bench.labels[0].box.center_m, label.box.center_m, atol=1e-6)
+    page.get_by_test_id("object").get_by_role("button").first.click()
+    expect(guesses).to_have_count(2)
 
 
 def test_undo_takes_drags_back_and_redo_does_them_again(bench: Bench) -> None:

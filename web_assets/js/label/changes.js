@@ -25,15 +25,15 @@ export function objectChange(item, { after, outline, kind }) {
 
 /** An object that goes, with its label. */
 export function removal(item, kind) {
-  const { image_box, stored } = item;
+  const { image_box } = item;
   return {
     path: ["changes"],
-    // the uid may come with the answer to a change that is sent before this one
+    // the uid and the stored box may come with a change that is sent before this one
     body: (state) => ({
       subject: item.uid,
       changes: [
         ...(state.labels.some(({ uid }) => uid === item.uid) ? [{ kind: "delete", uid: item.uid }] : []),
-        { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], stored, null), box_kind: kind() },
+        { kind: "image_boxes", boxes: exchanged(state.image_boxes?.boxes ?? [], item.stored, null), box_kind: kind() },
       ],
     }),
     mine: () => ({ text: [`Deletes the ${image_box.label} in this place`], boxes: [image_box], outlines: [] }),

@@ -4,6 +4,7 @@ import { objectChange, removal } from "./changes.js";
 import { isFinished } from "./display.js";
 import { demoteSecondStep, makeDraft } from "./draft.js";
 import { makeItem, openStep, plainBox, sameBox } from "./items.js";
+import { createMoves } from "./moves.js";
 import { openGuesses } from "./work.js";
 
 /** A picture that does not come holds up neither what is saved nor what is suggested. */
@@ -18,18 +19,20 @@ function painted() {
 export function createObjects(app, work, parts) {
   const { saver, loader, suggester, prefetch, image, views, show } = parts;
   const kind = () => work.kind;
+  const moves = createMoves(loader);
 
   /** Makes an object the current one and fetches its views. */
   function open(item) {
     begin(item);
-    work.label = item.image_box.label;
     work.loaded = loadSteps();
     show();
   }
 
   function begin(item) {
-    work.draft = makeDraft(item);
+    moves.leave(work.draft);
+    work.draft = moves.draftOf(item) ?? makeDraft(item, work.frame_shown);
     work.step = openStep(item);
+    work.label = item.image_box.label;
   }
 
   function openLabel(uid) {
@@ -39,39 +42,29 @@ export function createObjects(app, work, parts) {
 
   /** No object is the current one. */
   function close() {
-    loader.stop();
+    moves.leave(work.draft);
     suggester.stop();
     work.draft = null;
   }
 
-  /**
-   * The current object's views, then all that can wait for them: saving, the 3D view, suggestions, reading ahead.
-   *
-   * @param {Function} [then] what to do with the views at hand, before they are shown.
-   * @param {Function} [given_up] what to do where another object, or none, has become the current one meanwhile.
-   */
-  async function loadSteps(then, given_up) {
+  /** The current object's views, then all that can wait for them: saving, the 3D view, suggestions, reading ahead. */
+  async function loadSteps() {
     const loading = work.draft;
+    const { item } = loading;
     const own = (work.coming = {});
     suggester.stop();
     prefetch.stop();
     try {
-      const is_newest = await loader.load(loading);
-      if (!is_newest || work.draft !== loading) {
-        given_up?.();
-        return;
-      }
-      then?.();
-      if (loading.item.boxes.every(Boolean)) loading.outline = null;
+      const is_newest = await moves.load(loading);
+      if (!is_newest || work.draft !== loading) return;
+      if (item.boxes.every(Boolean)) loading.outline = null;
     } catch (error) {
-      if (work.draft !== loading) {
-        given_up?.();
-        return;
-      }
-      // What was drawn is saved all the same; the views can be asked for again.
       loading.stop = error.message;
-      then?.();
+      // nobody draws on the views of the box that was there before
+      if (moves.isWaiting(item)) loading.steps = [];
+      if (work.draft !== loading) return;
     }
+    work.step = openStep(item);
     show();
     await Promise.race([views.shown().then(painted), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
     if (work.coming !== own || work.draft !== loading) return;
@@ -105,6 +98,11 @@ export function createObjects(app, work, parts) {
   function add(item) {
     work.items = [...work.items, item];
     work.selected = item;
+    if (item.boxes.some(Boolean)) {
+      // its views may be those of another box on the image
+      changeImageBox(item, item.image_box);
+      return;
+    }
     open(item);
     save(item);
   }
@@ -116,27 +114,24 @@ export function createObjects(app, work, parts) {
 
   function changeImageBox(item, image_box) {
     item.image_box = image_box;
-    const is_drawn = item.boxes.some(Boolean) || item.uid;
     if (work.draft?.item !== item) begin(item);
-    // Boxes on the views are carried to the new ones first, and saved with them.
-    let is_saved = !is_drawn;
-    const saveOnce = () => {
-      if (!is_saved) save(item);
-      is_saved = true;
-    };
-    const carried = () => {
-      saveOnce();
-      work.step = openStep(item);
-    };
-    // Without the new views nobody knows where on them the boxes would lie.
-    const left = () => {
-      if (is_saved || item.image_box !== image_box) return;
-      item.boxes = item.boxes.map(() => null);
-      saveOnce();
-    };
-    work.loaded = loadSteps(carried, left);
-    if (!is_drawn) save(item);
+    const is_waiting = moves.isWaiting(item);
+    const is_drawn = item.boxes.some(Boolean) || item.uid;
+    if (is_drawn && !is_waiting) moves.start(work.draft);
+    work.loaded = loadSteps();
+    if (is_waiting) void saver.retry();
+    else if (is_drawn) saver.save({ item, make: () => followed(item) });
+    else save(item);
     show();
+  }
+
+  /** The change of an object whose image box was moved, once its boxes lie on the new views; null where it is gone. */
+  async function followed(item) {
+    const is_there = await moves.settle(item, (draft) => {
+      if (work.draft === draft) work.loaded = loadSteps();
+      else void moves.load(draft);
+    });
+    return is_there ? changeOf(item) : null;
   }
 
   // -- boxes on the views
@@ -152,7 +147,7 @@ export function createObjects(app, work, parts) {
     if (index < 2 && is_whole_step) {
       // The second step's views follow from these; what was drawn on the old ones becomes a guess on the new.
       demoteSecondStep(draft);
-      work.loaded = loadSteps(() => (work.step = 1));
+      work.loaded = loadSteps();
     }
     save(item);
     if (index >= 2 && is_whole_step) image.select(-1);
@@ -193,24 +188,33 @@ export function createObjects(app, work, parts) {
 
   function removeItem(item) {
     work.items = work.items.filter((other) => other !== item);
+    moves.forget(item);
     if (work.draft?.item === item) close();
     saver.save(removal(item, kind));
     show();
   }
 
+  /** Saves an object as it is now; one that waits for its views, as it is when they are there. */
   function save(item) {
+    if (!moves.isWaiting(item)) saver.save(changeOf(item));
+  }
+
+  function changeOf(item) {
     const outline = work.draft?.item === item ? work.draft.outline : null;
-    saver.save(objectChange(item, { after: work.loaded, outline, kind }));
+    return objectChange(item, { after: work.loaded, outline, kind });
   }
 
   /** The others' version was taken: what was drawn here stays in sight, and a click (or Enter) saves it after all. */
   function onDropped({ item }) {
     if (!item) return;
+    // boxes that have not followed theirs on the image lie on no view of it
+    const boxes = moves.isWaiting(item) ? [] : item.boxes;
+    moves.forget(item);
     const theirs = work.items.find((known) => sameBox(known.image_box, item.image_box));
     if (theirs) {
       if (work.draft?.item !== theirs) open(theirs);
       const { draft } = work;
-      draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (item.boxes[i] ?? guess)));
+      draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (boxes[i] ?? guess)));
     } else {
       work.not_saved = [...work.not_saved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
     }

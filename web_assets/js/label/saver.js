@@ -3,7 +3,9 @@
  *
  * A change is {path, body(state) -> request without revision and effort, mine(state) -> what stale.js shows, done(answer),
  * after}: its body is made when it is sent, from what the server has then, so it can be put on top of somebody else's. It
- * waits for the promise `after`: the views that a drag leads to are shown first, and the server then has them at hand.
+ * waits for the promise `after`: the views that a drag leads to are shown first, and the server then has them at hand. One that
+ * cannot be said before its turn is {item, make() -> change, or null where nothing is left to save}; where that fails it
+ * is not saved, and made when it is tried again.
  */
 
 import { askVersion } from "../stale.js";
@@ -26,9 +28,17 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     onBusy(false, problem);
   }
 
-  async function send(change) {
-    await change.after;
+  async function send(entry) {
+    let change = entry;
     try {
+      if (entry.make) entry.made ??= await entry.make();
+      change = entry.make ? entry.made && { ...entry.made, frame: entry.frame } : entry;
+      await change?.after;
+      if (waiting[0] !== entry) return;
+      if (!change) {
+        waiting.shift();
+        return;
+      }
       const state = await stateOf(change.frame);
       const answer = await app.api.change(app.path("frames", change.frame, ...change.path), { revision: state.frame.revision, ...change.body(state) });
       change.done?.(answer);
@@ -55,7 +65,7 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   /** Theirs: all that waits here is given up, and kept in sight. Mine: the same again, on top of theirs. */
   async function settle(error, change) {
     const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
-    const dropped = choice === "theirs" ? waiting : [];
+    const dropped = choice === "theirs" ? waiting.map((entry) => entry.made ?? entry) : [];
     if (choice === "theirs") waiting = [];
     app.frames.take(error.body.state);
     dropped.forEach(onDropped);
