@@ -7,6 +7,7 @@ from pathlib import Path
 from annotator.cli.output import AsJson, print_json, print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named, projects_root
+from annotator.project.config import CONFIG_FILE
 from annotator.types.errors import ConfigError
 
 FAULTY = 1
@@ -34,13 +35,16 @@ def _is_dataset(what: str, root: Path | None) -> bool:
     """True for a path.
 
     Raises:
-        ConfigError: it may be a project as well.
+        ConfigError: it may be a project as well, or is the folder of one.
     """
     path = Path(what)
     is_name = len(path.parts) == 1 and not what.startswith(".")
     is_project = is_name and (projects_root(root) / what).is_dir()
     if path.exists() and is_project:
         raise ConfigError(f"{what} is a project and a path here; write ./{what}, or {what} --project")
+    if (path / CONFIG_FILE).is_file():
+        name, folder = path.resolve().name, path.resolve().parent
+        raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --root {folder}")
     return path.exists() or (not is_name and not is_project)
 
 

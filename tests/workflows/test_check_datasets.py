@@ -292,6 +292,8 @@ def test_the_command(
     assert main(["new", "data", "--classes", "Car", "--root", "projects"]) == 0
     assert main(["check", "data"]) == 2
     assert "write ./data, or data --project" in capsys.readouterr().err
+    assert main(["check", "projects/data"]) == 2
+    assert "is the folder of a project; write annotator check data --root" in capsys.readouterr().err
     assert main(["check", "./data"]) == 1
     capsys.readouterr()
     assert main(["check", "data", "--project"]) == 0
