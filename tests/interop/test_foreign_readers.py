@@ -39,14 +39,17 @@ Read = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
-def read() -> Read:
-    """`read("read_coco", ARGUMENT, ..., cwd=...)`: what a foreign reader says, as JSON."""
+def read(tmp_path_factory: pytest.TempPathFactory) -> Read:
+    """`read("read_coco", ARGUMENT, ...)`: what a foreign reader says, as JSON."""
     if not (PYTHON.parent.parent / "setup.done").is_file():
         if os.environ.get("ANNOTATOR_INTEROP") == "required":
             pytest.fail("scripts/setup interop has not finished, and the foreign readers are required")
         pytest.skip("no .venv-interop; scripts/setup interop makes it")
 
-    def run(name: str, *arguments: str | Path, cwd: Path | None = None) -> dict[str, Any]:
+    # some write logs where they are started
+    cwd = tmp_path_factory.mktemp("readers")
+
+    def run(name: str, *arguments: str | Path) -> dict[str, Any]:
         command = [str(PYTHON), str(HERE / f"readers/{name}.py"), *map(str, arguments)]
         done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == 0, done.stderr[-3000:]
@@ -198,7 +201,7 @@ def test_coco_and_yolo(read: Read, project: Project, frames: dict[str, Any], tmp
     split = Split({"train": 0.6, "val": 0.4})
     coco = export(project, tmp_path / "coco", ExportFormat.COCO, split=split)
     yolo = export(project, tmp_path / "yolo", ExportFormat.YOLO, split=split)
-    by_yolo = read("read_yolo", yolo / "data.yaml", cwd=tmp_path)["pictures"]
+    by_yolo = read("read_yolo", yolo / "data.yaml")["pictures"]
     assert len(by_yolo) == 5
     for part in ("train", "val"):
         by_coco = read("read_coco", coco / f"annotations/instances_{part}.json")["pictures"]
