@@ -219,6 +219,8 @@ def test_a_worker_ends_when_its_server_is_gone(fake: None, web_settings: ServerS
         ({"kind": "import"}, 422),
         ({"kind": "import", "recordings": []}, 422),
         ({"kind": "export", "states": ["new"]}, 422),
+        ({"kind": "export", "split": {"shares": "train"}}, 422),
+        ({"kind": "export", "split": {"shares": "train=1", "by": "luck"}}, 422),
     ],
 )
 def test_what_is_no_job(server: Live, body: object, status: int) -> None:
@@ -265,6 +267,18 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> Non
     folders = [path for path in (live.settings.projects_root / ".jobs").iterdir() if path.is_dir()]
     assert len(folders) == EXPORTS_KEPT
     assert all(sorted(p.name for p in folder.iterdir()) == ["full-rcv.zip", "worker.log"] for folder in folders)
+    told = {entry["name"]: entry for entry in live.client.get("/api/export-formats").json()["formats"]}
+    assert "proposed" in told["rcv"]["states"] and "proposed" not in told["kitti"]["states"]
+    assert [name for name, entry in told.items() if entry["flat"]] == ["coco", "yolo"]
+    split = {"shares": "train=3,val=2", "seed": 4}
+    request = {"kind": "export", "format": "kitti", "states": ["accepted"], "recordings": [1], "split": split}
+    kitti = ended(live, live.client.post("/api/projects/full/jobs", json=request).json())
+    assert kitti["state"] == "done", kitti["message"]
+    assert kitti["result"]["splits"] == {"train": 3, "val": 2}
+    assert any("clouds have colours" in line for line in kitti["result"]["lost"])
+    packed = live.client.get(f"/api/jobs/{kitti['id']}/download").content
+    with zipfile.ZipFile(BytesIO(packed)) as archive:
+        assert len(archive.read("full-kitti/ImageSets/val.txt").split()) == 2
 
 
 def test_exports_are_kept_for_each_project_and_say_when_they_are_gone(fake: None, web_settings: ServerSettings) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from annotator.project import Role
 from annotator.types import ReviewState
+from annotator.types.errors import ConfigError
+from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 
 Ids = Annotated[list[Annotated[int, Field(ge=0, le=2**53)]], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
@@ -43,16 +45,42 @@ class ProposeRequest(_Request):
     limit: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
 
 
+class SplitRequest(_Request):
+    """How the frames are divided: shares such as "train=0.8,val=0.2", and what stays in one part."""
+
+    shares: Annotated[str, Field(max_length=400)]
+    by: SplitBy = SplitBy.FRAMES
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
+
+    @field_validator("shares")
+    @classmethod
+    def _are_shares(cls, text: str) -> str:
+        try:
+            parse_shares(text)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return text
+
+
 class ExportRequest(_Request):
-    """Write a dataset of the labels in these states and of these classes (null: all), to be downloaded."""
+    """Write a dataset to be downloaded, of the labels in these states (null: those that the format takes by itself), of
+    these classes and recordings (null: all), divided or not.
+
+    Attributes:
+        pictures: what formats of 2D boxes hold.
+        images: how camera images are written.
+        empty_frames: also frames without any such label.
+    """
 
     kind: Literal["export"]
-    format: Literal["rcv"] = "rcv"
-    states: Annotated[list[ReviewState], Field(min_length=1, max_length=4)] = Field(
-        default_factory=lambda: [ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED]
-    )
+    format: ExportFormat = ExportFormat.RCV
+    states: Annotated[list[ReviewState], Field(min_length=1, max_length=4)] | None = None
     classes: Annotated[list[Annotated[str, Field(max_length=64)]], Field(min_length=1, max_length=200)] | None = None
     recordings: Ids | None = None
+    empty_frames: bool = False
+    split: SplitRequest | None = None
+    pictures: Literal["images", "views", "both"] = "images"
+    images: Literal["png", "jpg"] = "png"
 
 
 class ImportRequest(_Request):

@@ -7,6 +7,7 @@ import zipfile
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
@@ -15,10 +16,12 @@ from annotator.web.jobs.desk import Desk, JobStoppedError, Outcome
 from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
 from annotator.workflows.annotate import annotate
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.exporting import ExportFilter, export_project
+from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
+
+T = TypeVar("T")
 
 FAILURES_TOLD = 20
 RESUMES = "stopped; training the same boxes again goes on from here"
@@ -135,16 +138,28 @@ def export_work(desk: Desk, request: ExportRequest) -> Outcome:
     """Writes a dataset and packs it; only the packed file is left."""
     name = f"{desk.project.path.name}-{request.format}"
     out, packed = desk.folder / name, desk.folder / f"{name}.zip"
-    choose = ExportFilter(
-        tuple(request.states),
-        None if request.classes is None else tuple(request.classes),
-        None if request.recordings is None else tuple(request.recordings),
+    split = request.split
+    report = export_project(
+        desk.project,
+        out,
+        request.format,
+        choose=ExportFilter(
+            _chosen(request.states), _chosen(request.classes), _chosen(request.recordings), request.empty_frames
+        ),
+        split=None if split is None else Split(parse_shares(split.shares), split.by, split.seed),
+        options=ExportOptions(request.images, request.pictures),
+        progress=desk.counted("write the dataset"),
     )
-    written = export_project(desk.project, out, choose=choose, progress=desk.counted("write the dataset"))
     _pack(desk, out, packed)
     shutil.rmtree(out)
-    result = {"file": packed.name, "bytes": packed.stat().st_size, "frames": written.frames, "objects": written.objects}
-    return Outcome(f"{written.objects} boxes in {written.frames} frames", result)
+    told = report.model_dump(mode="json", include={"format", "frames", "objects", "splits", "notes"})
+    lost = [loss.message for loss in report.losses]
+    result = {"file": packed.name, "bytes": packed.stat().st_size, **told, "lost": lost}
+    return Outcome(f"{report.objects} boxes in {report.frames} frames", result)
+
+
+def _chosen(values: list[T] | None) -> tuple[T, ...] | None:
+    return None if values is None else tuple(values)
 
 
 def _pack(desk: Desk, folder: Path, packed: Path) -> None:

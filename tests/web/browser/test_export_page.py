@@ -52,6 +52,25 @@ def test_a_dataset_is_made_and_downloaded(signed_in: Page, shop: Shop, room: Pro
     expect(signed_in.get_by_test_id("download")).to_have_count(0)
 
 
+def test_a_format_that_holds_less_says_what_it_left_out(shared_page: Page, shop: Shop, room: Project) -> None:
+    page = shared_page
+    label_truth(room, shop.recording, 2)
+    sign_in(page, shop.live.url)
+    page.goto(f"/#/{room.path.name}/export")
+    page.get_by_test_id("export-format").select_option("coco")
+    expect(page.get_by_test_id("export-pictures")).to_be_visible()
+    page.get_by_test_id("export-format").select_option("kitti")
+    expect(page.get_by_test_id("export-pictures")).to_be_hidden()
+    page.get_by_test_id("export-divide").check()
+    page.get_by_test_id("export-shares").fill("train")
+    page.get_by_test_id("export-start").click()
+    expect(page.get_by_test_id("export-form").get_by_role("alert")).to_contain_text("train=0.8,val=0.2")
+    page.get_by_test_id("export-shares").fill("train=1,val=1")
+    page.get_by_test_id("export-start").click()
+    expect(page.get_by_test_id("export-parts")).to_contain_text("train: 1 frame", timeout=60_000)
+    expect(page.get_by_test_id("export-lost")).to_contain_text("boxes have a track id")
+
+
 def test_statistics_say_what_the_server_says(signed_in: Page, shop: Shop, room: Project) -> None:
     count = label_truth(room, shop.recording, 2)
     signed_in.goto(f"/#/{room.path.name}/statistics")

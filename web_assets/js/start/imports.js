@@ -2,7 +2,8 @@
 
 import { isActive } from "../jobs.js";
 
-const EVERY_MS = 700;
+/** Boxes of a small recording are read at once, those of a large one for minutes: each look waits longer than the one before. */
+const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
 
 /**
  * Asks for the jobs, once and then as long as boxes are read.
@@ -13,12 +14,15 @@ const EVERY_MS = 700;
 export function followImports(app, onDone) {
   let is_over = false;
   let timer = 0;
+  let wait_ms = WAIT_MS.first;
   const isImport = (job) => job.kind === "import" && isActive(job);
   const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
 
   function plan() {
     clearTimeout(timer);
-    timer = running().length && !is_over ? setTimeout(look, EVERY_MS) : 0;
+    const is_running = running().length > 0 && !is_over;
+    timer = is_running ? setTimeout(look, wait_ms) : 0;
+    wait_ms = is_running ? Math.min(wait_ms * WAIT_MS.growth, WAIT_MS.longest) : WAIT_MS.first;
   }
 
   async function look() {
