@@ -112,13 +112,25 @@ def test_a_new_box_is_drawn_on_the_image(
     )  # the drag, the number, the arrow, Space
     assert page.evaluate(ACCEPTED_TWICE) == [["create"], []]
 
-    # without a detector, Label goes on with it
+    # without a detector, Label goes on with it; not where the operator stays, and opens Label later
     monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))
     desk.settled()
     frame = desk.frame
+    page.route("**/changes", lambda route: route.abort())
+    desk.press("f")
+    draw_on_image(desk, scene.image_box(1))
+    page.get_by_test_id("dialog-stay").click()
+    page.unroute("**/changes")
+    page.get_by_test_id("draft-discard").click()
+    page.goto(f"/#/{desk.name}/label/{frame}")
+    page.get_by_test_id("image-editor").locator(f"img.picture[src*='/frames/{frame}/']").wait_for()
+    page.get_by_test_id("objects").locator("li").first.wait_for()
+    expect(page.get_by_test_id("object")).to_have_count(0)
+    page.goto(f"/#/{desk.name}/review/{frame}")
+    desk.settled()
     draw_on_image(desk, scene.image_box(1))
     expect(page).to_have_url(re.compile(f"/label/{frame}$"))
-    expect(page.get_by_test_id("toast-warn")).to_contain_text("There is no pseudo-view detector yet")
+    expect(page.get_by_test_id("toast-warn").last).to_contain_text("There is no pseudo-view detector yet")
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
     page.wait_for_selector(".label-mode:not([data-saving])")
     state = desk.live.client.get(f"{desk.api}/frames/{frame}").json()
