@@ -338,7 +338,7 @@ def test_real_data_are_not_complained_about(shared: Path) -> None:
         assert check_datasets(shared / "data" / name).findings == (), name
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], database=None)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], database=None)
 @given(st.lists(st.tuples(st.integers(1, 14), st.sampled_from(HOSTILE)), min_size=1, max_size=4))
 def test_whatever_the_labels_say_the_check_goes_on(kitti: Path, changes: list[tuple[int, str]]) -> None:
     words = line(ROWS[1]).split()
