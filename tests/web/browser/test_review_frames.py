@@ -65,10 +65,10 @@ def test_a_frame_that_cannot_be_read_says_so_in_place_of_its_picture(
     truncated = FrameError(Path("people/depth/000001.png"), "the file is truncated", "copy it again")
     read = frames.open
 
-    def broken(project: Project, frame_id: int) -> Any:
+    def broken(project: Project, frame_id: int, who: str = "") -> Any:
         if frame_id == second:
             raise truncated
-        return read(project, frame_id)
+        return read(project, frame_id, who)
 
     monkeypatch.setattr(frames, "open", broken)
     problem = page.get_by_test_id("frame-problem")
