@@ -17,7 +17,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.fit import aligned_box
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.outline import box_on_image
 from annotator.project import REVIEWED, ImageBoxes, Project, Role, StoredFrame, StoredLabel, ViewBoxes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
@@ -26,6 +25,7 @@ from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
 from annotator.types import BoxKind, Frame, Label, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.outlines import outlines, undrawn
 from annotator.workflows.view_pairs import front_and_side, views_by_object
 from annotator.workflows.views_out import spans_m
 
@@ -120,19 +120,20 @@ def _by_frame(found: Iterable[StoredLabel]) -> dict[int, tuple[Label, ...]]:
 
 
 def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[TrainingSample]:
-    """Camera images with their boxes; where only 3D labels are known, with those projected.
+    """Camera images with their boxes, and the outlines of 3D labels that nobody has drawn there.
 
     A frame reviewed only in part is left out: its other objects would be taught as background.
     """
     known = material.labels.keys() - material.open.keys()
     for stored, frame in _frames(project, sorted({*material.images, *known}), skip):
         drawn = material.images.get(stored.id)
+        labels = material.labels.get(stored.id, ())
         if drawn is not None:
-            yield TrainingSample(frame.rgb, drawn.boxes, _group(stored), DRAWN, _drawn_uids(drawn))
+            more = undrawn(frame.camera, labels, drawn.boxes)
+            boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
+            yield TrainingSample(frame.rgb, boxes, _group(stored), DRAWN, uids)
         else:
-            labels = material.labels[stored.id]
-            pairs = [(label.uid, box_on_image(frame.camera, label.box, label.label)) for label in labels]
-            shown = {uid: box for uid, box in pairs if box is not None}
+            shown = outlines(frame.camera, labels)
             yield TrainingSample(frame.rgb, tuple(shown.values()), _group(stored), PROJECTED, tuple(shown))
 
 

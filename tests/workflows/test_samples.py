@@ -134,14 +134,21 @@ def test_a_few_accepted_boxes_do_not_turn_a_project_of_silhouettes(people: Proje
 # --- camera images ---------------------------------------------------------------------------------------------------
 
 
-def test_drawn_boxes_go_before_projected_ones(people: Project) -> None:
+def test_drawn_boxes_go_before_the_outlines_of_their_objects(people: Project) -> None:
+    """Of three accepted boxes one has a drawn one, which is a bit smaller; the others were accepted in Review."""
     uids = accept(people, 1)
-    accept(people, 0)
+    known = accept(people, 0)
     stored = people.frames.of()[0]
-    drawn = Box2D("person", 1.0, 2.0, 30.0, 40.0)
+    camera = FrameSource(people).read(stored).camera
+    own = {u: box_on_image(camera, people.labels.get(u).label.box, "person") for u in known}
+    around = own[known[1]]
+    assert around is not None
+    drawn = replace(around, y_max=around.y_max - 0.3 * around.height_px)
     people.boxes.set_on_image(stored.id, [drawn], BoxKind.BOX, Change(people.frames.get(stored.id).revision, "me"))
     first, second = image_samples(people, gather(people), never)
-    assert (first.origin, first.boxes, first.group) == (DRAWN, (drawn,), "1/000000")
+    assert (first.origin, first.group) == (DRAWN, "1/000000")
+    assert first.boxes == (drawn, own[known[0]], own[known[2]])
+    assert first.label_uids[1:] == (known[0], known[2])
     assert (second.origin, len(second.boxes), second.group) == (PROJECTED, 3, "1/000001")
     assert second.label_uids == uids
     frame = FrameSource(people).read(people.frames.of()[1])
@@ -188,13 +195,13 @@ def test_a_frame_reviewed_in_part_does_not_teach_its_other_objects_as_background
 def test_boxes_drawn_on_the_image_teach_whatever_is_proposed(people: Project) -> None:
     stored = people.frames.of()[0]
     people.boxes.set_on_image(stored.id, [SOME], BoxKind.BOX, Change(0, "me"))
-    accept(people, 0, count=2)
+    reviewed = accept(people, 0, count=2)
     propose_true(people, 0, 2)
     material = gather(people)
     assert material.untold == 0
     (sample,) = image_samples(people, material, never)
     (event,) = {boxes.event_id for boxes in material.images.values()}
-    assert (sample.origin, sample.label_uids) == (DRAWN, (f"event {event}, box 0",))
+    assert (sample.origin, sample.label_uids) == (DRAWN, (f"event {event}, box 0", *reviewed))
 
 
 def test_no_taught_view_shows_an_object_that_nobody_has_reviewed(people: Project) -> None:

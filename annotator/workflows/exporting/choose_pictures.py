@@ -23,7 +23,7 @@ class ChosenPictures(Chosen):
 
     Attributes:
         image: whether the camera image does.
-        drawn: the boxes drawn on it; None = the frame's labels are projected onto it.
+        drawn: the boxes drawn on it; the frame's labels that are not among them are projected onto it.
         views: drawn pseudo-views of the frame.
     """
 
@@ -42,9 +42,9 @@ def choose_pictures(
 ) -> list[ChosenPictures]:
     """The frames whose pictures leave, in the project's order.
 
-    A camera image leaves with the boxes drawn on it, else with the frame's labels. One that shows nothing is a
-    background picture if somebody said so: drawn on, and empty, or finalised without a label. An image some of whose
-    objects wait for a review, none of them drawn, would call these background: it stays.
+    A camera image leaves with the boxes drawn on it, and the outlines of those labels of the frame that are not drawn.
+    One that shows nothing is a background picture if somebody said so: drawn on, and empty, or finalised without a
+    label. An image some of whose objects wait for a review, none of them drawn, would call these background: it stays.
 
     Args:
         states: of the labels that leave.

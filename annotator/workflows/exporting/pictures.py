@@ -20,13 +20,13 @@ from annotator.formats.labelled_picture import LabelledPicture, PictureWriter
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.writing import encoded_image, writing
 from annotator.geometry.image_shares import cut_to_picture
-from annotator.geometry.outline import box_on_image
 from annotator.project import ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame
 from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, wanted
 from annotator.workflows.exporting.job import ExportJob
 from annotator.workflows.exporting.report import ExportReport
 from annotator.workflows.frames import FrameSource
+from annotator.workflows.outlines import undrawn
 from annotator.workflows.views_out import ViewPlace, write_places
 
 # What is thinner is no box to learn from, pixels.
@@ -102,17 +102,18 @@ class _Tally:
 
     def _image(self, chosen: ChosenPictures, frame: Frame) -> LabelledPicture:
         losses, image_format = self.job.losses, self.job.options.image_format
-        labels = [entry.label for entry in chosen.labels] if chosen.drawn is None else []
+        labels = [entry.label for entry in chosen.labels]
+        drawn = () if chosen.drawn is None else chosen.drawn.boxes
+        seen = undrawn(frame.camera, labels, drawn)
+        # what is drawn stands for its label; the others leave as their outlines
+        outlined = [label for label in labels if not drawn or label.uid in seen]
         count_lost(
-            losses, DatasetItem(chosen.recording, frame, labels), (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.TIME)
+            losses, DatasetItem(chosen.recording, frame, outlined), (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.TIME)
         )
-        if chosen.drawn is None:
-            losses.add(Lost.SOLID, len(labels))
-            outlines = [box_on_image(frame.camera, label.box, label.label) for label in labels]
-            boxes, kind = [box for box in outlines if box is not None], BoxKind.BOX
-            losses.add(Lost.OUTSIDE, len(labels) - len(boxes))
-        else:
-            boxes, kind = wanted(chosen.drawn.boxes, self.job.choose.classes), chosen.drawn.box_kind
+        losses.add(Lost.SOLID, len(outlined))
+        losses.add(Lost.OUTSIDE, len(outlined) - len(seen))
+        boxes = [*wanted(drawn, self.job.choose.classes), *seen.values()]
+        kind = BoxKind.BOX if chosen.drawn is None else chosen.drawn.box_kind
         stem = self.names.add(chosen.recording, chosen.stored.key)
         self.origins.append(FrameOrigin(stem, chosen.recording, chosen.stored.key, chosen.split))
         height_px, width_px = frame.rgb.shape[:2]
