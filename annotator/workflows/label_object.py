@@ -89,7 +89,7 @@ def save_object(
     if drawn is not None:
         config = frame_config(project, opened.frame)
         labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
-        wanted = _view_boxes(project, drawn, kind, labelling)
+        wanted = _view_boxes(project, page, drawn, kind, labelling)
         label = _label_change(page, drawn, labelling, wanted)
         uid = _linked(page, drawn) if label is None else label.uid
         payloads += _new_views(page, wanted) + ([] if label is None else [label])
@@ -112,19 +112,24 @@ def suggested_image_boxes(
     return [box for box in found if box.score >= least_score and box.label in classes]
 
 
-def _view_boxes(project: Project, drawn: ObjectDrawn, kind: BoxKind, labelling: Labelling) -> list[ViewBoxesSet]:
-    """The boxes of an object on the views that its earlier boxes have led to."""
-    return [
-        ViewBoxesSet(
-            view=project.views.store(view.rgb),
-            boxes=(box,),
-            box_kind=kind,
-            step=place // VIEWS_A_STEP,
-            geometry=geometry_of(view, drawn.image_box),
+def _view_boxes(
+    project: Project, page: FramePage, drawn: ObjectDrawn, kind: BoxKind, labelling: Labelling
+) -> list[ViewBoxesSet]:
+    """The boxes of an object on the views that its earlier boxes have led to.
+
+    A view that came from 3D boxes shows other objects, too: the object's own box is the first, and theirs stay.
+    """
+    known = {view.view_id: view.boxes[1:] for view in page.view_boxes if view.box_kind is kind}
+    found = []
+    for place, (view, box) in enumerate(zip(labelling.views, drawn.boxes, strict=False)):
+        if box is None:
+            continue
+        view_id = project.views.store(view.rgb)
+        boxes, geometry = (box, *known.get(view_id, ())), geometry_of(view, drawn.image_box)
+        found.append(
+            ViewBoxesSet(view=view_id, boxes=boxes, box_kind=kind, step=place // VIEWS_A_STEP, geometry=geometry)
         )
-        for place, (view, box) in enumerate(zip(labelling.views, drawn.boxes, strict=False))
-        if box is not None
-    ]
+    return found
 
 
 def _new_views(page: FramePage, wanted: Sequence[ViewBoxesSet]) -> list[Payload]:

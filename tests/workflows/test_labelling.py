@@ -184,6 +184,23 @@ def test_the_same_again_writes_nothing(desk: Desk) -> None:
     assert desk.revision == before
 
 
+def test_boxes_of_other_objects_on_a_view_stay(desk: Desk) -> None:
+    """Views that came from 3D boxes show whatever else is there."""
+    image_box, four = desk.image_box(), desk.four()
+    desk.save([image_box], ObjectDrawn(image_box, four[:2]))
+    view = next(view for view in desk.project.boxes.on_views_of(desk.frame_id) if view.boxes == (four[1],))
+    other = Box2D("person", 1.0, 2.0, 9.0, 12.0)
+    placed = {"frame_id": desk.frame_id, "step": view.step, "geometry": view.geometry}
+    change = Change(desk.revision, "import")
+    desk.project.boxes.set_on_view(view.view_id, [four[1], other], desk.kind, change, **placed)
+    before = desk.revision
+    desk.save([image_box], ObjectDrawn(image_box, four[:2]))
+    assert desk.revision == before, "nothing is new"
+    wider = Box2D("person", *four[1].xyxy[:3], four[1].y_max + 2)
+    desk.save([image_box], ObjectDrawn(image_box, [four[0], wider]))
+    assert {view.boxes for view in desk.project.boxes.on_views_of(desk.frame_id)} == {(four[0],), (wider, other)}
+
+
 def test_another_box_on_the_first_step_replaces_what_followed_from_it(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], ObjectDrawn(image_box, four))
