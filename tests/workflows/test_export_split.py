@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections import Counter
 
 import numpy as np
@@ -36,6 +39,26 @@ def test_every_part_gets_something() -> None:
     assert set(assign(Split({"train": 0.98, "val": 0.02}), PLACES[:5])) == {"train", "val"}
     with pytest.raises(ConfigError, match="2 recordings cannot be divided into 3 parts"):
         assign(Split(SHARES, SplitBy.RECORDINGS), PLACES[:50])
+
+
+def test_equal_shares_are_divided_alike_in_every_process() -> None:
+    """Sets of words have another order in each."""
+    program = (
+        "from annotator.workflows.exporting.split import Split, assign\n"
+        "shares = dict.fromkeys(('train', 'val', 'test'), 1 / 3)\n"
+        "print(assign(Split(shares), [('a', '1'), ('a', '2'), ('a', '3')]))"
+    )
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "PYTHONHASHSEED": str(seed)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in (1, 2, 3)
+    }
+    assert len(said) == 1
 
 
 def test_shares_are_read() -> None:

@@ -76,7 +76,7 @@ def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) 
     given = Given(
         {
             f"people/{first.key}": [Truth("person", BOX)],
-            f"elsewhere/{second.key}": [Truth("person", BOX, 4), Truth("horse", BOX)],
+            f"people/{second.key}": [Truth("person", BOX, 4), Truth("horse", BOX)],
             "people/gone": [],
         }
     )
@@ -105,6 +105,17 @@ def test_a_key_that_two_recordings_have(make_project: Callable[..., Project], ge
     with pytest.raises(FormatError, match=r"is a frame of several recordings \(people, hands\)"):
         import_labels(project, given)
     assert import_labels(project, given, "hands").labels == {"hand": 1}
+
+
+def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> None:
+    """Another recording has frames of the same names; a single one that is not known is the project's own, renamed."""
+    first, second = (frame.key for frame in people.frames.of()[:2])
+    both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
+    done = import_labels(people, both)
+    assert (done.frames, done.unmatched) == (1, (f"street/{second}",))
+    with pytest.raises(FormatError, match="none of its frames"):
+        import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
+    assert import_labels(people, Given({f"renamed/{second}": [Truth("person", BOX)]})).frames == 1
 
 
 @pytest.mark.parametrize(

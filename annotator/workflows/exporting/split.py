@@ -89,7 +89,8 @@ def _drawn(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[st
     empty, left = set(wanted), len(names)
     part_of: dict[tuple[str, ...], str] = {}
     for place in order:
-        among = empty if left <= len(empty) else wanted
+        # in the order of the shares, not of a set, which differs from run to run: the first of equals is taken
+        among = [name for name in wanted if name in empty or left > len(empty)]
         part = max(among, key=lambda name: wanted[name])
         part_of[names[place]] = part
         wanted[part] -= groups[names[place]]

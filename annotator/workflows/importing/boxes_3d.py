@@ -12,6 +12,7 @@ from annotator.project import Change, NewLabel, Project, StoredFrame
 from annotator.types import Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frames import FrameSource
+from annotator.workflows.importing.frame_finder import FrameFinder
 from annotator.workflows.importing.label_set import LabelSet
 
 AUTHOR = "import"
@@ -93,21 +94,17 @@ def match_frames(
         FormatError: a name fits frames of several recordings, two names fit one frame, or none fits any.
         NotFoundError: no such recording.
     """
-    chosen = None if recording is None else [project.recordings.find(recording).id]
-    of_id = {each.id: each.name for each in project.recordings.all()}
-    by_name: dict[str, list[StoredFrame]] = {}
-    order: dict[int, int] = {}
-    for place, frame in enumerate(project.frames.of(chosen)):
-        order[frame.id] = place
-        for name in (frame.key, f"{of_id[frame.recording_id]}/{frame.key}"):
-            by_name.setdefault(name, []).append(frame)
+    order = {frame.id: place for place, frame in enumerate(project.frames.of())}
+    keys = {frame.key for frame in project.frames.of()}
+    # a recording's name has no "/", a key may have some
+    places = {name: (None, name) if name in keys or "/" not in name else _place(name) for name in names}
+    finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
     matched: dict[int, tuple[str, StoredFrame]] = {}
     unmatched = []
-    for name in names:
-        # the recording may have another name here than where the dataset was made
-        frames = by_name.get(name) or by_name.get(name.rpartition("/")[2], [])
+    for name, place in places.items():
+        frames = finder.find(*place)
         if len(frames) > 1:
-            several = ", ".join(of_id[frame.recording_id] for frame in frames)
+            several = ", ".join(map(finder.recording_of, frames))
             raise FormatError(path, f"{name} is a frame of several recordings ({several}); name one (--recording)")
         if not frames:
             unmatched.append(name)
@@ -119,6 +116,11 @@ def match_frames(
         shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
         raise FormatError(path, f"none of its frames ({shown or 'it has none'}) is a frame of the project")
     return sorted(matched.values(), key=lambda pair: order[pair[1].id]), unmatched
+
+
+def _place(name: str) -> tuple[str, str]:
+    recording, _, key = name.partition("/")
+    return recording, key
 
 
 def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel]) -> bool:
