@@ -26,6 +26,13 @@ CELL, STRUCT, CHAR, NUMERIC = 1, 2, 4, range(6, 16)
 # Structs within structs; SUN RGB-D's have two levels.
 MOST_LEVELS = 8
 MOST_DIMENSIONS = 8
+# MATLAB's own limit of an array's elements.
+MOST_ELEMENTS = 2**48 - 1
+# Elements of cells and structs in a file, each of which becomes an object; SUN RGB-D's table has about 700,000.
+MOST_OBJECTS = 2**21
+# What an element without content stands for; one for all, since a few bytes can promise millions.
+EMPTY = np.zeros((0, 0))
+EMPTY.flags.writeable = False
 
 
 class MatFileError(ValueError):
@@ -37,14 +44,16 @@ class _Element(NamedTuple):
     data: memoryview
 
 
-def read_mat(path: Path, name: str, most_bytes: int) -> object:
+def read_mat(path: Path, name: str, most_bytes: int, *, numbers_only: bool = False) -> object:
     """The variable `name` of a file: an array of numbers, a text, a list of a struct's or cell's elements, or None.
 
     Args:
         most_bytes: how large the file may be, and the variable when it is unpacked.
+        numbers_only: a variable of another kind is refused, before any of it is built.
 
     Raises:
-        MatFileError: it is larger, damaged, of another version, or has no such variable.
+        MatFileError: it is larger, damaged, of another version, has more than `MOST_OBJECTS` elements of cells and
+            structs, or has no such variable.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
@@ -53,7 +62,7 @@ def read_mat(path: Path, name: str, most_bytes: int) -> object:
         raise MatFileError(f"is larger than {most_bytes // 2**20} MiB")
     if len(data) < HEAD_BYTES or data[126:128] not in (b"IM", b"MI"):
         raise MatFileError("is no MATLAB file of version 5 to 7 (save -v7)")
-    reader = _Reader("<" if data[126:128] == b"IM" else ">")
+    reader = _Reader("<" if data[126:128] == b"IM" else ">", numbers_only)
     for element in reader.elements(memoryview(data)[HEAD_BYTES:]):
         if element.kind == COMPRESSED:
             element = next(reader.elements(_unpacked(element.data, most_bytes)), _Element(0, memoryview(b"")))
@@ -76,11 +85,19 @@ def _unpacked(data: memoryview, most_bytes: int) -> memoryview:
     return memoryview(content)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Reader:
-    """Reads elements of one byte order ("<" or ">")."""
+    """Reads the elements of one file.
+
+    Attributes:
+        order: of bytes, "<" or ">".
+        numbers_only: refuses texts, cells and structs.
+        left: how many elements of cells and structs may still come.
+    """
 
     order: str
+    numbers_only: bool
+    left: int = MOST_OBJECTS
 
     def elements(self, data: memoryview) -> Iterator[_Element]:
         """The elements that follow each other in `data`."""
@@ -112,7 +129,7 @@ class _Reader:
         parts = self.elements(data)
         flags, sizes, name = (next(parts, None) for _ in range(3))
         if flags is None:
-            return "", np.zeros((0, 0))
+            return "", EMPTY
         if sizes is None or name is None or len(flags.data) < 4 or level > MOST_LEVELS:
             raise MatFileError("has a damaged array")
         title = bytes(name.data).decode("latin-1")
@@ -120,16 +137,18 @@ class _Reader:
             return title, None
         kind = struct.unpack_from(self.order + "I", flags.data)[0] & 0xFF
         shape = tuple(self._integers(sizes))
-        if len(shape) > MOST_DIMENSIONS or any(size < 0 for size in shape):
+        if any(not 0 <= size <= MOST_ELEMENTS for size in shape):
             raise MatFileError("has an array of an impossible size")
         if kind in NUMERIC:
             return title, self._numbers(next(parts, None), shape)
+        if self.numbers_only:
+            raise MatFileError(f"has other things than numbers in {title}")
         if kind == CHAR:
             return title, self._text(next(parts, None), shape)
         if kind == STRUCT:
             return title, self._records(parts, math.prod(shape), len(data), level)
         if kind == CELL:
-            self._require_room(math.prod(shape), len(data))
+            self._promise(math.prod(shape), len(data))
             return title, [self._next_array(parts, level) for _ in range(math.prod(shape))]
         return title, None
 
@@ -139,10 +158,13 @@ class _Reader:
         if length is None or names is None or not (widths := self._integers(length)) or widths[0] <= 0:
             raise MatFileError("has a damaged struct")
         packed = bytes(names.data)
+        self._promise(len(packed) // widths[0], len(packed) * TAG_BYTES)
         fields = [packed[i : i + widths[0]].partition(b"\0")[0] for i in range(0, len(packed), widths[0])]
         if not fields:
             return []
-        self._require_room(count * len(fields), room)
+        # the element itself is one, too
+        self._promise(count, room)
+        self._promise(count * len(fields), room)
         titles = [field.decode("latin-1") for field in fields]
         return [{title: self._next_array(parts, level) for title in titles} for _ in range(count)]
 
@@ -152,13 +174,20 @@ class _Reader:
             raise MatFileError("lacks elements of a struct or cell array")
         return self.array(element.data, None, level + 1)[1]
 
-    def _require_room(self, count: int, room: int) -> None:
-        """Every element takes a tag at least: what is promised must be able to come."""
+    def _promise(self, count: int, room: int) -> None:
+        """Every element takes a tag at least: what is promised must be able to come, and to be kept."""
         if count * TAG_BYTES > room:
             raise MatFileError(f"promises {count} elements in {room} bytes")
+        self.left -= count
+        if self.left < 0:
+            raise MatFileError(f"has more than {MOST_OBJECTS} elements of cells and structs")
 
     def _integers(self, element: _Element) -> list[int]:
-        return [int(value) for value in self._values(element)]
+        """Sizes and lengths."""
+        values = self._values(element)
+        if values.dtype.kind not in "iu" or len(values) > MOST_DIMENSIONS:
+            raise MatFileError("has an array of an impossible size")
+        return [int(value) for value in values]
 
     def _numbers(self, element: _Element | None, shape: tuple[int, ...]) -> np.ndarray:
         if element is None:
@@ -166,7 +195,11 @@ class _Reader:
         values = self._values(element)
         if len(values) != math.prod(shape):
             raise MatFileError(f"has {len(values)} values for an array of {' x '.join(map(str, shape))}")
-        return values.reshape(shape, order="F")
+        try:
+            return values.reshape(shape, order="F")
+        except ValueError as error:
+            # nothing, as an array whose other sizes no array can have
+            raise MatFileError(f"has an array of an impossible size ({error})") from error
 
     def _values(self, element: _Element) -> np.ndarray:
         if element.kind not in NUMBERS:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -100,3 +102,77 @@ def test_huge_counts_take_no_memory(tmp_path: Path, place: int, value: int, prob
     (tmp_path / "a.mat").write_bytes(data)
     with pytest.raises(MatFileError, match=problem):
         read_mat(tmp_path / "a.mat", "table", 2**20)
+
+
+def array(kind: int, sizes: bytes, *content: bytes, sizes_type: int = 5) -> bytes:
+    """An array `ab` as an element of a file."""
+    flags, name = element(6, struct.pack("<II", kind, 0)), element(1, b"ab")
+    return element(14, flags + element(sizes_type, sizes) + name + b"".join(content))
+
+
+def element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data.ljust(-(-len(data) // 8) * 8, b"\0")
+
+
+def write_mat(path: Path, content: bytes) -> Path:
+    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + element(15, zlib.compress(content)))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("sizes", "sizes_type"),
+    [
+        (struct.pack("<dd", np.inf, 0), 9),
+        (struct.pack("<dd", np.nan, 0), 9),
+        (struct.pack("<QQQ", 0, 2**62, 2**62), 13),
+        (struct.pack("<QQ", 0, 2**64 - 1), 13),
+        # each of them is possible
+        (struct.pack("<QQQ", 0, 2**40, 2**40), 13),
+        (struct.pack("<9i", *[1] * 9), 5),
+    ],
+)
+def test_sizes_that_no_array_has(tmp_path: Path, sizes: bytes, sizes_type: int) -> None:
+    path = write_mat(tmp_path / "a.mat", array(6, sizes, element(9, b""), sizes_type=sizes_type))
+    with pytest.raises(MatFileError, match="has an array of an impossible size"):
+        read_mat(path, "ab", 2**20)
+
+
+def many(promised: str) -> bytes:
+    """Four million nothings: cells, elements of a struct of one field, or fields of an empty struct."""
+    number, one_letter, nothing = 2**22, element(5, b"\1\0\0\0"), element(14, b"")
+    sizes = struct.pack("<ii", 1, number)
+    if promised == "cells":
+        return array(1, sizes, nothing * number)
+    if promised == "elements":
+        return array(2, sizes, one_letter, element(1, b"a"), nothing * number)
+    return array(2, struct.pack("<ii", 0, 0), one_letter, element(1, b"a" * number))
+
+
+@pytest.mark.parametrize("promised", ["cells", "elements", "fields"])
+def test_a_few_bytes_do_not_become_millions_of_objects(tmp_path: Path, promised: str) -> None:
+    path = write_mat(tmp_path / "a.mat", many(promised))
+    assert path.stat().st_size < 2**16
+    tracemalloc.start()
+    with pytest.raises(MatFileError, match="has more than 2097152 elements of cells and structs"):
+        read_mat(path, "ab", 2**26)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # unpacked, they are 32 MiB, for which zlib takes up to twice as much; their objects would be several times that
+    assert peak < 100 * 2**20
+
+
+def test_elements_without_content_are_one_and_the_same(tmp_path: Path) -> None:
+    cells = array(1, struct.pack("<ii", 1, 3), element(14, b"") * 3)
+    value = read_mat(write_mat(tmp_path / "a.mat", cells), "ab", 2**20)
+    assert isinstance(value, list)
+    assert len(value) == 3
+    assert value[0] is value[2]
+    assert value[0].shape == (0, 0)
+
+
+def test_other_things_than_numbers_are_refused_where_numbers_are_asked_for(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"cells": CELLS, "text": "inside", "number": np.eye(2)})
+    for name in ("cells", "text"):
+        with pytest.raises(MatFileError, match=f"has other things than numbers in {name}"):
+            read_mat(tmp_path / "a.mat", name, 2**20, numbers_only=True)
+    np.testing.assert_array_equal(read_mat(tmp_path / "a.mat", "number", 2**20, numbers_only=True), np.eye(2))

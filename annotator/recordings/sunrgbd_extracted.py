@@ -97,7 +97,7 @@ def _read_mat(path: Path) -> RawCloud:
         FrameError: it is damaged, or has no `instance` of n x 6 numbers.
     """
     try:
-        table = read_mat(path, "instance", MOST_BYTES)
+        table = read_mat(path, "instance", MOST_BYTES, numbers_only=True)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
     except MatFileError as error:
