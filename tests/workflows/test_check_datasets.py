@@ -21,7 +21,8 @@ from annotator.formats.kitti_derived import derived_box, observation_angle
 from annotator.types import Camera
 from annotator.types.errors import RecordingError
 from annotator.workflows.checking.check import check_datasets
-from annotator.workflows.checking.rules import RULES
+from annotator.workflows.checking.findings import Findings
+from annotator.workflows.checking.rules import RULES, Severity
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
 CAMERA = Camera(WIDTH, HEIGHT, F, F, 119.5, 59.5)
@@ -115,6 +116,7 @@ CASES: list[tuple[str, Edit, Found]] = [
     ("empty", with_row(), [EMPTY]),
     ("edges-exchanged", with_row(left=90.0, right=10.0), [("broken-label", LABELS, 4), EMPTY]),
     ("truncated", with_row(truncated=7.0), [("field-range", LABELS, 4), EMPTY]),
+    ("score", with_row(score=0.9), [("field-range", LABELS, 4), EMPTY]),
     ("behind", with_row(z=-30.0, alpha=-10.0), [("box-behind-camera", LABELS, 4)]),
     ("beside", with_row(x=-90.0, alpha=-10.0), [("box-outside-image", LABELS, 4)]),
     ("2d-box-elsewhere", with_row(left=100.0, right=150.0), [EMPTY, ("image-box-off", LABELS, 4)]),
@@ -171,6 +173,16 @@ def test_a_file_of_faults_does_not_fill_the_report(kitti: Path) -> None:
     report = check_datasets(kitti)
     assert len(report.findings) == 21
     assert report.findings[-1].message == "and 4980 more like this in this file"
+    assert report.counts == {"error": 5000, "warning": 0, "note": 0}, "of breaches, not of lines"
+
+
+def test_what_comes_again_counts_once(tmp_path: Path) -> None:
+    findings = Findings()
+    for _ in range(3):
+        for number in range(30):
+            findings.add(RULES["broken-label"], tmp_path, f"fault {number}")
+    assert findings.counts()[Severity.ERROR] == 30
+    assert findings.all()[-1].message == "and 10 more like this in this file"
 
 
 def test_a_kitti_drive(kitti: Path) -> None:

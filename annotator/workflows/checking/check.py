@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -14,7 +13,7 @@ from annotator.workflows.checking.sources import NotChecked, find_sources
 
 
 class DatasetReport(BaseModel):
-    """All findings, by file and line, and how many of each severity."""
+    """The findings by file and line, and how many there are of each severity, those that are only counted included."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -40,6 +39,4 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
             findings.add(UNCHECKED_DATASET, source.path, f"{source.format} are not looked at")
         else:
             facts.append(DatasetCheck(source, findings).run(progress))
-    found = findings.all()
-    counts = Counter(finding.severity for finding in found)
-    return DatasetReport(datasets=tuple(facts), findings=found, counts={each: counts[each] for each in Severity})
+    return DatasetReport(datasets=tuple(facts), findings=findings.all(), counts=findings.counts())

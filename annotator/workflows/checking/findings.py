@@ -11,6 +11,8 @@ from annotator.types.errors import AnnotatorError
 from annotator.workflows.checking.rules import Rule, Severity
 
 MOST_A_FILE = 20
+# About 20 MB; what comes again after so many different findings counts again.
+MOST_KNOWN = 200_000
 
 
 class Finding(BaseModel):
@@ -42,18 +44,20 @@ class Findings:
 
     def __init__(self) -> None:
         self._found: list[Finding] = []
-        self._seen: set[tuple[Rule, str, int | None, str]] = set()
+        # hashes, since the messages of those that are not kept would fill the memory
+        self._seen: set[int] = set()
         self._counts: Counter[tuple[Rule, str]] = Counter()
 
     def add(self, rule: Rule, file: Path, message: str, *, line: int | None = None, frame: str | None = None) -> None:
         """Notes a breach of a rule."""
         # without the frame: a file that many frames share is faulty once
-        same = (rule, str(file), line, message)
+        same = hash((rule, str(file), line, message))
         if same in self._seen:
             return
+        if len(self._seen) < MOST_KNOWN:
+            self._seen.add(same)
         self._counts[rule, str(file)] += 1
         if self._counts[rule, str(file)] <= MOST_A_FILE:
-            self._seen.add(same)
             self._found.append(_finding(rule, str(file), message, line, frame))
 
     def add_error(self, rule: Rule, error: AnnotatorError, file: Path, *, frame: str | None = None) -> None:
@@ -65,9 +69,11 @@ class Findings:
         message = message.removeprefix(f":{line}").removeprefix(": ")
         self.add(rule, place, message, line=line, frame=frame)
 
-    def count(self, rule: Rule) -> int:
-        """How often a rule was breached."""
-        return sum(count for (other, _), count in self._counts.items() if other is rule)
+    def counts(self) -> dict[Severity, int]:
+        """How many breaches of each severity were found, those that are not kept included."""
+        return {
+            each: sum(count for (rule, _), count in self._counts.items() if rule.severity is each) for each in Severity
+        }
 
     def all(self) -> tuple[Finding, ...]:
         """All that was found, by file and line; what was not kept of a file is counted in a last row."""

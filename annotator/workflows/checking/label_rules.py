@@ -89,6 +89,8 @@ def _row_rules(row: KittiLabel) -> Iterator[tuple[Rule, str]]:
         yield FIELD_RANGE, f"truncated is {row.truncated:g}; it must be a share, 0 to 1 (tracking: 0, 1 or 2)"
     if row.occluded not in OCCLUDED:
         yield FIELD_RANGE, f"occluded is {row.occluded}; it must be 0, 1, 2 or 3"
+    if row.score is not None:
+        yield FIELD_RANGE, f"a label has 15 fields; the 16th, a score ({row.score:g}), belongs in results only"
     if row.right <= row.left or row.bottom <= row.top:
         edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
         yield BROKEN_LABEL, f"left top right bottom must be in order, not {edges}"

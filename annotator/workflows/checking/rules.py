@@ -66,7 +66,9 @@ UNCHECKED_DATASET = _note("unchecked-dataset", "labels of a format that the chec
 
 # Rows
 BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is no label")
-FIELD_RANGE = _warning("field-range", "a KITTI row's truncated or occluded is none of the format's values")
+FIELD_RANGE = _warning(
+    "field-range", "a KITTI row's truncated or occluded is none of the format's values, or it has a score"
+)
 CLASS_SPELLING = _warning("class-spelling", "two class names differ only in case, blanks, `-` or `_`")
 TRACK_TWICE = _error("track-twice", "two objects of a frame have one track id")
 TRACK_CLASS = _warning("track-class", "a track has changed its class since the frame before")
