@@ -147,6 +147,20 @@ def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> d
     return frames
 
 
+def read_tracking_areas(path: Path) -> dict[int, list[KittiLabel]]:
+    """The DontCare rows of a `label_02.txt` by frame number, in file order; a frame without any has no entry.
+
+    Raises:
+        FormatError: the file is missing, or a row is not a label; names file and line.
+    """
+    frames: dict[int, list[KittiLabel]] = {}
+    for line, fields in text_rows(path):
+        frame, _, row = parse_tracking_fields(fields, path, line)
+        if row.label == DONT_CARE:
+            frames.setdefault(frame, []).append(row)
+    return frames
+
+
 def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int, int, KittiLabel]:
     """Frame number, track id and row of a line of a tracking file.
 

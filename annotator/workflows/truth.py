@@ -105,7 +105,7 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
 
 
 def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return list(_boxes(path, *_version(path)).get(key, ()))
+    return list(_boxes(path, *file_version(path)).get(key, ()))
 
 
 def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -114,18 +114,23 @@ def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
 
 def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
     T = frame.T_camera_label
-    found = _tracks(path, *_version(path)).get(_frame_number(path, key), ())
+    found = _tracks(path, *file_version(path)).get(frame_number(path, key), ())
     return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in found]
 
 
 def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
     """In the LiDAR's frame, unlike all other labels of KITTI's."""
     T = recording.calibration(key).T_camera_lidar
-    found = _tracklets(path, *_version(path)).get(_frame_number(path, key), ())
+    found = _tracklets(path, *file_version(path)).get(frame_number(path, key), ())
     return [replace(truth, box=truth.box.transformed(T)) for truth in found]
 
 
-def _frame_number(path: Path, key: str) -> int:
+def frame_number(path: Path, key: str) -> int:
+    """The number of a frame, by which a file of labels of a whole recording knows it.
+
+    Raises:
+        FormatError: the key is no number; names the file.
+    """
     if not key.isdecimal():
         raise FormatError(path, f"counts frames by number, and {key!r} is none; name the images by their frame numbers")
     return int(key)
@@ -139,7 +144,8 @@ def _from_scene(path: Path, key: str, frame: Frame) -> list[Truth]:
     return read_scene_labels(path, frame.T_camera_label)
 
 
-def _version(path: Path) -> tuple[int, int]:
+def file_version(path: Path) -> tuple[int, int]:
+    """Changes whenever a file does: what was read of it is kept until then."""
     known = path.stat()
     return known.st_mtime_ns, known.st_size
 

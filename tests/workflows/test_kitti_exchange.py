@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -69,6 +70,56 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
     files = sorted((out / "training" / "label_2").iterdir())
     assert [int(line.split()[2]) for file in files for line in file.read_text().splitlines()] == hidden
     assert len(set(hidden)) > 1
+
+
+AREA = "DontCare -1 -1 -10 12.25 20.50 44.75 60.00 -1 -1 -1 -1000 -1000 -1000 -10"
+
+
+@pytest.fixture
+def folder(make_project: MakeProject, generated: Path, tmp_path: Path) -> Path:
+    """A KITTI object folder of 5 frames, all labelled; the second has an area where nobody labelled."""
+    people = make_project(generated / "people")
+    import_own_labels(people, people.recordings.all()[0].id)
+    export_project(people, tmp_path / "folder", ExportFormat.KITTI, choose=ALL)
+    training = tmp_path / "folder" / "training"
+    with (training / "label_2" / "000001.txt").open("a") as stream:
+        stream.write(f"{AREA}\n")
+    return training
+
+
+def labels_of_export(project: Project, out: Path) -> list[list[str]]:
+    export_project(project, out, ExportFormat.KITTI, choose=ALL)
+    return [file.read_text().splitlines() for file in sorted((out / "training" / "label_2").iterdir())]
+
+
+def test_a_partly_labelled_folder_leaves(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
+    (folder / "label_2" / "000003.txt").unlink()
+    before = [file.read_text().splitlines() for file in sorted((folder / "label_2").iterdir())]
+    project = make_project(folder)
+    import_labels(project, read_labels(BoxFormat.KITTI, folder / "label_2"))
+    assert labels_of_export(project, tmp_path / "out") == [*before[:3], [], before[3]]
+
+
+def test_dont_care_areas_of_a_drive_leave(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
+    """KITTI's tracking folders have one file of labels for all frames."""
+    labels = [file.read_text().splitlines() for file in sorted((folder / "label_2").iterdir())]
+    (folder / "image_2").rename(folder / "image_02")
+    (folder / "calib" / "000000.txt").rename(folder / "calib.txt")
+    shutil.rmtree(folder / "calib")
+    shutil.rmtree(folder / "label_2")
+    rows = [
+        f"{frame} {-1 if row == AREA else track} {row}"
+        for frame, rows in enumerate(labels)
+        for track, row in enumerate(rows)
+    ]
+    (folder / "label_02.txt").write_text("\n".join(rows))
+    project = make_project(folder)
+    recording = open_recording(folder)
+    assert recording.format == "kitti_tracking"
+    import_own_labels(project, project.recordings.all()[0].id)
+    assert labels_of_export(project, tmp_path / "out") == labels
+    # what is found there is no false alarm
+    assert [row.label for row in true_kitti_rows(recording, 1, recording.frame(1))][-2:] == ["person", "DontCare"]
 
 
 def derived(row: list[str], P2: np.ndarray, size_px: Sequence[int]) -> np.ndarray:
