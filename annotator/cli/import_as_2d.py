@@ -60,7 +60,10 @@ def _told(done: BoxesFrom3d, labelled: int) -> list[str]:
             lines.append(f"  {why}: {_by_class(counter)}")
     if done.drawn:
         lines.append(f"  left alone: {done.drawn} frames that somebody has drawn on or finalised")
-    return lines + [f"  unreadable: {line}" for line in done.unreadable]
+    if done.others_views:
+        lines.append(f"  left alone: {done.others_views} pseudo-views with boxes that somebody else has set")
+    lines += [f"  unreadable: {line}" for line in done.unreadable]
+    return [*lines, f"in all, {done.in_all} frames carry 2D boxes made of 3D boxes"]
 
 
 def _by_class(counter: Counter[str]) -> str:

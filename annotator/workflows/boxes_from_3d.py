@@ -42,6 +42,8 @@ class BoxesFrom3d:
         outside, hidden: objects that the image does not show: beyond its edges, or behind something; by class.
         other_classes: left out because the project has no such class, by class.
         drawn: frames that were left alone because somebody has drawn on their images, or finalised them.
+        others_views: views of the other frames that keep the boxes somebody else has given them, drawn or imported.
+        in_all: frames of the project with such boxes on their images now, those of earlier times too.
         unreadable: frames that could not be read, or whose own label file could not, as `key: reason`.
     """
 
@@ -55,6 +57,8 @@ class BoxesFrom3d:
     hidden: Counter[str] = field(default_factory=Counter)
     other_classes: Counter[str] = field(default_factory=Counter)
     drawn: int = 0
+    others_views: int = 0
+    in_all: int = 0
     unreadable: list[str] = field(default_factory=list)
 
     def add(self, known: KnownFrame) -> None:
@@ -81,8 +85,8 @@ def boxes_from_3d(
 ) -> BoxesFrom3d:
     """Turns known 3D boxes into 2D boxes of the project, frame by frame; its own of an earlier time are replaced.
 
-    A frame is stored whole or not at all. Frames that somebody has drawn on or finalised are left alone; so are the
-    boxes of frames that an earlier time had chosen and this one does not.
+    A frame is stored whole or not at all. Frames that somebody has drawn on or finalised are left alone; so are views
+    whose boxes are somebody else's, and the boxes of frames that an earlier time had chosen and this one does not.
 
     Args:
         labels: the labelled frames and their objects.
@@ -110,6 +114,7 @@ def boxes_from_3d(
         if progress is not None:
             progress(number, len(chosen))
     _require_boxes(project, done)
+    done.in_all = sum(boxes.author == AUTHOR for boxes in project.boxes.on_images())
     return done
 
 
@@ -131,32 +136,36 @@ def _take_over(
     own = [truth for truth in truths if truth.label in settings.classes]
     orientation = orientation_for(settings.settings.rotation, frame)
     known = boxes_of_known(frame, own, config.model_copy(update={"orientation": orientation}))
-    if _keep(project, stored.id, known):
-        done.add(known)
-    else:
+    others_views = _keep(project, stored.id, known)
+    if others_views is None:
         done.drawn += 1
+    else:
+        done.add(known)
+        done.others_views += others_views
 
 
 def _is_drawn(page: FramePage) -> bool:
     return page.frame.finalised or (page.image_boxes is not None and page.image_boxes.author != AUTHOR)
 
 
-def _keep(project: Project, frame_id: int, known: KnownFrame) -> bool:
-    """Stores a frame's boxes; False where somebody has drawn on it meanwhile."""
+def _keep(project: Project, frame_id: int, known: KnownFrame) -> int | None:
+    """Stores a frame's boxes and counts the views that keep others'; None where somebody has drawn on it meanwhile."""
     on_image = ImageBoxesSet(boxes=known.on_image, box_kind=BoxKind.BOX)
     # two objects with one box on the image share their first views, which then carry the same boxes
     wanted = {entry.view: entry for entry in _view_boxes(project, known)}
     while True:
         page = read_page(project, frame_id)
         if _is_drawn(page):
-            return False
-        payloads = _changes(page, on_image, wanted)
+            return None
+        others = {view.view_id for view in page.view_boxes if view.author != AUTHOR} & wanted.keys()
+        own = {view_id: entry for view_id, entry in wanted.items() if view_id not in others}
+        payloads = _changes(page, on_image, own)
         if not payloads:
-            return True
+            return len(others)
         # the frame was changed between the two lines, perhaps by an automatic pass
         with suppress(StaleRevisionError):
             project.log.append(frame_id, payloads, Change(page.frame.revision, AUTHOR, Source.IMPORTED))
-            return True
+            return len(others)
 
 
 def _view_boxes(project: Project, known: KnownFrame) -> list[ViewBoxesSet]:

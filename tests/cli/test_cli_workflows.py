@@ -138,7 +138,7 @@ def test_3d_boxes_come_in_as_2d_ones(project: str, capsys: Capture) -> None:
     on_views = counts["view_boxes"]
     assert said.startswith("1 of 5 labelled frames: 3 person on camera images; ")
     assert f" person on {on_views['pictures']} pseudo-views, which show {on_views['boxes']} boxes\n" in said
-    assert said.endswith("next: annotator train room\n")
+    assert said.endswith("\nin all, 1 frames carry 2D boxes made of 3D boxes\nnext: annotator train room\n")
     assert (counts["image_boxes"]["boxes"], counts["labels"]["total"]) == (3, 0)
 
 

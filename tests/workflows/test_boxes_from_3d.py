@@ -120,6 +120,35 @@ def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
         assert people.boxes.on_views_of(stored.id) == ()
 
 
+def test_views_that_somebody_has_corrected_elsewhere_stay(people: Project) -> None:
+    labels = labels_beside(people)
+    first = boxes_from_3d(people, labels, fraction=0.2)
+    before = {view.view_id: view for view in people.boxes.on_views()}
+    view = next(iter(before.values()))
+    better = (replace(view.boxes[0], x_max=view.boxes[0].x_max + 1.5),)
+    change = Change(people.frames.get(view.frame_id).revision, "import", Source.IMPORTED)
+    people.boxes.set_on_view(
+        view.view_id, better, BoxKind.BOX, change, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+    )
+    again = boxes_from_3d(people, labels, fraction=0.2)
+    assert (again.frames, again.others_views) == (1, 1)
+    assert replace(again, others_views=0) == first
+    after = {each.view_id: each for each in people.boxes.on_views()}
+    assert (after[view.view_id].boxes, after[view.view_id].author) == (better, "import")
+    assert {key: each.boxes for key, each in after.items() if key != view.view_id} == {
+        key: each.boxes for key, each in before.items() if key != view.view_id
+    }
+
+
+def test_another_seed_adds_frames_and_all_are_counted(people: Project) -> None:
+    labels = labels_beside(people)
+    names = [("people", stored.key) for stored in labels.frames]
+    other = next(seed for seed in range(1, 9) if share_of(names, 0.2, seed) != share_of(names, 0.2, 0))
+    assert boxes_from_3d(people, labels, fraction=0.2).in_all == 1
+    done = boxes_from_3d(people, labels, fraction=0.2, seed=other)
+    assert (done.frames, done.in_all) == (1, 2)
+
+
 @dataclass(frozen=True)
 class Elsewhere:
     """A `LabelSet` with one labelled frame of the project, and one that it does not have."""
