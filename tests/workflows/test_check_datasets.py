@@ -248,6 +248,14 @@ def test_rcv_datasets(exported: Path, tmp_path: Path) -> None:
     (own / f"labels/{ids[0]}.json").write_text(json.dumps(record))
     (own / "images/other.png").write_bytes(b"")
     assert found(own) == [("manifest-mismatch", "dataset.json", None), ("stray-file", "images/other.png", None)]
+    other = json.loads((own / f"labels/{ids[1]}.json").read_text())
+    other["objects"] += [other["objects"][0] | {"uid": "again"}]
+    (own / f"labels/{ids[1]}.json").write_text(json.dumps(other))
+    twice = ("duplicate-label", f"labels/{ids[1]}.json", None)
+    assert twice in found(own)
+    other["objects"][-1]["state"] = "rejected"
+    (own / f"labels/{ids[1]}.json").write_text(json.dumps(other))
+    assert twice not in found(own)
     record["objects"][0]["size"] = [-1, 1, 1]
     (own / f"labels/{ids[0]}.json").write_text(json.dumps(record))
     (own / f"labels/{ids[1]}.json").unlink()

@@ -148,12 +148,13 @@ class DatasetCheck:
         # two rounds: boxes that are no boxes would break the geometry of the second
         self._note(key, found.objects, rules_of_labels(found.objects))
         objects = [each for each in found.objects if is_in_this_world(each)]
-        self._note(key, objects, rules_among_labels(objects))
+        kept = [each for each in objects if not each.rejected]
+        self._note(key, kept, rules_among_labels(kept))
         if frame is not None:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
             self._note(key, objects, rules_in_frame(frame, objects))
-            self._note(key, objects, self._since_before(index, objects))
+            self._note(key, kept, self._since_before(index, kept))
         self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in found.objects]
         self.wrong_files += bool(found.problems) or found.missing is not None
 

@@ -31,12 +31,14 @@ class FoundLabel:
         truth: in the camera frame (in the labels' own where the frame could not be read).
         line: of its row, where the format has lines.
         row: as KITTI writes it, where it does.
+        rejected: somebody has looked at it and it is no object; it may lie on another.
     """
 
     truth: Truth
     file: Path
     line: int | None = None
     row: KittiLabel | None = None
+    rejected: bool = False
 
 
 @dataclass(frozen=True, eq=False)

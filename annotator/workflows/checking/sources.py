@@ -15,7 +15,7 @@ from annotator.recordings import Recording, open_recording
 from annotator.recordings.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
-from annotator.types import Frame, Truth
+from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
 
@@ -163,7 +163,14 @@ class RcvLabelFiles:
             labels = self.dataset.labels(index)
         except FormatError as error:
             return FrameLabels(problems=(error,))
-        return FrameLabels(tuple(FoundLabel(Truth(each.label, each.box, each.track_id), path) for each in labels))
+        return FrameLabels(
+            tuple(
+                FoundLabel(
+                    Truth(each.label, each.box, each.track_id), path, rejected=each.state is ReviewState.REJECTED
+                )
+                for each in labels
+            )
+        )
 
     def problems(self) -> Sequence[AnnotatorError]:
         return ()
