@@ -31,6 +31,18 @@ def why_missing(path: Path) -> str | None:
     return None
 
 
+def is_within(folder: Path, name: str | Path) -> bool:
+    """Whether a name, links followed, stays in a folder and can be asked for; there need be no such file."""
+    try:
+        place = (folder / name).resolve()
+        # a name that is too long tells only now
+        place.exists()
+        return place.is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        # too long, a link to itself, a zero byte
+        return False
+
+
 def write_atomic(path: Path, content: bytes) -> None:
     """Replace or create `path` in one step that survives a kill and a power cut.
 

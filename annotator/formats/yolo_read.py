@@ -4,8 +4,8 @@ A picture's label file has its name and lies where the last `images` of its path
 there is none; a picture without one shows nothing. Labels without their pictures are taken, too: their boxes are shares
 of whatever size the picture has. Source: `img2label_paths` and `check_det_dataset` in Ultralytics' `data/utils.py`.
 
-Nothing outside the dataset's folder is read, whatever `data.yaml` says; where its `path` leads elsewhere, as in a
-dataset that was moved, its parts are looked for beside it.
+Nothing outside the dataset's folder is read, whatever `data.yaml` says and links name; where its `path` leads
+elsewhere, as in a dataset that was moved, its parts are looked for beside it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from annotator.files import is_within, why_missing
 from annotator.formats.json_file import first_problem
 from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import YoloBox, parse_boxes
@@ -24,6 +25,9 @@ from annotator.types.errors import FormatError
 
 CLASSES = "classes.txt"
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+LEADS_OUT = "leads out of the dataset's folder, or is no name"
+# Of a name that is none.
+SHOWN = 60
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,7 @@ def read_yolo(path: Path) -> list[YoloPicture]:
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
         return list(_with_classes(path))
-    file = path / DATA_YAML if path.is_dir() else path
+    file = _inside(path / DATA_YAML, path) if path.is_dir() else path
     data = _read_yaml(file)
     names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
     _require_different(file, names)
@@ -77,7 +81,7 @@ def read_yolo(path: Path) -> list[YoloPicture]:
     for part in PARTS:
         value = getattr(data, part)
         for entry in [value] if isinstance(value, str) else value or []:
-            for picture in _of_part(file, _placed(file, part, data.path, entry), root, names):
+            for picture in _of_part(_placed(file, part, data.path, entry), root, names):
                 found.setdefault(picture.label_file, picture)
     if not found:
         raise FormatError(file, "names no picture: train, val and test are empty")
@@ -108,17 +112,24 @@ def _placed(file: Path, part: str, base: str | None, entry: str) -> Path:
     root = file.parent
     # exports of some services write ../train/images and mean train/images
     candidates = [root / (base or "") / entry, root / entry, root / entry.removeprefix("../")]
-    inside = [candidate for candidate in candidates if _is_inside(candidate, root)]
+    inside = [candidate for candidate in candidates if is_within(root, candidate)]
     for candidate in inside:
-        if candidate.exists() or _labels_of(candidate, root).is_dir():
+        if candidate.exists() or _inside(_labels_of(candidate, root), root).is_dir():
             return candidate
     if not inside:
-        raise FormatError(file, f"{part}: {entry!r} leads out of the dataset's folder; use a path within it")
-    raise FormatError(file, f"{part}: there is no {entry!r} in the dataset's folder")
+        raise FormatError(file, f"{part}: {entry[:SHOWN]!r} {LEADS_OUT}; use a path within it")
+    raise FormatError(file, f"{part}: there is no {entry[:SHOWN]!r} in the dataset's folder")
 
 
-def _is_inside(path: Path, root: Path) -> bool:
-    return path.resolve().is_relative_to(root.resolve())
+def _inside(path: Path, root: Path) -> Path:
+    """The path itself, which may be read.
+
+    Raises:
+        FormatError: it is, or lies behind, a link that leads out of the dataset's folder.
+    """
+    if not is_within(root, path):
+        raise FormatError(path, f"is a link that {LEADS_OUT}; put the file itself there")
+    return path
 
 
 def _labels_of(path: Path, root: Path) -> Path:
@@ -129,20 +140,18 @@ def _labels_of(path: Path, root: Path) -> Path:
     return root.resolve().joinpath(*parts)
 
 
-def _of_part(file: Path, place: Path, root: Path, names: Mapping[int, str]) -> Iterator[YoloPicture]:
+def _of_part(place: Path, root: Path, names: Mapping[int, str]) -> Iterator[YoloPicture]:
     if place.is_file():
         yield from (_read(picture, root, names) for picture in _listed(place, root))
         return
     pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
     for picture in pictures:
-        if not _is_inside(picture, root):
-            raise FormatError(file, f"{picture} is a link that leads out of the dataset's folder")
-        yield _read(picture, root, names)
+        yield _read(_inside(picture, root), root, names)
     seen = {_labels_of(picture, root).with_suffix(".txt") for picture in pictures}
-    labels = _labels_of(place, root)
+    labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_alone(label_file, place, names)
+            yield _labels_alone(_inside(label_file, root), place, names)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -151,13 +160,13 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
         if not (name := text.strip()):
             continue
         picture = (file.parent if name.startswith("./") else root) / PurePosixPath(name)
-        if not _is_inside(picture, root):
-            raise FormatError(file, f"{name!r} leads out of the dataset's folder", line)
+        if not is_within(root, picture):
+            raise FormatError(file, f"{name[:SHOWN]!r} {LEADS_OUT}", line)
         yield picture
 
 
 def _read(picture: Path, root: Path, names: Mapping[int, str]) -> YoloPicture:
-    label_file = _labels_of(picture, root).with_suffix(".txt")
+    label_file = _inside(_labels_of(picture, root).with_suffix(".txt"), root)
     boxes = parse_boxes(label_file, read_text(label_file), names) if label_file.is_file() else ()
     return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
 
@@ -169,21 +178,27 @@ def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str]) -> Y
 
 def _with_classes(folder: Path) -> Iterator[YoloPicture]:
     """Label files with their class names in `classes.txt`, one a line."""
+    # a link to the folder is its user's choice, one within it is not
+    folder = folder.resolve()
     file = next((each / CLASSES for each in (folder, folder.parent) if (each / CLASSES).is_file()), None)
     if file is None:
         raise FormatError(folder, f"has no {DATA_YAML}, and no {CLASSES} beside label files; it is no YOLO dataset")
+    _inside(file, file.parent)
     names = {number: name.strip() for number, name in enumerate(read_text(file).rstrip().splitlines())}
     _require_different(file, names)
     labels = folder / "labels" if (folder / "labels").is_dir() else folder
+    root = labels.parent if labels.name == "labels" else labels
     # beside the labels, or in `images` beside `labels`
     homes = [labels, *([labels.with_name("images")] if labels.name == "labels" else [])]
-    found = sorted(each for each in labels.rglob("*.txt") if each.name != CLASSES)
+    found = sorted(each for each in _inside(labels, root).rglob("*.txt") if each.name != CLASSES)
     if not found:
         raise FormatError(labels, "has no label file (*.txt)")
     for label_file in found:
         folders = [home / label_file.parent.relative_to(labels) for home in homes]
         candidates = [each / f"{label_file.stem}{suffix}" for each in folders for suffix in SUFFIXES]
-        picture = next((each for each in candidates if each.is_file()), None)
-        boxes = parse_boxes(label_file, read_text(label_file), names)
+        picture = next(
+            (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
+        )
+        boxes = parse_boxes(label_file, read_text(_inside(label_file, root)), names)
         place = folders[-1] if picture is None else picture.parent
         yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)

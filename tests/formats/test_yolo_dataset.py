@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from annotator.formats.yolo_dataset import YoloWriter
 from annotator.formats.yolo_read import read_yolo
 from annotator.types import Box2D
 from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.importing.picture_labels import PictureLabels
 
 BOX = Box2D("no", 0.5, 0.5, 2.5, 1.5)
 ROW = "1 0.5000000 0.5000000 0.5000000 0.5000000\n"
@@ -101,8 +104,46 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, files: dict[str, s
         read_yolo(put(tmp_path, **files))
 
 
-def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
-    put(tmp_path, **{"outside/x.png": "", "set/data.yaml": "train: images\nnames: [a]", "set/images/y.png": ""})
-    (tmp_path / "set/images/x.png").symlink_to(tmp_path / "outside/x.png")
-    with pytest.raises(FormatError, match=r"x\.png is a link that leads out"):
-        read_yolo(tmp_path / "set")
+@pytest.mark.parametrize(
+    ("link", "target"),
+    [
+        ("set/images/x.png", "outside/x.png"),
+        ("set/labels/y.txt", "outside/y.txt"),
+        ("set/labels/alone.txt", "outside/y.txt"),
+        ("set/labels", "outside"),
+        ("set/data.yaml", "outside/data.yaml"),
+        ("flat/classes.txt", "outside/classes.txt"),
+        ("flat/labels", "outside"),
+        ("flat/labels/y.txt", "outside/y.txt"),
+        ("flat/images/y.png", "outside/x.png"),
+    ],
+)
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, target: str) -> None:
+    yaml_text = "train: images\nnames: [a]"
+    here = {"set/data.yaml": yaml_text, "set/images/y.png": "", "flat/classes.txt": "a\n", "flat/labels/y.txt": ""}
+    put(tmp_path, **here, **{"outside/x.png": "", "outside/y.txt": ROW, "outside/data.yaml": yaml_text})
+    put(tmp_path, **{"outside/classes.txt": "b\n"})
+    dataset = tmp_path / Path(link).parts[0]
+    assert len(read_yolo(dataset)) == 1
+    place = tmp_path / link
+    if place.is_dir():
+        shutil.rmtree(place)
+    place.unlink(missing_ok=True)
+    place.parent.mkdir(exist_ok=True)
+    place.symlink_to(tmp_path / target)
+    with pytest.raises(FormatError, match=rf"/{place.name}.*: is a link that leads out"):
+        read_yolo(dataset)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "loop"], ids=["zero byte", "long", "loop"])
+def test_names_that_nothing_can_have_are_told(tmp_path: Path, name: str) -> None:
+    put(tmp_path, **{"list.txt": f"\n{name}\n", "data.yaml": "train: list.txt\nnames: [a]"})
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the dataset's folder, or is no name"):
+        read_yolo(tmp_path)
+    put(tmp_path, **{"data.yaml": json.dumps({"train": name, "names": ["a"]})})
+    with pytest.raises(FormatError, match=r"data\.yaml: train: .* leads out of the dataset's folder, or is no name"):
+        read_yolo(tmp_path)
+    picture = PictureLabels(name, tmp_path, (), None, lambda _w, _h: ())
+    with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the folder of pictures, or is no name"):
+        picture.file(Path("coco.json"))

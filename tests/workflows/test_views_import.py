@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -259,6 +261,18 @@ def empty_last(file: Path, pictures: Path) -> None:
     (pictures / read_coco(file)[-1].file_name).write_bytes(b"")
 
 
+def promising_png(side_px: int) -> bytes:
+    """A whole PNG file whose header promises a square picture."""
+    header = struct.pack(">IIBBBBB", side_px, side_px, 8, 2, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(b"")), (b"IEND", b""))
+    chunks = [struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in parts]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def promise_much_last(file: Path, pictures: Path) -> None:
+    (pictures / read_coco(file)[-1].file_name).write_bytes(promising_png(100_000))
+
+
 def jpeg_last(file: Path, pictures: Path) -> None:
     path = pictures / read_coco(file)[-1].file_name
     path.write_bytes(cv2.imencode(".jpg", cv2.imread(str(path)))[1].tobytes())
@@ -289,8 +303,9 @@ def break_json(file: Path, pictures: Path) -> None:
     [
         (remove_last, "step1_side.png is not in"),
         (scale_last, "label the picture itself, not a scaled copy"),
-        (cut_last, "step1_side.png: is no PNG picture"),
-        (empty_last, "step1_side.png: is no PNG picture"),
+        (cut_last, "step1_side.png: is no picture that can be read: the PNG image is truncated"),
+        (empty_last, "step1_side.png: is no picture that can be read: the file is empty"),
+        (promise_much_last, "step1_side.png: is no picture that can be read: .* 100000 x 100000 pixels"),
         (jpeg_last, "step1_side.png: is no PNG picture"),
         (repeat_last, "are the same picture"),
         (rename_class, "are of class Hand, of which the project has none"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from annotator.files import is_within
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
@@ -95,13 +96,13 @@ class RcvDataset:
     def _record(self, i: int) -> tuple[Path, RcvLabels]:
         """The content of frame `i`'s label file, and its path."""
         frame_id, path = self.manifest.frames[i], self.label_path(i)
-        if not _is_within(self.path, f"labels/{frame_id}.json"):
+        if not is_within(self.path, f"labels/{frame_id}.json"):
             raise FormatError(self.path / MANIFEST, f"the labels of {frame_id[:SHOWN]!r} are no file of this dataset")
         record = read_model(path, RcvLabels)
         if record.id != frame_id:
             raise FormatError(path, f"says that its id is {record.id!r}")
         for name in (record.image, record.cloud):
-            if not _is_within(self.path, name):
+            if not is_within(self.path, name):
                 raise FormatError(path, f"{name[:SHOWN]!r} is not a file of this dataset")
         return path, record
 
@@ -119,15 +120,6 @@ def read_rcv(path: Path) -> RcvDataset:
         if frame_id != Path(frame_id).name:
             raise FormatError(path / MANIFEST, f"the id {frame_id[:SHOWN]!r} is not the name of a file")
     return RcvDataset(path, manifest)
-
-
-def _is_within(folder: Path, name: str) -> bool:
-    """Whether a name, links followed, stays in a folder; whether there is such a file is another question."""
-    try:
-        return (folder / name).resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError, ValueError):
-        # too long, a link to itself, a zero byte
-        return False
 
 
 def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.formats.picture_file import read_picture
 from annotator.project import Change, Project, StoredFrame
 from annotator.project.overview import read_page
 from annotator.project.payloads import ImageBoxesSet
@@ -16,6 +17,7 @@ from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing.boxes_3d import AUTHOR
+from annotator.workflows.importing.frame_finder import FrameFinder
 from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
 from annotator.workflows.view_followers import view_followers
 
@@ -78,13 +80,14 @@ def _matched(
     project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
 ) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str]]:
     """The images with their frames, and the names of those that have none."""
-    path, frames = found.path, _Frames(project, recording)
+    path = found.path
+    frames = FrameFinder(project, recording, {origin.recording for origin in found.origins.values()})
     matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
     unmatched: list[str] = []
     for picture in pictures:
         origin = found.origins.get(picture.stem)
         key = picture.stem if origin is None else origin.key
-        fitting = frames.of(None if origin is None else origin.recording, key)
+        fitting = frames.find(None if origin is None else origin.recording, key)
         if len(fitting) > 1:
             raise FormatError(
                 path, f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; name one of them"
@@ -101,24 +104,6 @@ def _matched(
     return list(matched.values()), unmatched
 
 
-class _Frames:
-    """The project's frames by recording and key."""
-
-    def __init__(self, project: Project, recording: str | None) -> None:
-        chosen = None if recording is None else [project.recordings.find(recording).id]
-        names = {each.id: each.name for each in project.recordings.all()}
-        self._by_key: dict[str, list[StoredFrame]] = {}
-        self._by_place: dict[tuple[str, str], StoredFrame] = {}
-        for frame in project.frames.of(chosen):
-            self._by_key.setdefault(frame.key, []).append(frame)
-            self._by_place[names[frame.recording_id], frame.key] = frame
-
-    def of(self, recording: str | None, key: str) -> list[StoredFrame]:
-        """Those that may be meant; the recording may have another name here than where the dataset was made."""
-        exact = None if recording is None else self._by_place.get((recording, key))
-        return self._by_key.get(key, []) if exact is None else [exact]
-
-
 def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) -> None:
     """Boxes on a scaled copy of the image would be taken for boxes on the image, shares of a cut one for shares."""
     width_px, height_px = size_px
@@ -133,13 +118,7 @@ def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) 
     file = picture.file(path)
     if file is None:
         return
-    import cv2
-
-    data = file.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if image is None:
-        raise FormatError(file, "is no picture that can be read; bring it back, or remove it")
-    height, width = image.shape[:2]
+    height, width = read_picture(file)[1].shape[:2]
     # a scaled copy has whole pixels, too
     if abs(width * height_px - height * width_px) > max(width_px, height_px):
         raise FormatError(

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 
+from annotator.files import is_within
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.yolo_read import YoloPicture, read_yolo
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
+
+# Of a name that is none.
+SHOWN = 60
 
 
 class FlatFormat(StrEnum):
@@ -51,11 +55,14 @@ class PictureLabels:
             path: where the name comes from, for the message.
 
         Raises:
-            FormatError: the name leads out of its folder.
+            FormatError: the name leads out of its folder, or is none.
         """
         file = self.folder / self.file_name
-        if not file.resolve().is_relative_to(self.folder.resolve()):
-            raise FormatError(path, f"{self.file_name!r} leads out of the folder of pictures; use names within it")
+        if not is_within(self.folder, self.file_name):
+            raise FormatError(
+                path,
+                f"{self.file_name[:SHOWN]!r} leads out of the folder of pictures, or is no name; use names within it",
+            )
         return file if file.is_file() else None
 
 

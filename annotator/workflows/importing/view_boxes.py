@@ -7,16 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from annotator.formats.picture_file import read_picture
+from annotator.pictures import PNG_SIGNATURE
 from annotator.project import Change, Project, ViewGeometry
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError
 from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.importing.picture_labels import PictureLabels
 from annotator.workflows.views_out import ViewPlace
-
-PNG_SIGNATURE = b"\x89PNG"
 
 
 @dataclass(frozen=True)
@@ -68,15 +66,12 @@ def checked_views(
 
 def _checked_picture(path: Path, picture: PictureLabels) -> tuple[Path, tuple[int, int], str]:
     """The picture's file, its width and height in pixels, and the hash of its content."""
-    import cv2
-
     file = picture.file(path)
     if file is None:
         raise FormatError(path, f"{picture.file_name} is not in {picture.folder}; give the folder of the pictures")
-    content = file.read_bytes()
-    bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
-    if bgr is None or not content.startswith(PNG_SIGNATURE):
-        raise FormatError(file, "is no PNG picture that can be read; pseudo-views are kept as PNG")
+    content, bgr = read_picture(file)
+    if not content.startswith(PNG_SIGNATURE):
+        raise FormatError(file, "is no PNG picture; pseudo-views are kept as PNG")
     height_px, width_px = bgr.shape[:2]
     if picture.size_px is not None and picture.size_px != (width_px, height_px):
         raise FormatError(
