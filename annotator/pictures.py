@@ -19,19 +19,23 @@ JPEG_SCAN = 0xDA
 JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
 # The markers of frame headers: all of 0xC0 to 0xCF but those for tables and extensions.
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# A few kilobytes can promise a picture that fills the memory; the largest cameras have 150 million pixels.
-MOST_PIXELS = 200_000_000
+# Markers without a length, and what stands for no marker; none belongs before a frame header.
+JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
+# A few kilobytes can promise a picture that fills the memory: 67 million pixels, 200 MB in colour.
+MOST_PIXELS = 1 << 26
 
 
 def decode_picture(data: bytes, flags: int) -> np.ndarray:
     """The picture that the bytes of an image file hold, as OpenCV gives it (BGR).
 
+    OpenCV knows other formats, too, but nothing bounds what it takes to decode them.
+
     Args:
-        data: PNG, JPEG, or whatever else OpenCV decodes.
+        data: PNG or JPEG.
         flags: OpenCV's, such as `cv2.IMREAD_COLOR`.
 
     Raises:
-        ValueError: they are cut off, damaged, no picture, or one of more than `MOST_PIXELS`; says which.
+        ValueError: they are cut off, damaged, of another format, or a picture of more than `MOST_PIXELS`; says which.
     """
     import cv2
 
@@ -39,6 +43,8 @@ def decode_picture(data: bytes, flags: int) -> np.ndarray:
     if problem:
         raise ValueError(problem)
     width, height = _promised_size(data)
+    if width * height == 0:
+        raise ValueError("cannot be decoded as a PNG or JPEG image; images of other formats must be saved as one")
     if width * height > MOST_PIXELS:
         raise ValueError(f"the image says that it has {width} x {height} pixels; so many are not read")
     try:
@@ -99,12 +105,15 @@ def _jpeg_problem(data: bytes) -> str:
 
 
 def _promised_size(data: bytes) -> tuple[int, int]:
-    """Width and height in the header of a PNG or JPEG file; 0 and 0 for any other."""
+    """Width and height in the header of a PNG or JPEG file; 0 and 0 for any other, and where none is found."""
     if data.startswith(PNG_SIGNATURE) and data[12:16] == b"IHDR":
         return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
     at = len(JPEG_START) if data.startswith(JPEG_START) else len(data)
     while at + 9 <= len(data) and data[at] == 0xFF:
         if data[at + 1] in JPEG_FRAMES:
             return int.from_bytes(data[at + 7 : at + 9]), int.from_bytes(data[at + 5 : at + 7])
+        if data[at + 1] in JPEG_WITHOUT_LENGTH:
+            # a decoder would go on right behind it, and find another header than is found here
+            break
         at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4])
     return 0, 0

@@ -24,13 +24,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import inside_image, project
+from annotator.pictures import MOST_PIXELS
 from annotator.recordings.cloud_columns import RawCloud
 from annotator.recordings.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
 from annotator.recordings.kitti_frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.plausible import MOST_PIXELS, is_rotation
+from annotator.recordings.plausible import is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, Number, read_camera, read_up
 from annotator.recordings.virtual_image import virtual_image

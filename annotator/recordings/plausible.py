@@ -7,9 +7,8 @@ import numpy as np
 # Metres or pixels, whatever is written.
 LARGEST = 1e9
 SMALLEST_FOCAL_PX = 1e-3
-# Wider or higher pictures than any camera's; and how many pixels one of them has at most.
+# Wider or higher pictures than any camera's.
 LARGEST_SIDE_PX = 1 << 16
-MOST_PIXELS = 1 << 26
 
 
 def are_plausible(values: np.ndarray) -> bool:

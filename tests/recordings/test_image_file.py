@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.pictures import image_problem
+from annotator.pictures import MOST_PIXELS, decode_picture, image_problem
 from annotator.recordings.image_file import read_rgb
 from annotator.types.errors import FrameError
 
@@ -55,6 +56,39 @@ def test_any_flipped_byte_of_a_png_is_found(at: int, flip: int):
 def test_a_missing_image_is_named(tmp_path: Path):
     with pytest.raises(FrameError, match=r"nothing\.png: cannot be read"):
         read_rgb(tmp_path / "nothing.png")
+
+
+def bmp_header(width: int, height: int) -> bytes:
+    """The first bytes of a file of another format, which OpenCV decodes."""
+    return b"BM" + struct.pack("<IIIIiiHHIIiiII", 54, 0, 54, 40, width, height, 1, 24, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [cv2.imencode(suffix, PICTURE)[1].tobytes() for suffix in (".tiff", ".bmp", ".webp")]
+    + [
+        bmp_header(15_000, 15_000),
+        # behind a marker without a length, a decoder finds another header than one who skips what seems its segment
+        BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
+    ],
+    ids=["tiff", "bmp", "webp", "large", "marker"],
+)
+def test_other_formats_are_refused_whatever_their_names(tmp_path: Path, content: bytes):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
+        read_rgb(tmp_path / "a.png")
+
+
+def test_a_jpeg_of_too_many_pixels_is_refused():
+    at = BASELINE.index(b"\xff\xc0")
+    side = int(MOST_PIXELS**0.5)
+    for height, refused in ((side + 1, True), (40, False)):
+        data = BASELINE[: at + 5] + struct.pack(">HH", height, side if refused else 56) + BASELINE[at + 9 :]
+        if refused:
+            with pytest.raises(ValueError, match=f"{side} x {height} pixels; so many are not read"):
+                decode_picture(data, cv2.IMREAD_COLOR)
+        else:
+            assert decode_picture(data, cv2.IMREAD_COLOR).shape == PICTURE.shape
 
 
 @pytest.mark.shared
