@@ -282,12 +282,64 @@ def test_a_folder_of_datasets(kitti: Path, exported: Path) -> None:
     assert [(facts.format, facts.frames) for facts in report.datasets] == [("kitti_object", 3), ("rcv", 5)]
     assert [(f.rule, Path(f.file).name) for f in report.findings] == [
         ("unreadable-dataset", "empty"),
-        ("unchecked-dataset", "other"),
+        ("broken-label", "sample_data.json"),
     ]
-    with pytest.raises(RecordingError, match="other: holds nuScenes tables, which the check does not read"):
-        check_datasets(kitti.parent / "other")
     with pytest.raises(RecordingError, match="no known recording format"):
         check_datasets(kitti / "label_2")
+
+
+BOX = {
+    "name": "cup",
+    "centroid": {"x": 1.0, "y": 2.0, "z": 3.0},
+    "dimensions": {"length": 1.0, "width": 1.0, "height": 1.0},
+    "rotations": {"x": 0.0, "y": 0.0, "z": 0.1},
+}
+COCO = {
+    "images": [{"id": 1, "file_name": "a.png", "width": 40, "height": 30}],
+    "annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}],
+    "categories": [{"id": 1, "name": "cup"}],
+}
+FOREIGN = [
+    ("labelCloud labels", {"labels/_classes.json": '{"classes": []}', "labels/a.json": json.dumps({"objects": [BOX]})}),
+    ("COCO boxes", {"annotations/instances_all.json": json.dumps(COCO)}),
+    ("YOLO boxes", {"classes.txt": "cup\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}),
+    ("YOLO boxes", {"data.yaml": "train: images\nnames: [cup]\n", "labels/a.txt": "0 0.5 0.5 0.1 0.1"}),
+]
+
+
+@pytest.mark.parametrize(("name", "files"), FOREIGN)
+def test_labels_of_other_software_are_read(tmp_path: Path, name: str, files: dict[str, str]) -> None:
+    for file, text in files.items():
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text)
+    report = check_datasets(tmp_path)
+    assert [(facts.format, facts.frames, facts.labels) for facts in report.datasets] == [(name, 1, 1)]
+    assert [f.rule for f in report.findings] == ["unchecked-dataset"]
+    *_, last = files
+    cut(tmp_path / last, 5)
+    report = check_datasets(tmp_path)
+    assert report.datasets == ()
+    assert [(f.rule, f.file, f.line) for f in report.findings] == [("broken-label", str(tmp_path / last), 1)]
+
+
+def test_openlabel_whole_and_in_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = {
+        "metadata": {"schema_version": "1.0.0"},
+        "streams": {"cam": {"type": "camera"}},
+        "frames": {"0": {}, "1": {}},
+    }
+    (tmp_path / "out/train").mkdir(parents=True)
+    (tmp_path / "out/train/a.json").write_text(json.dumps({"openlabel": document}))
+    (tmp_path / "out/train/other.json").write_text("{}")
+    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels"
+    for path in ("out", "out/train"):
+        assert main(["check", str(tmp_path / path)]) == 0
+        assert whole in capsys.readouterr().out.splitlines()
+    for file in ("a.json", "other.json"):
+        cut(tmp_path / "out/train" / file, 1)
+    for path in ("out", "out/train"):
+        assert main(["check", str(tmp_path / path)]) == 1
+        assert "2 errors" in capsys.readouterr().out
 
 
 def test_the_command(

@@ -6,10 +6,12 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from annotator.types.errors import FormatError
 from annotator.workflows.checking.dataset_check import DatasetCheck, DatasetFacts, Progress
 from annotator.workflows.checking.findings import Finding, Findings
-from annotator.workflows.checking.rules import UNCHECKED_DATASET, UNREADABLE_DATASET, Severity
-from annotator.workflows.checking.sources import NotChecked, find_sources
+from annotator.workflows.checking.foreign import ForeignDataset
+from annotator.workflows.checking.rules import BROKEN_LABEL, UNCHECKED_DATASET, UNREADABLE_DATASET, Severity
+from annotator.workflows.checking.sources import find_sources
 
 
 class DatasetReport(BaseModel):
@@ -35,8 +37,24 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
     for source in find_sources(path):
         if isinstance(source, tuple):
             findings.add_error(UNREADABLE_DATASET, source[1], source[0])
-        elif isinstance(source, NotChecked):
-            findings.add(UNCHECKED_DATASET, source.path, f"{source.format} are not looked at")
+        elif isinstance(source, ForeignDataset):
+            facts += _read_foreign(source, findings)
         else:
             facts.append(DatasetCheck(source, findings).run(progress))
     return DatasetReport(datasets=tuple(facts), findings=findings.all(), counts=findings.counts())
+
+
+def _read_foreign(dataset: ForeignDataset, findings: Findings) -> list[DatasetFacts]:
+    """What a dataset of other software holds; nothing is said of its size where a part of it cannot be read."""
+    frames = labels = 0
+    faulty = False
+    for part in dataset.parts():
+        if isinstance(part, FormatError):
+            findings.add_error(BROKEN_LABEL, part, dataset.path)
+            faulty = True
+        else:
+            frames, labels = frames + part[0], labels + part[1]
+    if faulty:
+        return []
+    findings.add(UNCHECKED_DATASET, dataset.path, f"{dataset.format}: read, but their boxes are not looked at")
+    return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]

@@ -62,7 +62,10 @@ MISSING_LABELS = _error("missing-labels", "a frame has no label file, and others
 STRAY_FILE = _error("stray-file", "labels or other files of a frame that is not there")
 MANIFEST_MISMATCH = _error("manifest-mismatch", "a dataset's manifest counts other than there is")
 
-UNCHECKED_DATASET = _note("unchecked-dataset", "labels of a format that the check does not read (nuScenes, OpenLABEL)")
+UNCHECKED_DATASET = _note(
+    "unchecked-dataset",
+    "labels that are read, and their boxes not looked at (nuScenes, OpenLABEL, labelCloud, COCO, YOLO)",
+)
 
 # Rows
 BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is no label")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -17,10 +16,10 @@ from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
 from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
+from annotator.workflows.checking.foreign import ForeignDataset, foreign_dataset
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
 
 MOST_LEVELS = 4
-SNIFFED_BYTES = 256
 # Where formats keep a frame's calibration, or that of all; the first that is there.
 CALIBRATIONS = (
     "calib/{key}.txt",
@@ -183,15 +182,7 @@ class RcvLabelFiles:
                     yield file, None, file.stem
 
 
-@dataclass(frozen=True)
-class NotChecked:
-    """A dataset whose labels are read by `annotator import` and not by the check."""
-
-    path: Path
-    format: str
-
-
-Found = Source | NotChecked | tuple[Path, AnnotatorError]
+Found = Source | ForeignDataset | tuple[Path, AnnotatorError]
 
 
 def find_sources(path: Path) -> Iterator[Found]:
@@ -202,10 +193,6 @@ def find_sources(path: Path) -> Iterator[Found]:
     """
     found = False
     for source in _below(path, MOST_LEVELS):
-        if isinstance(source, NotChecked) and source.path == path:
-            raise RecordingError(
-                f"{path}: holds {source.format}, which the check does not read; import them, and check the project"
-            )
         found = True
         yield source
     if not found:
@@ -214,10 +201,11 @@ def find_sources(path: Path) -> Iterator[Found]:
 
 
 def _below(path: Path, levels: int) -> Iterator[Found]:
-    foreign = _foreign(path)
+    foreign = foreign_dataset(path)
     if foreign is not None:
-        yield NotChecked(path, foreign)
-        return
+        yield foreign
+        if not foreign.is_recording:
+            return
     try:
         yield _open(path)
         return
@@ -231,19 +219,6 @@ def _below(path: Path, levels: int) -> Iterator[Found]:
     for child in sorted(path.iterdir()):
         if not child.name.startswith(".") and (child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
             yield from _below(child, levels - 1)
-
-
-def _foreign(path: Path) -> str | None:
-    """The format of a folder that a reader of clouds or images would take for one of its own."""
-    if not path.is_dir():
-        return None
-    if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
-        return "nuScenes tables"
-    for file in path.glob("*.json"):
-        with suppress(OSError), file.open("rb") as stream:
-            if b'"openlabel"' in stream.read(SNIFFED_BYTES):
-                return "OpenLABEL documents"
-    return None
 
 
 def _open(path: Path) -> Source:
