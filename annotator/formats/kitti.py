@@ -22,6 +22,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.text_folder import text_rows
 from annotator.types import Box2D, OrientedBox, Truth
 from annotator.types.errors import FormatError
+from annotator.types.tracks import MOST_TRACK
 
 DONT_CARE = "DontCare"
 FIELDS = 15
@@ -168,6 +169,8 @@ def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int
         FormatError: as `parse_label_line`.
     """
     frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
+    if max(abs(frame), abs(track_id)) > MOST_TRACK:
+        raise FormatError(path, f"frame and track are at most {MOST_TRACK}, not {frame:.6g} and {track_id:.6g}", line)
     return frame, track_id, parse_fields(fields[TRACKING_FIELDS:], path, line)
 
 

@@ -14,7 +14,8 @@ from annotator.project.records import BoxRecord, box_2d_of, storable
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.writing import Change, Receipt, Writer
 from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source
-from annotator.types.errors import NotFoundError
+from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.tracks import MOST_TRACK
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement")
@@ -31,6 +32,8 @@ class NewLabel:
         track_id: the object's id over the recording, where known.
         state: anything but PROPOSED, which the next automatic pass would remove.
         origin: how an operator made it, where one did.
+
+    Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
 
     label: str
@@ -39,6 +42,11 @@ class NewLabel:
     track_id: int | None = None
     state: ReviewState = ReviewState.ACCEPTED
     origin: Origin | None = None
+
+    def __post_init__(self) -> None:
+        # the database would not take it, or a file would not give it back
+        if self.track_id is not None and abs(self.track_id) > MOST_TRACK:
+            raise ProjectError(f"a track id goes from -{MOST_TRACK} to {MOST_TRACK}; number the tracks anew")
 
 
 @dataclass(frozen=True, eq=False)

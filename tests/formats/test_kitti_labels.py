@@ -127,7 +127,7 @@ def test_a_bad_row_is_named_by_file_and_line(tmp_path: Path, row: str, complaint
     assert str(caught.value).startswith(f"{path}:2: ")
 
 
-@pytest.mark.parametrize("row", [CAR, f"0 {CAR}", f"0.5 1 {CAR}", f"x 1 {CAR}"])
+@pytest.mark.parametrize("row", [CAR, f"0 {CAR}", f"0.5 1 {CAR}", f"x 1 {CAR}", f"0 {10**30} {CAR}", f"-1e16 0 {CAR}"])
 def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
     path = tmp_path / "label_02.txt"
     path.write_text(f"0 1 {CAR}\n{row}\n")

@@ -205,6 +205,10 @@ def test_what_is_no_label_is_named(tmp_path: Path, entries: list[dict[str, Any]]
         ("P2: 1 2 3\n", r"000000\.txt:1: P2 needs 12 numbers"),
         ("R0_rect: 1 0 0 0 1 0 0 0 1\n", "has no P2 and no Tr_velo_to_cam"),
         ("Tr_velo_to_cam: 1 0 0 0 0 nan 0 0 0 0 1 0\n", r"000000\.txt:1: Tr_velo_to_cam must be finite"),
+        (
+            "P2: 1 0 0 0 0 1 0 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 1 0 0 1e10 0 1 0 0 0 0 1 0\n",
+            r"calib/000000\.txt: takes objects\.0 of its cloud too far off: a box must be within",
+        ),
     ],
 )
 def test_a_damaged_calibration(tmp_path: Path, text: str, problem: str) -> None:

@@ -78,7 +78,7 @@ def test_the_document_follows_the_schema(tmp_path: Path) -> None:
         st.builds(
             make_label, BOXES, uid=st.uuids().map(str), label=st.sampled_from(["hand", "Büro | 1"]),
             score=st.none() | st.floats(0, 1), state=st.sampled_from(ReviewState),
-            track_id=st.none() | st.integers(0, 3),
+            track_id=st.none() | st.integers(0, 3) | st.sampled_from([-(2**53), 2**53]),
         ),
         max_size=4,
     )
@@ -188,6 +188,11 @@ def cuboid_with(**changes: Any) -> dict[str, Any]:
     return content
 
 
+def numbered(uid: str) -> dict[str, Any]:
+    """The document with another number for its object."""
+    return json.loads(json.dumps(foreign()).replace('"12"', f'"{uid}"'))
+
+
 CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
 
 
@@ -201,6 +206,8 @@ CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
         (cuboid_with(coordinate_system="mars"), CUBOID + ".*nothing leads from the coordinate system 'mars' to 'cam'"),
         (cuboid_with(coordinate_system=None), CUBOID + ": names no coordinate_system"),
         (cuboid_with(attributes={"num": [{"name": "track_id", "val": 1.5}]}), CUBOID + ": track_id must be"),
+        (cuboid_with(attributes={"num": [{"name": "track_id", "val": 2.0**54}]}), r"num\.0\.val"),
+        (numbered("1" + "0" * 17), "the object's number, which becomes its track"),
         (foreign(objects={}), r"openlabel\.objects has no 12"),
         (foreign(streams={}), "has no stream of type camera"),
         (foreign(metadata={"schema_version": "2.0.0"}), r"openlabel\.metadata\.schema_version"),

@@ -237,7 +237,9 @@ def test_a_project_that_nobody_may_read_is_listed_with_its_problem(
 def test_classes_can_be_added_but_not_taken_from_boxes(project: Project, frame: int) -> None:
     with open_project(project.path) as other:
         other.configure(classes=["hand", "person", "dog"])
-    receipt = project.labels.create(frame, [NewLabel("dog", box_at())], by_hand()).receipt
+    with pytest.raises(ProjectError, match="a track id goes from"):
+        NewLabel("dog", box_at(), track_id=10**30)
+    receipt = project.labels.create(frame, [NewLabel("dog", box_at(), track_id=2**53)], by_hand()).receipt
     boxes = [Box2D("person", 0.0, 0.0, 1.0, 1.0)]
     project.boxes.set_on_image(frame, boxes, BoxKind.SILHOUETTE, by_hand(receipt.revision))
     for kept, lost in ((["hand", "person"], "'dog'"), (["dog", "hand"], "'person'")):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,7 +73,18 @@ def _read_folder(folder: Path) -> Iterator[tuple[str, LabelCloudFrame]]:
             except ValueError as error:
                 raise FormatError(file, f"objects.{number}: {error}") from error
         pose = folder.parent / CALIBRATIONS / f"{file.stem}.txt"
-        yield file.stem, LabelCloudFrame(tuple(boxes), read_calibration_pose(pose) if pose.is_file() else None)
+        yield file.stem, LabelCloudFrame(tuple(boxes), _pose_for(boxes, pose) if pose.is_file() else None)
+
+
+def _pose_for(boxes: Sequence[tuple[str, OrientedBox]], file: Path) -> RigidTransform:
+    """T_camera_cloud of a calibration, which must leave boxes of its cloud within reach."""
+    T = read_calibration_pose(file)
+    for number, (_, box) in enumerate(boxes):
+        try:
+            box.transformed(T)
+        except ValueError as error:
+            raise FormatError(file, f"takes objects.{number} of its cloud too far off: {error}") from error
+    return T
 
 
 def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:

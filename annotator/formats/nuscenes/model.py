@@ -10,13 +10,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.formats.bounded import Bounded3, Bounded4, BoundedPositive
+from annotator.formats.bounded import Bounded3, Bounded4, BoundedPositive, BoundedTrack
 
 Token = Annotated[str, Field(min_length=1)]
 Vector3 = Bounded3
 Quaternion = Bounded4
-# what JSON numbers, and the project, hold exactly
-TrackId = Annotated[int, Field(ge=-(2**53), le=2**53)]
 
 
 class Record(BaseModel):
@@ -55,7 +53,7 @@ class Instance(Record):
     nbr_annotations: int
     first_annotation_token: str
     last_annotation_token: str
-    track_id: TrackId | None = None
+    track_id: BoundedTrack | None = None
 
 
 class Sensor(Record):

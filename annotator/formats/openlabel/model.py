@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-from annotator.formats.bounded import Bounded, Bounded3, Bounded4
+from annotator.formats.bounded import Bounded, Bounded3, Bounded4, Exact
 
 SCHEMA_VERSION = "1.0.0"
 
@@ -29,7 +29,7 @@ class Num(_Record):
     """A named number."""
 
     name: str | None = None
-    val: Bounded
+    val: Exact
 
 
 class Text(_Record):

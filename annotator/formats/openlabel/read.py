@@ -13,6 +13,7 @@ from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Docum
 from annotator.formats.openlabel.shapes import box_from
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import FormatError
+from annotator.types.tracks import MOST_TRACK
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,4 +172,8 @@ def _track(said: float | None, uid: str) -> int | None:
         if not said.is_integer():
             raise ValueError(f"track_id must be a whole number, not {said}")
         return int(said)
-    return int(uid) if "-" not in uid[1:] else None
+    if "-" in uid[1:]:
+        return None
+    if abs(number := int(uid)) > MOST_TRACK:
+        raise ValueError(f"the object's number, which becomes its track, goes to {MOST_TRACK}, not {number:.6g}")
+    return number

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.formats.bounded import BoundedTrack
 from annotator.types import ReviewState, Source
 
 FORMAT_NAME = "annotator-rcv"
@@ -55,7 +56,7 @@ class RcvObject(_Record):
     state: ReviewState
     author: str
     time_ns: int
-    track_id: int | None
+    track_id: BoundedTrack | None
     center: Vector3
     size: tuple[Positive, Positive, Positive]
     rotation: Matrix3
