@@ -94,6 +94,10 @@ def _flat(
     found = {"camera images": done.pictures - done.views, "pseudo-views": done.views}
     where = " and ".join(f"{number} {what}" for what, number in found.items() if number) or "no picture"
     print_line(f"{done.boxes} boxes on {where}")
+    if done.replaced:
+        print_line(f"replaced: the boxes that somebody had drawn on {done.replaced} camera images")
+    if done.finalised:
+        print_line(f"left alone: {done.finalised} pictures of finalised frames")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     _left_out(done.other_classes, done.unmatched, "images")

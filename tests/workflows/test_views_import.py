@@ -17,13 +17,15 @@ import pytest
 
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.project import Change, Project
+from annotator.project.overview import FramePage
+from annotator.project.payloads import FrameFinalised
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import span_on_view
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source
 from annotator.types.errors import ConfigError, FormatError, ProjectError
 from annotator.workflows.frames import FrameSource
-from annotator.workflows.importing import Imported, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import Imported, image_boxes, import_image_boxes, import_view_boxes
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.samples import drawn_objects, gather, taught_by_drags
 from annotator.workflows.simulate import draw_frame, visible_objects
@@ -367,6 +369,31 @@ def test_boxes_on_camera_images(people: Project, tmp_path: Path) -> None:
     # again, with another box: what was there is replaced
     imported(people, tmp_path, image("000001.jpg", replace(BOX, x_max=70.5)))
     assert people.boxes.on_images()[0].boxes == (replace(BOX, x_max=70.5),)
+
+
+def test_what_people_drew_is_told_and_finalised_frames_stay(
+    people: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second, third = people.frames.of()[:3]
+    mine = Box2D("person", 1.5, 2.5, 30.5, 40.5)
+    for frame in (first, second):
+        people.boxes.set_on_image(frame.id, [mine], BoxKind.SILHOUETTE, Change(0, "ann", Source.MANUAL))
+    people.log.append(second.id, [FrameFinalised()], Change(1, "ann", Source.MANUAL))
+    read, changed = image_boxes.read_page, []
+
+    def read_and_change(project: Project, frame_id: int) -> FramePage:
+        page = read(project, frame_id)
+        if frame_id == third.id and not changed:
+            changed.append(project.boxes.set_on_image(frame_id, [mine], BoxKind.SILHOUETTE, Change(0, "bob")))
+        return page
+
+    monkeypatch.setattr(image_boxes, "read_page", read_and_change)
+    done = imported(people, tmp_path, *(image(f"{frame.key}.jpg", BOX) for frame in (first, second, third)))
+    assert done == Imported(2, 2, {}, replaced=2, finalised=1)
+    assert changed
+    assert [found.boxes for found in people.boxes.on_images()] == [(BOX,), (mine,), (BOX,)]
+    # nothing is replaced by the same, and nothing of ours is somebody's
+    assert imported(people, tmp_path, image(f"{first.key}.jpg", BOX)).replaced == 0
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pathlib import Path
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
-from annotator.workflows.importing.image_boxes import checked_images, store_on_image
+from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
 from annotator.workflows.importing.view_boxes import checked_views, store_on_view
 from annotator.workflows.views_out import ViewPlace, read_places
@@ -30,6 +30,8 @@ class Imported:
         unmatched: file names that belong to no frame of the project.
         views: how many of the pictures are pseudo-views.
         unreadable: images whose frame cannot be read, which alone knows their size, as `key: reason`.
+        replaced: images whose boxes somebody else had drawn, and which have those of the dataset now.
+        finalised: pictures that were left alone because their frame is finalised.
     """
 
     pictures: int
@@ -38,6 +40,8 @@ class Imported:
     unmatched: tuple[str, ...] = ()
     views: int = 0
     unreadable: tuple[str, ...] = ()
+    replaced: int = 0
+    finalised: int = 0
 
 
 def import_image_boxes(
@@ -49,9 +53,10 @@ def import_image_boxes(
 ) -> Imported:
     """Boxes on camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg` is the frame 000012).
 
-    An image without boxes is taken as one that shows nothing. What follows for the boxes on pseudo-views is done, too:
-    those that were drawn from a box that is not there any more go. Pictures that `views.json` beside them names are
-    pseudo-views, and taken over as `import_view_boxes` does.
+    An image without boxes is taken as one that shows nothing. Finalised frames are left alone; on all others the boxes
+    replace those that were there, and it is told where somebody else had drawn them. What follows for the boxes on
+    pseudo-views is done, too: those that were drawn from a box that is not there any more go. Pictures that
+    `views.json` beside them names are pseudo-views, and taken over as `import_view_boxes` does.
 
     Args:
         path: a file, or the folder of a dataset.
@@ -108,17 +113,21 @@ def _import(
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
     for image in images.matched if images is not None else ():
-        store_on_image(project, found.path, image, tally.known(image.boxes), kind, drawn_from[image.frame_id])
+        known, base = tally.known(image.boxes), drawn_from[image.frame_id]
+        tally.add(image.boxes, store_on_image(project, found.path, image, known, kind, base))
+    stored_images = tally.pictures
     revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
     for view in views:
-        store_on_view(project, view, tally.known(view.boxes), kind, revisions)
+        tally.add(view.boxes, store_on_view(project, view, tally.known(view.boxes), kind, revisions))
     return Imported(
         tally.pictures,
         tally.boxes,
         dict(tally.other),
         images.unmatched if images is not None else (),
-        len(views),
+        tally.pictures - stored_images,
         images.unreadable if images is not None else (),
+        tally.outcomes[Stored.REPLACED],
+        tally.outcomes[Stored.LEFT_ALONE],
     )
 
 
@@ -133,6 +142,7 @@ class _Tally:
         self._classes = set(project.config.classes)
         self.pictures = self.boxes = 0
         self.other: Counter[str] = Counter()
+        self.outcomes: Counter[Stored] = Counter()
         found = {label for picture in pictures for label in picture.labels}
         if found and not found & self._classes:
             raise FormatError(
@@ -143,8 +153,13 @@ class _Tally:
 
     def known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
         """Those of the project's classes."""
+        return [box for box in boxes if box.label in self._classes]
+
+    def add(self, boxes: Sequence[Box2D], stored: Stored) -> None:
+        """Counts a picture with its boxes, by what became of them."""
+        self.outcomes[stored] += 1
+        if stored is Stored.LEFT_ALONE:
+            return
         self.pictures += 1
-        kept = [box for box in boxes if box.label in self._classes]
+        self.boxes += len(self.known(boxes))
         self.other.update(box.label for box in boxes if box.label not in self._classes)
-        self.boxes += len(kept)
-        return kept

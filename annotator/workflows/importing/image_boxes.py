@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from annotator.project.overview import read_page
 from annotator.project.payloads import ImageBoxesSet
 from annotator.project.records import storable
 from annotator.types import Box2D, BoxKind, Source
-from annotator.types.errors import FormatError, FrameError
+from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.importing.frame_finder import FrameFinder
@@ -32,6 +34,16 @@ class OnImage:
     frame_id: int
     file_name: str
     boxes: tuple[Box2D, ...]
+
+
+class Stored(Enum):
+    """What became of the boxes for an image."""
+
+    KEPT = "kept"
+    # in place of others that somebody else had drawn
+    REPLACED = "replaced"
+    # the frame is finalised: nothing was changed
+    LEFT_ALONE = "left alone"
 
 
 @dataclass(frozen=True)
@@ -100,7 +112,11 @@ def _matched(
         else:
             matched[fitting[0].id] = (picture, fitting[0])
     if not matched:
-        raise FormatError(path, "none of its images is a frame of the project; file names must end in a frame's key")
+        raise FormatError(
+            path,
+            "none of its images is a frame of the project; a file's name without its suffix must be the frame's key "
+            "(000012.jpg is the frame 000012)",
+        )
     return list(matched.values()), unmatched
 
 
@@ -130,19 +146,26 @@ def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) 
 
 def store_on_image(
     project: Project, path: Path, image: OnImage, boxes: Sequence[Box2D], kind: BoxKind, drawn_from: Sequence[Box2D]
-) -> None:
-    """Sets the boxes of a frame's camera image, and what follows for those on its views.
+) -> Stored:
+    """Sets the boxes of a frame's camera image, and what follows for those on its views; not of a finalised frame.
 
     Args:
         path: where they come from, for messages.
         drawn_from: boxes on the same image that views coming along were drawn from.
     """
-    page = read_page(project, image.frame_id)
-    known = [*drawn_from, *(() if page.image_boxes is None else page.image_boxes.boxes)]
-    with storable(f"{path}: {image.file_name}"):
-        on_image = ImageBoxesSet(boxes=tuple(_as_known(known, boxes)), box_kind=kind)
-    change = Change(page.frame.revision, AUTHOR, Source.IMPORTED)
-    project.log.append(image.frame_id, [on_image, *view_followers(page, on_image)], change)
+    while True:
+        page = read_page(project, image.frame_id)
+        if page.frame.finalised:
+            return Stored.LEFT_ALONE
+        before = () if page.image_boxes is None else page.image_boxes.boxes
+        with storable(f"{path}: {image.file_name}"):
+            on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
+        change = Change(page.frame.revision, AUTHOR, Source.IMPORTED)
+        # somebody may have changed the frame between the lines
+        with suppress(StaleRevisionError):
+            project.log.append(image.frame_id, [on_image, *view_followers(page, on_image)], change)
+            is_drawn = page.image_boxes is not None and page.image_boxes.author != AUTHOR
+            return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
 
 
 def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from annotator.formats.picture_file import read_picture
 from annotator.pictures import PNG_SIGNATURE
 from annotator.project import Change, Project, ViewGeometry
 from annotator.types import Box2D, BoxKind, Source
-from annotator.types.errors import FormatError
+from annotator.types.errors import FormatError, StaleRevisionError
 from annotator.workflows.importing.boxes_3d import AUTHOR
+from annotator.workflows.importing.image_boxes import Stored
 from annotator.workflows.importing.picture_labels import PictureLabels
 from annotator.workflows.views_out import ViewPlace
 
@@ -84,21 +87,25 @@ def _checked_picture(path: Path, picture: PictureLabels) -> tuple[Path, tuple[in
 
 def store_on_view(
     project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
-) -> None:
-    """Copies the picture into the project and sets its boxes.
+) -> Stored:
+    """Copies the picture into the project and sets its boxes; not where it is of a finalised frame.
 
     Args:
         revisions: of the views without a frame that the project has, by id.
     """
+    if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
+        return Stored.LEFT_ALONE
     view_id = project.views.store(view.file.read_bytes())
-    known = revisions.get(view_id, 0)
-    revision = known if view.frame_id is None else project.frames.get(view.frame_id).revision
-    project.boxes.set_on_view(
-        view_id,
-        boxes,
-        kind,
-        Change(revision, AUTHOR, Source.IMPORTED),
-        frame_id=view.frame_id,
-        step=view.step,
-        geometry=view.geometry,
+    set_boxes = partial(
+        project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
     )
+    if view.frame_id is None:
+        set_boxes(change=Change(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED))
+        return Stored.KEPT
+    while not (frame := project.frames.get(view.frame_id)).finalised:
+        change = Change(frame.revision, AUTHOR, Source.IMPORTED)
+        # somebody may have changed the frame between the lines
+        with suppress(StaleRevisionError):
+            set_boxes(change=change)
+            return Stored.KEPT
+    return Stored.LEFT_ALONE
