@@ -112,6 +112,7 @@ def run(args: Arguments) -> dict[str, object]:
     plan, classes = args.plan(), classes_of(args.dataset, args.classes)
     recording = open_recording(args.root)
     split = split_of(recording, args.seed).limited(args.limit, args.seed)
+    QUIET.print(": ".join(filter(None, (split.source, split.found()))))
     start: dict[str, JsonValue] = {
         "dataset": args.dataset.value,
         "root": str(args.root.resolve()),

@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.files import new_folder
+from annotator.formats.kitti import read_tracking_labels
+from annotator.formats.kitti_results import read_kitti_file
 from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
 from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluate import read_frame_names
 from annotator.workflows.frame_share import share_of
+from annotator.workflows.kitti_view import TRACKING
+from annotator.workflows.truth import frame_number, label_file
 
 # Of each format, the folders of one file a frame, and the files that all frames share.
 LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -35,11 +39,19 @@ class FrameSplit:
     Attributes:
         train, val: sorted; they overlap only where there is but one frame.
         source: who divided them, in words.
+        listed: how many frames the lists name; None where there are none.
+        there: how many of these there are; 0 without lists.
     """
 
     train: tuple[str, ...]
     val: tuple[str, ...]
     source: str
+    listed: int | None = None
+    there: int = 0
+
+    def found(self) -> str:
+        """How much of the lists there is; "" where there are none."""
+        return "" if self.listed is None else f"{self.there} of {self.listed} listed frames are there"
 
     def limited(self, limit: int | None, seed: int) -> FrameSplit:
         """At most so many frames on each side, drawn by the seed."""
@@ -55,7 +67,7 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
     toolbox's `allsplit.mat`.
 
     Raises:
-        ConfigError: a format of neither data set; or lists that name none of the frames that are there.
+        ConfigError: a format of neither data set; or lists that share a frame, or name none of those that are there.
         FormatError: lists that cannot be read.
     """
     if recording.format not in LAYOUTS:
@@ -66,16 +78,41 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
     lists = _own_lists(recording)
     if lists is not None:
         source, train, val = lists
+        both = sorted(set(train).intersection(val))
+        if both:
+            raise ConfigError(
+                f"{source}: {len(both)} frames are to be learnt from and tried, such as {both[0]}; figures of frames "
+                "that were learnt from mean nothing, so take them out of one of the lists"
+            )
         there = set(recording.keys)
-        sides = [tuple(sorted(there.intersection(names))) for names in (train, val)]
+        sides = tuple(sorted(there.intersection(train))), tuple(sorted(there.intersection(val)))
         if not all(sides):
             raise ConfigError(f"{source}: names no frame of {recording.path} to {'try' if sides[0] else 'learn from'}")
-        return FrameSplit(sides[0], sides[1], str(source))
+        return FrameSplit(*sides, str(source), len({*train, *val}), sum(map(len, sides)))
     if len(recording) == 1:
         return FrameSplit(recording.keys, recording.keys, "one frame alone, learnt from and tried")
     drawn = _drawn(recording.keys, max(round(TRAIN_SHARE * len(recording)), 1), seed)
     others = tuple(sorted(set(recording.keys).difference(drawn)))
     return FrameSplit(drawn, others, f"no lists there: by chance, seed {seed}")
+
+
+def classes_there(recording: Recording) -> frozenset[str]:
+    """The classes of the labels that lie beside a KITTI recording, whatever their size and however hidden.
+
+    Raises:
+        FormatError: labels that cannot be read.
+    """
+    found: set[str] = set()
+    for key in recording.keys:
+        file = label_file(recording, key)
+        if file is None or not file.is_file():
+            continue
+        if recording.format == TRACKING:
+            # one file has all frames
+            tracks = read_tracking_labels(file, None)
+            return frozenset(truth.label for k in recording.keys for truth in tracks.get(frame_number(file, k), ()))
+        found.update(row.label for row in read_kitti_file(file, scored=False))
+    return frozenset(found)
 
 
 def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None:

@@ -20,7 +20,7 @@ from annotator.workflows.known_labels import labels_beside
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.train import TrainPlan, train
-from benchmarks.paper_frames import FrameSplit, link_frames
+from benchmarks.paper_frames import FrameSplit, classes_there, link_frames
 from benchmarks.paper_settings import Dataset
 from benchmarks.paper_stages import Facts, Stages
 from benchmarks.paper_tables import kitti_ap, sunrgbd_ap
@@ -68,7 +68,7 @@ def bring_in(recording: Recording, split: FrameSplit, place: Place, classes: tup
     with open_project(place.project) as project:
         for side in (TRAIN, VAL):
             register_recording(project, open_recording(place.frames / side), name=side)
-    return {"train": len(split.train), "val": len(split.val), "divided": split.source}
+    return {"train": len(split.train), "val": len(split.val), "divided": split.source, "lists": split.found()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +113,20 @@ class InProject:
             "frames": done.frames,
             "image_boxes": dict(done.image_boxes),
             "objects": dict(done.objects),
-            "views": 4 * done.objects.total(),
+            "views": self._views(),
             "view_boxes": done.view_boxes,
             "without_views": dict(done.without_views),
             "outside": dict(done.outside),
             "hidden": dict(done.hidden),
+            "other_classes": dict(done.other_classes),
+            "drawn": done.drawn,
             "unreadable": list(done.unreadable),
         }
+
+    def _views(self) -> int:
+        """Pseudo-views with boxes; two objects with one box on the image share their first ones."""
+        frames = {frame.id for frame in self.project.frames.of([self._recording(TRAIN)])}
+        return sum(view.frame_id in frames for view in self.project.boxes.on_views())
 
     def train(self, role: Role) -> Facts:
         """One detector; an interrupted training goes on."""
@@ -142,7 +149,7 @@ class InProject:
         """RCV on the frames to try.
 
         Raises:
-            ConfigError: it failed on one of them.
+            ConfigError: it failed on one of them, or passed one over.
         """
         detectors = active_detectors(self.project)
         config = rcv_config(self.project, options=self.options).model_copy(update={"box_kind": detectors.box_kind})
@@ -156,6 +163,12 @@ class InProject:
         run = self.project.jobs.all()[-1]
         # also of frames that an interrupted try had done
         results = {r.frame_id: r for r in self.project.jobs.results(key=run.key, status=Status.DONE)}
+        missing = [f for f in self.project.frames.of([self._recording(VAL)]) if f.id not in results]
+        if missing:
+            raise ConfigError(
+                f"{len(missing)} frames were not tried, such as {missing[0].key}: they are finalised, or no longer "
+                "there; a figure without them would flatter, so reopen them, or begin in another --work folder"
+            )
         return {
             "run": run.id,
             "frames": len(results),
@@ -176,7 +189,8 @@ class InProject:
         # KITTI's protocol is silent on a class that was never detected, and refuses where nothing was
         found = self.stages.done["propose"].result["proposals"]
         content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if found else {}
-        return kitti_ap(content, self.project.config.classes)
+        there = classes_there(open_recording(self.project.recordings.find(VAL).path))
+        return kitti_ap(content, self.project.config.classes, there)
 
     def _report(self, role: Role, step: TrainingProgress) -> None:
         if step.batch == step.batches:

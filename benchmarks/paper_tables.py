@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from pydantic import JsonValue
 
@@ -33,8 +33,8 @@ SUNRGBD_ROW = (65.44, 76.32, 22.48, 70.66, 18.06, 32.02, 56.19, 58.71, 42.85, 6.
 SUNRGBD_MAP = 44.95
 SUNRGBD_THRESHOLDS = ("0.15", "0.25", "0.5")
 
-Ap = Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]
-"""KITTI: class, metric, R11 or R40, then easy, moderate, hard; percent."""
+Ap = Mapping[str, Mapping[str, Mapping[str, Sequence[float]]] | None]
+"""KITTI: class, metric, R11 or R40, then easy, moderate, hard; percent. None for a class without truth."""
 
 
 def paper_of_kitti(fraction: float) -> dict[str, JsonValue]:
@@ -55,16 +55,17 @@ def paper_of_sunrgbd() -> dict[str, JsonValue]:
     return {"table": SUNRGBD_SOURCE, "AP": dict(zip(names, SUNRGBD_ROW, strict=True)), "mAP": SUNRGBD_MAP}
 
 
-def kitti_ap(report: Mapping[str, JsonValue], classes: Sequence[str]) -> dict[str, JsonValue]:
-    """AP of all our classes, percent; 0 for one that was never detected.
+def kitti_ap(report: Mapping[str, JsonValue], classes: Sequence[str], there: Collection[str]) -> dict[str, JsonValue]:
+    """AP of all our classes, percent; 0 for one that was never detected, None for one that nothing true is of.
 
     Args:
         report: by class, then metric, {"R11": [easy, moderate, hard], "R40": ...}.
+        there: the classes of the truth.
     """
     nothing: dict[str, JsonValue] = {
         metric.value: {recalls: [0.0] * len(DIFFICULTIES) for recalls in ("R11", "R40")} for metric in Metric
     }
-    return {label: report.get(label, nothing) for label in classes}
+    return {label: report.get(label, nothing) if label in there else None for label in classes}
 
 
 def kitti_table(ours: Ap, fraction: float) -> Table:
@@ -73,6 +74,9 @@ def kitti_table(ours: Ap, fraction: float) -> Table:
     table = Table("class", "metric", "whose", *heads)
     rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
     for label, metrics in ours.items():
+        if metrics is None:
+            table.add(label, "", "no truth", *[""] * len(heads))
+            continue
         for metric, ap in metrics.items():
             table.add(label, metric, "ours", *ap["R11"], *ap["R40"])
             for share, row in rows.items():

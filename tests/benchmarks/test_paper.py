@@ -16,9 +16,9 @@ import pytest
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.detection.trained import TrainingMetrics
-from annotator.project import Project, Role, open_project
+from annotator.project import Change, Project, Role, open_project
 from annotator.recordings import open_recording
-from annotator.types import BoxKind
+from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.evaluate import Protocol, evaluate_files
@@ -28,7 +28,7 @@ from benchmarks import paper, paper_protocol
 from benchmarks.paper_frames import split_of
 from benchmarks.paper_settings import SUNRGBD_CLASSES, Preset, Trainings
 from benchmarks.paper_stages import Stages
-from benchmarks.paper_tables import KITTI_ROWS, SUNRGBD_MAP, SUNRGBD_ROW, kitti_ap
+from benchmarks.paper_tables import KITTI_ROWS, SUNRGBD_MAP, SUNRGBD_ROW, kitti_ap, kitti_table
 
 WIDTH, HEIGHT, FOCAL = 620, 188, 360.0
 MIDDLE = np.array([WIDTH, HEIGHT]) / 2
@@ -153,7 +153,12 @@ def test_kitti_from_frames_to_figures_and_again(
     first, lines = run("--fraction", "0.5")
     assert first["skipped"] == []
     assert list(first["seconds"]) == STAGES
-    assert first["stages"]["import"] == {"train": 4, "val": 2, "divided": str(kitti / "ImageSets" / "train.txt")}
+    assert first["stages"]["import"] == {
+        "train": 4,
+        "val": 2,
+        "divided": str(kitti / "ImageSets" / "train.txt"),
+        "lists": "6 of 6 listed frames are there",
+    }
     boxes = first["stages"]["boxes"]
     assert (boxes["frames"], boxes["objects"]) == (2, {"Pedestrian": 2, "Cyclist": 2, "Car": 2})
     assert (boxes["views"], first["stages"]["train-view"]["pictures"]["train"]) == (24, 24)
@@ -214,6 +219,45 @@ def test_frames_that_cannot_be_tried_stop_it_and_a_repaired_one_goes_on(
     assert result["stages"]["propose"]["proposals"] == 6
 
 
+def test_a_finalised_frame_stops_it_and_shared_views_count_once(
+    kitti: Path, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two boxes that are the same but for their names have the same first views; of one class nothing true is there."""
+    root = Path(shutil.copytree(kitti, tmp_path / "kitti"))
+    for number in range(6):
+        labels = root / "training" / "label_2" / f"{number:06d}.txt"
+        pedestrian, cyclist, car = labels.read_text().splitlines()
+        rows = [pedestrian, pedestrian.replace("Pedestrian", "Car"), car]
+        rows += [cyclist, cyclist.replace("Cyclist", "Van")] if number < 4 else []
+        labels.write_text("\n".join(rows) + "\n")
+    (root / "ImageSets" / "val.txt").write_text("000004\n000005\n000010\n")
+    args = paper.Arguments(paper.Dataset.KITTI, root, tmp_path / "work", axes=paper.Strategy.CAMERA)
+    told: list[object] = []
+    monkeypatch.setattr(paper.QUIET, "print", told.append)
+    detectors = knowing.detectors
+
+    def finalising(project: Project) -> Detectors:
+        frame = project.frames.find(project.recordings.find("val").id, "000005")
+        project.frames.finalise(frame.id, Change(frame.revision, "somebody", Source.MANUAL))
+        return detectors(project)
+
+    monkeypatch.setattr(paper_protocol, "active_detectors", finalising)
+    with pytest.raises(ConfigError, match="1 frames were not tried, such as 000005: they are finalised"):
+        paper.run(args)
+    assert any("train.txt: 6 of 7 listed frames are there" in str(line) for line in told)
+    with open_project(next((tmp_path / "work" / "projects").iterdir())) as project:
+        frame = project.frames.find(project.recordings.find("val").id, "000005")
+        project.frames.reopen(frame.id, Change(frame.revision, "somebody", Source.MANUAL))
+    monkeypatch.setattr(paper_protocol, "active_detectors", detectors)
+    result: Any = paper.run(args)
+    assert result["ours"]["Cyclist"] is None
+    assert result["ours"]["Pedestrian"] is not None
+    boxes = result["stages"]["boxes"]
+    assert (boxes["other_classes"], boxes["drawn"]) == ({"Van": 4}, 0)
+    assert boxes["views"] == result["stages"]["train-view"]["pictures"]["train"]
+    assert boxes["views"] < 4 * sum(boxes["objects"].values())
+
+
 @pytest.mark.shared
 def test_sun_rgbd_on_a_real_frame(shared: Path, knowing: Knowing, tmp_path: Path) -> None:
     root = shared / "data" / "sunrgbd" / "sunrgbd_trainval"
@@ -223,6 +267,7 @@ def test_sun_rgbd_on_a_real_frame(shared: Path, knowing: Knowing, tmp_path: Path
         "train": 1,
         "val": 1,
         "divided": "one frame alone, learnt from and tried",
+        "lists": "",
     }
     assert result["stages"]["boxes"]["image_boxes"] == {"bed": 1, "night_stand": 1, "dresser": 1, "lamp": 1}
     assert result["axes"] == "consensus"
@@ -240,12 +285,17 @@ def test_the_papers_tables_add_up() -> None:
     assert {len(names) for names in SUNRGBD_CLASSES.values()} == {len(SUNRGBD_ROW)} == {10}
 
 
-def test_a_class_that_was_never_detected_counts_as_nothing_and_stands_beside_the_papers() -> None:
+def test_a_class_that_was_never_detected_counts_as_nothing_and_stands_beside_the_papers(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     car = {"3d": {"R11": [1.0, 2.0, 3.0], "R40": [4.0, 5.0, 6.0]}}
-    found: Any = kitti_ap({"Car": car}, ("Car", "Cyclist"))
+    found: Any = kitti_ap({"Car": car, "Van": car}, ("Car", "Cyclist", "Van"), {"Car", "Cyclist"})
     assert found["Car"] == car
     assert set(found["Cyclist"]) == {"bbox", "bev", "3d", "aos"}
     assert all(ap == {"R11": [0.0] * 3, "R40": [0.0] * 3} for ap in found["Cyclist"].values())
+    assert found["Van"] is None, "nothing true is of this class: it was not missed"
+    kitti_table(found, 0.5).show()
+    assert "no truth" in capsys.readouterr().out
 
 
 def test_the_papers_trainings() -> None:
@@ -270,6 +320,9 @@ def test_without_lists_every_frame_is_on_one_side(kitti: Path, tmp_path: Path) -
         (tmp_path / "ImageSets" / f"{side}.txt").write_text("000000\n" if side == "train" else "999999\n")
     with pytest.raises(ConfigError, match=r"train\.txt: names no frame of .* to try"):
         split_of(recording, 0)
+    (tmp_path / "ImageSets" / "val.txt").write_text("000001\n000000\n")
+    with pytest.raises(ConfigError, match=r"train\.txt: 1 frames are to be learnt from and tried, such as 000000"):
+        split_of(recording, 0)
 
 
 def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
@@ -283,6 +336,7 @@ def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
     (tmp_path / "extracted" / "val_data_idx.txt").write_text("1\n2\n")
     split = split_of(open_recording(tmp_path / "extracted"), 0)
     assert (split.train, split.val) == (("005051",), ("000001", "000002"))
+    assert split.found() == "3 of 4 listed frames are there"
 
     raw = tmp_path / "SUNRGBD"
     names = ["kv1/NYUdata/NYU0001", "kv2/kinect2data/000002_2014", "xtion/a/b"]
