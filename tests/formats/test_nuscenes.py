@@ -85,6 +85,22 @@ def test_rows_know_each_other(tmp_path: Path) -> None:
     assert set(found["map"][0]["log_tokens"]) == set(rows["log"])
 
 
+def test_scenes_that_begin_together_begin_apart(tmp_path: Path) -> None:
+    """The devkit sorts scenes by their first time, and cannot where two are the same."""
+    at_ns, names = 1_700_000_000_000_000_000, ("a", "b", "c")
+    items = [
+        make_item(recording=name, key=f"{n}", timestamp_ns=at_ns + n * 500_000_000) for n in range(2) for name in names
+    ]
+    write(tmp_path / "out", items)
+    found = tables(tmp_path / "out")
+    time = {sample["token"]: sample["timestamp"] for sample in found["sample"]}
+    first, last = ([time[scene[f"{end}_sample_token"]] for scene in found["scene"]] for end in ("first", "last"))
+    assert first == [at_ns // 1000 + shift for shift in range(3)]
+    assert [b - a for a, b in zip(first, last, strict=True)] == [500_000] * 3
+    for row in (*found["sample_data"], *found["ego_pose"]):
+        assert row["timestamp"] in time.values()
+
+
 @given(BOXES)
 @settings(max_examples=60, deadline=None)
 def test_boxes_read_back(box: OrientedBox) -> None:

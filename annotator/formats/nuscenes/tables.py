@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import count
 from math import isnan
 from typing import TypeVar
 
@@ -65,6 +66,8 @@ class Tables:
     _annotations: dict[str, list[SampleAnnotation]] = field(default_factory=dict)
     _instances: dict[str, tuple[str, int | None]] = field(default_factory=dict)
     _order: list[str] = field(default_factory=list)
+    _shifts_us: dict[Key, int] = field(default_factory=dict)
+    _starts_us: set[int] = field(default_factory=set)
 
     def add(self, item: DatasetItem, camera: Camera, T_level_camera: RigidTransform, files: Mapping[str, str]) -> None:
         """One more frame.
@@ -75,9 +78,8 @@ class Tables:
             files: of the camera and the LiDAR, by channel, below the dataset's root.
         """
         frame, key = item.frame, (item.recording, item.split)
-        # never twice the same: the devkit cannot list scenes that begin at the same time
         made_up_us = len(self._poses) // 2 * STEP_US
-        time_us = made_up_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000
+        time_us = self._shifted(key, made_up_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000)
         sample = Sample(
             token=token("sample", item.recording, frame.key), timestamp=time_us, scene_token=token("scene", *key)
         )
@@ -135,6 +137,15 @@ class Tables:
             (recording, split): names.add(recording, split) if split and parts[recording] > 1 else names.add(recording)
             for recording, split in self._samples
         }
+
+    def _shifted(self, key: Key, time_us: int) -> int:
+        """The time, some microseconds later in scenes that would begin when another does: the devkit lists them by
+        that time, and cannot where two are the same."""
+        if key not in self._shifts_us:
+            start_us = next(each for each in count(time_us) if each not in self._starts_us)
+            self._starts_us.add(start_us)
+            self._shifts_us[key] = start_us - time_us
+        return time_us + self._shifts_us[key]
 
     def _calibrated(self, channel: str, T_ego_sensor: RigidTransform, camera: Camera) -> str:
         """The token of a sensor in its place; equal ones are one row."""

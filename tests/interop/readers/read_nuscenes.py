@@ -11,6 +11,7 @@ from nuscenes.utils.data_classes import LidarPointCloud
 from nuscenes.utils.geometry_utils import BoxVisibility, view_points
 
 nusc = NuScenes(sys.argv[2], sys.argv[1], verbose=False)
+nusc.list_scenes()
 frames = {}
 for sample in nusc.sample:
     path, boxes, K = nusc.get_sample_data(sample["data"]["CAM_FRONT"], box_vis_level=BoxVisibility.NONE)
