@@ -30,12 +30,13 @@ from annotator.formats.writing import encoded_image, writing
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.straighten import straightened
 from annotator.types import Camera, Frame, PointCloud
-from annotator.types.errors import FormatError
+from annotator.types.errors import ConfigError, FormatError
 
 PARTS = ("image_2", "velodyne", "calib", "label_2")
 TRAINING, IMAGE_SETS = "training", "ImageSets"
-# A part of that name is no part of trainval.txt.
-TEST = "test"
+# What KITTI calls the parts of its lists; trainval.txt is made of them, the last one left out.
+SPLITS = ("train", "val", "test")
+TEST = SPLITS[-1]
 NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY)
 # Rectified camera 0 <- LiDAR: x right = -y left, y down = -z up, z forward = x.
 CAMERA_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -66,6 +67,7 @@ def write_kitti(
 
     Raises:
         FormatError: `out` is taken, there is no frame, or the disk refuses.
+        ConfigError: a part that KITTI does not know.
     """
     words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
@@ -73,6 +75,7 @@ def write_kitti(
             for name in PARTS:
                 (part / TRAINING / name).mkdir(parents=True)
         for item in items:
+            _check_part(item.split)
             frame_id = ids[item.recording, item.frame.key]
             origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
             rows = _rows(item, words, counts, losses) + "".join(f"{dump_label_line(x)}\n" for x in areas(item))
@@ -82,10 +85,18 @@ def write_kitti(
             raise FormatError(out, "there is no frame to export; the export was not written")
         with writing(out):
             _write_sets(part / IMAGE_SETS, origins)
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8")
+            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
             if changed := words.dump():
                 (part / CLASS_NAMES).write_text(changed, encoding="utf-8")
     return counts
+
+
+def _check_part(name: str | None) -> None:
+    """Another name would become a list that no program reads, `trainval` one that holds it twice."""
+    if name is not None and name not in SPLITS:
+        raise ConfigError(
+            f"KITTI's parts are called {', '.join(SPLITS)}, not {name}; divide with --split train=0.8,val=0.2"
+        )
 
 
 def _is_dataset(folder: Path) -> bool:

@@ -26,7 +26,7 @@ class Lost(StrEnum):
     TIME: when frames were taken.
     SOLID: 3D boxes, of which their outlines on the image were written.
     KIND: that 2D boxes are those of 3D boxes, and not of what is seen of the objects.
-    SAME: boxes that a file cannot tell from others of their class.
+    SAME: boxes that a file cannot tell from others of their class, and pictures that are there already.
     OPEN: images whose objects nobody has reviewed to the end, left out.
     GRAVITY: the direction of gravity, where it is not the image's downwards.
     LEVEL: gravity was not known; where the format needs it, the image's downwards was taken for it.
@@ -66,7 +66,7 @@ _WORDS = {
     Lost.TIME: "frames have a time",
     Lost.SOLID: "boxes are 3D boxes; their outlines on the image were written",
     Lost.KIND: "boxes reach around all of the object, not only around what is seen; import them with --kind box",
-    Lost.SAME: "boxes are the same as another one of their class and were left out",
+    Lost.SAME: "boxes (or pictures) are the same as another one, and were left out",
     Lost.OPEN: "images with reviewed boxes also have proposals that wait for a review, and were left out",
     Lost.GRAVITY: "frames know where gravity points, and it is not down the image",
     Lost.LEVEL: "frames do not know where gravity points; it was taken to point down the image",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from annotator.geometry.outline import box_on_image
+from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
 from annotator.rcv.cross_view import box_iou
 from annotator.types import Box2D, Camera, Label
 
@@ -16,15 +16,25 @@ from annotator.types import Box2D, Camera, Label
 SAME_IOU = 0.2
 
 
-def outlines(camera: Camera, labels: Sequence[Label]) -> dict[str, Box2D]:
-    """The boxes around the visible part of each label, by uid; labels that are not in the picture have none."""
-    pairs = [(label.uid, box_on_image(camera, label.box, label.label)) for label in labels]
+def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_SIDE_PX) -> dict[str, Box2D]:
+    """The boxes around the visible part of each label, by uid; labels that are not in the picture have none.
+
+    Args:
+        min_side_px: a box that is narrower or lower is none.
+    """
+    pairs = [(label.uid, box_on_image(camera, label.box, label.label, min_side_px)) for label in labels]
     return {uid: box for uid, box in pairs if box is not None}
 
 
-def undrawn(camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D]) -> dict[str, Box2D]:
-    """The outlines, by uid, of those labels that none of the drawn boxes stands for; a drawn box stands for one."""
-    found = outlines(camera, labels)
+def undrawn(
+    camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
+) -> dict[str, Box2D]:
+    """The outlines, by uid, of those labels that none of the drawn boxes stands for; a drawn box stands for one.
+
+    Args:
+        min_side_px: as of `outlines`.
+    """
+    found = outlines(camera, labels, min_side_px)
     if not found or not drawn:
         return found
     uids = list(found)

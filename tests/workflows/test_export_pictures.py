@@ -128,6 +128,38 @@ def test_all_pictures_come_back_into_another_project(
         assert_same(two.boxes, one.boxes)
 
 
+def test_a_loose_copy_of_a_view_does_not_leave_beside_it(people: Project, tmp_path: Path) -> None:
+    """Else one picture could be in both train and val."""
+    labelled(people)
+    people.boxes.set_on_view(people.views.store(picture(1)), (ON_VIEW,), BoxKind.SILHOUETTE, Change(0, "me"))
+    assert len([view for view in people.boxes.on_views() if view.frame_id is None]) == 2
+    report = exported(people, tmp_path / "out", ExportFormat.COCO, options=ExportOptions(pictures="views"))
+    assert report.frames == 3
+    assert {loss.kind: loss.count for loss in report.losses} == {Lost.SAME: 1}
+
+
+def test_a_thin_outline_leaves_as_a_thin_drawn_box_does(people: Project, tmp_path: Path) -> None:
+    frame = FrameSource(people).read(people.frames.of()[4])
+    solid = np.array([0.5, 1.5 / frame.camera.fx * 3.0, 1e-3])
+    # axes of the camera: x to the right is the width in pixels
+    axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), axes, solid)
+    people.labels.create(people.frames.of()[4].id, [NewLabel("person", box)], Change(0, "me"))
+    report = exported(people, tmp_path / "out", ExportFormat.YOLO)
+    assert report.objects == 1 and {loss.kind for loss in report.losses} == {Lost.SOLID, Lost.KIND}
+
+
+def test_half_reviewed_frames_are_told_of_in_formats_of_truth(people: Project, tmp_path: Path) -> None:
+    labelled(people)
+    report = exported(people, tmp_path / "kitti", ExportFormat.KITTI)
+    (note,) = report.notes
+    assert report.frames == 2 and note.startswith("1 proposals wait for a review on 1 of these frames")
+    assert exported(people, tmp_path / "openlabel", ExportFormat.OPENLABEL).notes == ()
+    with pytest.raises(ConfigError, match="parts are called train, val, test, not (trainval|testing)"):
+        exported(people, tmp_path / "bad", ExportFormat.KITTI, split=Split({"trainval": 0.5, "testing": 0.5}))
+    assert not (tmp_path / "bad").exists()
+
+
 def test_ten_round_trips_do_not_drift(people: Project, tmp_path: Path) -> None:
     """YOLO rounds; COCO's numbers are written as they are."""
     labelled(people)
@@ -187,6 +219,10 @@ def test_what_leaves_is_chosen(people: Project, tmp_path: Path) -> None:
         stems("cat", choose=ExportFilter(classes=("cat",)))
     # of another class there is nothing but the pictures that are said to be empty
     assert stems("dogs", choose=ExportFilter(classes=("dog",))) == ["people-000001.png", "people-000004.png"]
+    # frame 2 has accepted boxes: it shows something, whichever states are asked for
+    people.frames.finalise(ids[2], Change(people.frames.get(ids[2]).revision, "me"))
+    edited = ExportFilter(states=(ReviewState.EDITED,))
+    assert stems("edited", choose=edited) == [f"people-00000{number}.png" for number in (0, 1, 4)]
 
 
 def test_nothing_to_export_is_said(hands: Project, tmp_path: Path) -> None:

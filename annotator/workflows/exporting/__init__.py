@@ -7,7 +7,7 @@ from pathlib import Path
 
 from annotator.formats.losses import Losses
 from annotator.project import Project
-from annotator.workflows.exporting.choose import Chosen, ExportFilter, choose_frames
+from annotator.workflows.exporting.choose import Chosen, ExportFilter, choose_frames, waiting_note
 from annotator.workflows.exporting.choose_pictures import choose_pictures
 from annotator.workflows.exporting.job import ExportJob, ExportOptions
 from annotator.workflows.exporting.report import ExportReport
@@ -52,8 +52,11 @@ def export_project(
     choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), WRITERS[format], Losses()
     states = choose.states or writer.states
     chosen: Sequence[Chosen]
+    note = None
     if writer.flat:
         chosen = choose_pictures(project, choose, states, split, options.pictures, losses)
     else:
         chosen = choose_frames(project, choose, states, split)
-    return writer.write(ExportJob(project, out, tuple(chosen), options, overwrite, progress, losses, choose))
+        note = waiting_note(project, choose, states, chosen)
+    report = writer.write(ExportJob(project, out, tuple(chosen), options, overwrite, progress, losses, choose))
+    return report if note is None else report.model_copy(update={"notes": (*report.notes, note)})

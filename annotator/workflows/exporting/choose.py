@@ -66,6 +66,23 @@ def choose_frames(
     return divided(project, frames, labels, split)
 
 
+def waiting_note(
+    project: Project, choose: ExportFilter, states: tuple[ReviewState, ...], chosen: Sequence[Chosen]
+) -> str | None:
+    """What to know of frames that leave as complete, while some of their objects wait for a review; None: all leave."""
+    if ReviewState.PROPOSED in states:
+        return None
+    leaving = {each.stored.id for each in chosen}
+    left = project.labels.select(states=[ReviewState.PROPOSED], recordings=choose.recordings, classes=choose.classes)
+    frames = [entry.frame_id for entry in left if entry.frame_id in leaving]
+    if not frames:
+        return None
+    return (
+        f"{len(frames)} proposals wait for a review on {len(set(frames))} of these frames, and were left out; "
+        "review them first where the labels shall be complete"
+    )
+
+
 def labels_by_frame(
     project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]
 ) -> dict[int, tuple[StoredLabel, ...]]:

@@ -13,6 +13,7 @@ from annotator.types import Box2D, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting.choose import Chosen, ExportFilter, divided, labels_by_frame
 from annotator.workflows.exporting.split import Split
+from annotator.workflows.exporting.table import NOT_REJECTED
 
 Pictures = Literal["images", "views", "both"]
 
@@ -44,7 +45,8 @@ def choose_pictures(
 
     A camera image leaves with the boxes drawn on it, and the outlines of those labels of the frame that are not drawn.
     One that shows nothing is a background picture if somebody said so: drawn on, and empty, or finalised without a
-    label. An image some of whose objects wait for a review, none of them drawn, would call these background: it stays.
+    label in any state but rejected. An image some of whose objects wait for a review, none of them drawn, would call
+    these background: it stays.
 
     Args:
         states: of the labels that leave.
@@ -120,9 +122,11 @@ class _Images:
         images: dict[int, ImageBoxes],
     ) -> None:
         self._choose, self._labels, self._images = choose, labels, images
-        waiting = [] if ReviewState.PROPOSED in states else [ReviewState.PROPOSED]
-        found = project.labels.select(states=waiting, recordings=choose.recordings, classes=choose.classes)
-        self._open = {entry.frame_id for entry in found} if waiting else set()
+        # whatever leaves: an object in a state that nobody asked for is no background, either
+        there = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
+        self._with_object = {entry.frame_id for entry in there}
+        waiting = [entry for entry in there if entry.label.state is ReviewState.PROPOSED]
+        self._open = set() if ReviewState.PROPOSED in states else {entry.frame_id for entry in waiting}
 
     def leaves(self, frame: StoredFrame, losses: Losses) -> bool:
         """Whether this frame's image does; counts it where only open proposals keep it back."""
@@ -134,4 +138,6 @@ class _Images:
             return False
         if frame.id in self._labels:
             return True
+        if frame.id in self._with_object:
+            return False
         return frame.index is not None and (frame.finalised or self._choose.empty_frames)

@@ -61,7 +61,7 @@ def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable
             tally.add(picture)
         with writing(job.out):
             folders = writer.finish()
-            (folder / FRAMES_CSV).write_text(dump_frames(tally.origins), encoding="utf-8")
+            (folder / FRAMES_CSV).write_text(dump_frames(tally.origins), encoding="utf-8", newline="")
             tally.write_places(folders)
     report = job.report(format, dict(tally.by_class), tally.written)
     return report.model_copy(update={"splits": {part: tally.by_part[part] for part in parts}})
@@ -95,7 +95,12 @@ class _Tally:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))
             if job.progress is not None:
                 job.progress(number, len(job.chosen))
+        with_frame = {v.view_id for c in job.chosen if isinstance(c, ChosenPictures) for v in c.views}
         for view in loose_views(job.project, job.choose, job.options.pictures):
+            if view.view_id in with_frame:
+                # one picture in two parts: what is measured would have been learned
+                job.losses.add(Lost.SAME)
+                continue
             # a view of no frame is there to learn from, nothing is measured on it
             part = "train" if "train" in self.parts else next(iter(self.parts), None)
             yield self._view(view, part, None)
@@ -104,7 +109,7 @@ class _Tally:
         losses, image_format = self.job.losses, self.job.options.image_format
         labels = [entry.label for entry in chosen.labels]
         drawn = () if chosen.drawn is None else chosen.drawn.boxes
-        seen = undrawn(frame.camera, labels, drawn)
+        seen = undrawn(frame.camera, labels, drawn, MIN_SIDE_PX)
         # what is drawn stands for its label; the others leave as their outlines
         outlined = [label for label in labels if not drawn or label.uid in seen]
         count_lost(
@@ -118,7 +123,8 @@ class _Tally:
         self.origins.append(FrameOrigin(stem, chosen.recording, chosen.stored.key, chosen.split))
         height_px, width_px = frame.rgb.shape[:2]
         kept = _fit(boxes, width_px, height_px, kind, losses)
-        content = encoded_image(frame.rgb, image_format)
+        with writing(self.job.out):
+            content = encoded_image(frame.rgb, image_format)
         return LabelledPicture(f"{stem}.{image_format}", content, width_px, height_px, kept, chosen.split)
 
     def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> LabelledPicture:
