@@ -64,8 +64,8 @@ def run(
         project: the project's name.
         out: the new folder.
         format: {formats}.
-        states: which labels, by their state in the review; default: accepted and edited ones, and with rcv, which
-            writes each label's state beside it, all but rejected ones.
+        states: which labels, by their state in the review; default: accepted and edited ones, and with rcv and
+            openlabel, which write each label's state beside it, all but rejected ones.
         classes: which labels, by class; default: all.
         recordings: names of the recordings; default: all.
         empty_frames: also frames without any such label.

@@ -78,7 +78,7 @@ def write_sunrgbd(
         with writing(out):
             savemat(str(part / META), dump_meta(table), do_compression=True)
             _write_lists(part, origins)
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8")
+            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
             if changed := words.dump():
                 (part / CLASS_NAMES).write_text(changed, encoding="utf-8")
     return counts

@@ -31,9 +31,16 @@ def writing(out: Path) -> Iterator[None]:
 def encoded_image(
     rgb: UInt8[np.ndarray, "h w 3"], image_format: Literal["png", "jpg"], jpeg_quality: int = JPEG_QUALITY
 ) -> bytes:
-    """An RGB picture as the bytes of an image file."""
+    """An RGB picture as the bytes of an image file.
+
+    Raises:
+        OSError: the format cannot hold it; `writing` names the dataset.
+    """
     import cv2
 
     settings = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if image_format == "jpg" else []
-    _, data = cv2.imencode(f".{image_format}", np.ascontiguousarray(rgb[..., ::-1]), settings)
+    done, data = cv2.imencode(f".{image_format}", np.ascontiguousarray(rgb[..., ::-1]), settings)
+    if not done:
+        height_px, width_px = rgb.shape[:2]
+        raise OSError(0, f"a picture of {width_px} x {height_px} pixels is too large for a file of type {image_format}")
     return bytes(data.tobytes())

@@ -19,6 +19,7 @@ from typing import Literal
 from annotator.files import new_folder
 from annotator.formats.dataset import DatasetItem, FileNames, FrameIds
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
+from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.openlabel.model import Document
 from annotator.formats.openlabel.scene import Scene
 from annotator.formats.ply import write_ply
@@ -35,6 +36,7 @@ def write_openlabel(
     generator: str,
     image_format: Literal["png", "jpg"] = "png",
     *,
+    losses: Losses | None = None,
     overwrite: bool = False,
 ) -> Mapping[str, int]:
     """Writes the folder `out`, all or not at all, and returns the number of objects of each class.
@@ -42,6 +44,7 @@ def write_openlabel(
     Args:
         items: the frames, read one by one; an error from here leaves nothing behind.
         generator: program and version.
+        losses: what the format does not hold is counted here, where somebody asks.
         overwrite: an older dataset of this format may be replaced.
 
     Raises:
@@ -51,6 +54,8 @@ def write_openlabel(
     ids, origins, objects = FrameIds(), [], Counter[str]()
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
         for item in items:
+            if losses is not None:
+                count_lost(losses, item, (Lost.GRAVITY,))
             frame_id = ids.add(out, item)
             scene = scenes.setdefault((item.split, item.recording), Scene(item.recording, generator))
             image, cloud = f"images/{frame_id}.{image_format}", f"clouds/{frame_id}.ply"

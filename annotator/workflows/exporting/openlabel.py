@@ -11,6 +11,11 @@ from annotator.workflows.exporting.report import ExportReport
 def write(job: ExportJob) -> ExportReport:
     """Raises as `write_openlabel` and `ExportJob.items`."""
     objects = write_openlabel(
-        job.out, job.items(), f"annotator {__version__}", job.options.image_format, overwrite=job.overwrite
+        job.out,
+        job.items(),
+        f"annotator {__version__}",
+        job.options.image_format,
+        losses=job.losses,
+        overwrite=job.overwrite,
     )
     return job.report("openlabel", dict(objects))
