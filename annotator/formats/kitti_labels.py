@@ -10,7 +10,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
+
 from annotator.formats.kitti import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
+from annotator.formats.kitti_shifts import LABELS, calibration_beside, read_shift
 from annotator.formats.numbered import Meanings
 from annotator.formats.text_folder import text_files, text_rows
 from annotator.types import Truth
@@ -32,15 +36,36 @@ def read_kitti_labels(path: Path) -> Frames:
     Raises:
         FormatError: there are no labels, a row is none (with its line), or frames.csv lacks a label file.
     """
-    place = next((path / name for name in PLACES if (path / name).exists()), path)
+    place = _place(path)
     if place.is_file() and place.suffix == ".txt":
         return _tracked(place)
     meanings, found = Meanings.of(place), Frames()
-    for stem, file, text in text_files(place):
+    for stem, file, text in text_files(place, within=LABELS):
         lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
         rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
         found[meanings.frame(stem)] = _objects(rows, file, meanings)
     return found
+
+
+def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
+    """From rectified camera 0 to the colour camera, metres, of the frames whose calibration lies beside their labels.
+
+    Args:
+        path: as of `read_kitti_labels`; archives and tracking files have none.
+
+    Raises:
+        FormatError: a calibration that is damaged, or frames.csv lacks a label file.
+    """
+    place = _place(path)
+    if not place.is_dir():
+        return {}
+    meanings = Meanings.of(place)
+    files = {file.stem: calibration_beside(file) for file in sorted(place.glob("*.txt")) if file.name[0] != "."}
+    return {meanings.frame(stem): read_shift(file) for stem, file in files.items() if file is not None}
+
+
+def _place(path: Path) -> Path:
+    return next((path / name for name in PLACES if (path / name).exists()), path)
 
 
 def _objects(rows: Iterable[tuple[int, KittiLabel]], file: Path, meanings: Meanings) -> tuple[Truth, ...]:

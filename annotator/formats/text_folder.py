@@ -18,7 +18,7 @@ MAX_FILES = 1_000_000
 ARCHIVE_ERRORS = (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 
-def text_files(path: Path, suffix: str = ".txt") -> Iterator[tuple[str, Path, str]]:
+def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> Iterator[tuple[str, Path, str]]:
     """The text files of a folder or zip archive, by name: key (the name without suffix), path and content.
 
     Of an archive each file's own name counts, in whatever folder it lies; nothing is written anywhere. Other files
@@ -27,6 +27,7 @@ def text_files(path: Path, suffix: str = ".txt") -> Iterator[tuple[str, Path, st
     Args:
         path: the folder or the archive.
         suffix: of the files that are wanted.
+        within: name of a folder; where an archive has such files in a folder of that name, no others of it count.
 
     Raises:
         FormatError: there is no such folder or archive, none of its files has that suffix, two have the same name, or
@@ -35,7 +36,7 @@ def text_files(path: Path, suffix: str = ".txt") -> Iterator[tuple[str, Path, st
     if path.is_dir():
         yield from _of_folder(path, suffix)
     elif path.is_file() and zipfile.is_zipfile(path):
-        yield from _of_archive(path, suffix)
+        yield from _of_archive(path, suffix, within)
     elif path.exists():
         raise FormatError(path, f"is neither a folder of *{suffix} files nor a zip archive of one")
     else:
@@ -79,14 +80,12 @@ def text_rows(file: Path) -> list[tuple[int, list[str]]]:
     return [(line, row.split()) for line, row in enumerate(read_text(file).splitlines(), 1) if row.strip()]
 
 
-def _of_archive(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
+def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[str, Path, str]]:
     try:
         with zipfile.ZipFile(path) as archive:
             named: dict[str, zipfile.ZipInfo] = {}
-            for info in archive.infolist()[:MAX_FILES]:
+            for info in _wanted(archive, suffix, within):
                 name = PurePosixPath(info.filename)
-                if info.is_dir() or not _is_wanted(name, suffix):
-                    continue
                 if name.stem in named:
                     raise FormatError(path, f"has two files called {name.name}")
                 named[name.stem] = info
@@ -109,6 +108,15 @@ def _of_archive(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
     ) as error:
         # RuntimeError: encrypted; NotImplementedError: a compression that Python does not know
         raise FormatError(path, f"the archive cannot be read ({error})") from error
+
+
+def _wanted(archive: zipfile.ZipFile, suffix: str, within: str | None) -> list[zipfile.ZipInfo]:
+    found = [
+        info
+        for info in archive.infolist()[:MAX_FILES]
+        if not info.is_dir() and _is_wanted(PurePosixPath(info.filename), suffix)
+    ]
+    return [info for info in found if PurePosixPath(info.filename).parent.name == within] or found
 
 
 def _text(file: Path, content: bytes) -> str:

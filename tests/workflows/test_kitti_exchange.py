@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 import struct
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from annotator.formats.kitti_row import is_in_picture
 from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox
+from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.kitti_view import true_kitti_rows
@@ -120,6 +122,37 @@ def test_dont_care_areas_of_a_drive_leave(make_project: MakeProject, folder: Pat
     assert labels_of_export(project, tmp_path / "out") == labels
     # what is found there is no false alarm
     assert [row.label for row in true_kitti_rows(recording, 1, recording.frame(1))][-2:] == ["person", "DontCare"]
+
+
+def test_the_calibration_beside_labels_says_where_they_are(make_project: MakeProject, generated: Path, tmp_path: Path):
+    folder = tmp_path / "training"
+    for name in ("label_2", "calib"):
+        (folder / name).mkdir(parents=True)
+    row = "person 0 0 0 100 100 150 200 1.7 0.5 0.5 1 1.5 8 0\n"
+    for stem in ("000000", "000001"):
+        (folder / "label_2" / f"{stem}.txt").write_text(row)
+    calibration = folder / "calib" / "000000.txt"
+    calibration.write_text("P0: 1\nP2: 700 0 600 45 0 700 180 -0.3 0 0 1 0.005\n")
+    project = make_project(generated / "people")
+    import_labels(project, read_labels(BoxFormat.KITTI, tmp_path))
+    (_, first), (_, second) = (boxes(project)[key][0] for key in ("000000", "000001"))
+    shift = np.array([(45 - 600 * 0.005) / 700, (-0.3 - 180 * 0.005) / 700, 0.005])
+    np.testing.assert_allclose(first.center_m - second.center_m, shift, atol=1e-12)
+
+    packed = tmp_path / "all.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for file in sorted(folder.rglob("*.txt")):
+            archive.write(file, file.relative_to(tmp_path))
+    assert read_labels(BoxFormat.KITTI, packed).frames == ("000000", "000001")
+
+    for text, problem in (
+        ("P0: 1", "has no P2"),
+        ("P2: 1 0 0 1e9 0 1 0 0 0 0 1 0", "by more than"),
+        ("P2: 1", "twelve"),
+    ):
+        calibration.write_text(text)
+        with pytest.raises(FormatError, match=rf"calib/000000\.txt.*{problem}"):
+            read_labels(BoxFormat.KITTI, folder / "label_2")
 
 
 def derived(row: list[str], P2: np.ndarray, size_px: Sequence[int]) -> np.ndarray:
