@@ -18,11 +18,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.cli.main import main
 from annotator.formats.kitti import KittiLabel, label_box
 from annotator.formats.kitti_derived import derived_box, observation_angle
+from annotator.recordings import open_recording
 from annotator.types import Camera
 from annotator.types.errors import RecordingError
 from annotator.workflows.checking.check import check_datasets
 from annotator.workflows.checking.findings import Findings
 from annotator.workflows.checking.rules import RULES, Severity
+from annotator.workflows.checking.strays import stray_names
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
 CAMERA = Camera(WIDTH, HEIGHT, F, F, 119.5, 59.5)
@@ -86,6 +88,14 @@ def rewrite(file: str, old: str | None, new: str) -> Edit:
     return edit
 
 
+def image_set(name: str, text: str) -> Edit:
+    def edit(folder: Path) -> None:
+        (folder / "ImageSets").mkdir()
+        (folder / f"ImageSets/{name}.txt").write_text(text)
+
+    return edit
+
+
 def with_row(**changes: float | str) -> Edit:
     """A fourth row in frame 1: one more car where nobody is, with some fields changed."""
     return rewrite("label_2/000001.txt", DONT_CARE, line(KittiLabel(**(vars(car(-9.0, 40.0)) | changes))))  # type: ignore[arg-type]
@@ -111,6 +121,10 @@ CASES: list[tuple[str, Edit, Found]] = [
     ("skewed", rewrite("calib/000001.txt", None, TURNED), [("unreadable-calibration", "calib/000001.txt", None)]),
     ("no-labels", lambda f: (f / LABELS).unlink(), [("missing-labels", LABELS, None)]),
     ("stray", rewrite("label_2/000009.txt", None, ""), [("stray-file", "label_2/000009.txt", None)]),
+    ("stray-calibration", rewrite("calib/000009.txt", None, CALIB), [("stray-file", "calib/000009.txt", None)]),
+    ("stale-list", image_set("train", "000000\n000009\n000002\n"), [("stray-file", "ImageSets/train.txt", 2)]),
+    ("list-that-fits", image_set("val", "000000\n\n000002\n"), []),
+    ("list-of-frames-elsewhere", image_set("test", "000009\n"), []),
     ("all-wrong-rows", rewrite(LABELS, None, MANY_WRONG), [("broken-label", LABELS, n) for n in (1, 3, 5)]),
     ("no-height", with_row(height=-1.0), [("broken-label", LABELS, 4)]),
     ("empty", with_row(), [EMPTY]),
@@ -248,6 +262,11 @@ def test_rcv_datasets(exported: Path, tmp_path: Path) -> None:
     (own / f"labels/{ids[0]}.json").write_text(json.dumps(record))
     (own / "images/other.png").write_bytes(b"")
     assert found(own) == [("manifest-mismatch", "dataset.json", None), ("stray-file", "images/other.png", None)]
+    (own / "splits").mkdir()
+    (own / "splits/train.txt").write_text(f"{ids[0]}\nother\n")
+    (own / "splits/val.txt").write_bytes(b"\xff")
+    assert found(own)[2:] == [("stray-file", "splits/train.txt", 2), ("unreadable-file", "splits/val.txt", None)]
+    shutil.rmtree(own / "splits")
     other = json.loads((own / f"labels/{ids[1]}.json").read_text())
     other["objects"] += [other["objects"][0] | {"uid": "again"}]
     (own / f"labels/{ids[1]}.json").write_text(json.dumps(other))
@@ -268,6 +287,15 @@ def test_rcv_datasets(exported: Path, tmp_path: Path) -> None:
         ("unreadable-file", f"clouds/{ids[2]}.ply"),
         ("stray-file", "images/other.png"),
     }
+
+
+def test_lists_of_votenets_folders(tmp_path: Path) -> None:
+    for file in ("image/000001.jpg", "calib/000001.txt", "calib/000002.txt", "points/000001.npz"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
+    told = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
+    assert told == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
 
 
 def test_a_folder_of_datasets(kitti: Path, exported: Path) -> None:

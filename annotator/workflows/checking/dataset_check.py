@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import Frame
-from annotator.types.errors import AnnotatorError
+from annotator.types.errors import AnnotatorError, FormatError
 from annotator.workflows.checking import rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes
@@ -34,6 +34,7 @@ from annotator.workflows.checking.label_rules import (
 )
 from annotator.workflows.checking.rules import Rule
 from annotator.workflows.checking.sources import RecordingSource, Source
+from annotator.workflows.checking.strays import stray_names
 from annotator.workflows.truth import has_masks, load_mask
 
 CALIBRATION_FOLDERS, CALIBRATION_NAMES = ("calib", "extrinsics"), ("calib", "camera_", "intrinsics")
@@ -182,12 +183,16 @@ class DatasetCheck:
 
     def _whole_files(self) -> None:
         files = self.source.labels
-        if files is None:
-            return
-        for error in files.problems():
+        for error in files.problems() if files is not None else ():
             self.findings.add_error(rules.BROKEN_LABEL, error, self.source.path)
-        for file, line, name in files.strays():
-            self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+        of_labels = files.strays() if files is not None else iter(())
+        of_recording = stray_names(self.source.recording) if isinstance(self.source, RecordingSource) else iter(())
+        for strays in (of_labels, of_recording):
+            try:
+                for file, line, name in strays:
+                    self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+            except FormatError as error:  # a list that is no text
+                self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
 
     def _whole_dataset(self) -> None:
         usual = usual_sizes((each.label, each.size_m) for each in self.sizes)

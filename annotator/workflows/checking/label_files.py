@@ -61,7 +61,7 @@ class LabelFiles(Protocol):
         """What is wrong with files of the whole dataset, and labels of frames that are not there."""
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        """File, line and name of labels whose frames are not there."""
+        """File, line and name of labels whose frames are not there; FormatError: a list of frames cannot be read."""
 
 
 RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | None]

@@ -59,7 +59,10 @@ UNREADABLE_CALIBRATION = _error(
 )
 UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing, damaged or of another size than its image")
 MISSING_LABELS = _error("missing-labels", "a frame has no label file, and others of its dataset have one")
-STRAY_FILE = _error("stray-file", "labels or other files of a frame that is not there")
+STRAY_FILE = _error(
+    "stray-file",
+    "labels or a calibration of a frame that is not there, or a list (`ImageSets/`, `*_data_idx.txt`, `splits/`) names it",
+)
 MANIFEST_MISMATCH = _error("manifest-mismatch", "a dataset's manifest counts other than there is")
 
 UNCHECKED_DATASET = _note(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from annotator.formats.rcv import read_rcv
-from annotator.formats.rcv.export import FOLDERS, MANIFEST
+from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
 from annotator.formats.rcv.read import RcvDataset
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.cloud_folder import CloudFolder
@@ -18,6 +18,7 @@ from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.checking.foreign import ForeignDataset, foreign_dataset
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
+from annotator.workflows.checking.strays import frame_names
 
 MOST_LEVELS = 4
 # Where formats keep a frame's calibration, or that of all; the first that is there.
@@ -180,6 +181,10 @@ class RcvLabelFiles:
             for file in sorted((self.dataset.path / folder).glob("*")):
                 if file.stem not in frames:
                     yield file, None, file.stem
+        for file in sorted((self.dataset.path / SPLITS).glob("*.txt")):
+            for line, name in frame_names(file):
+                if name not in frames:
+                    yield file, line, name
 
 
 Found = Source | ForeignDataset | tuple[Path, AnnotatorError]
