@@ -61,7 +61,7 @@ UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing, damaged or of an
 MISSING_LABELS = _error("missing-labels", "a frame has no label file, and others of its dataset have one")
 STRAY_FILE = _error(
     "stray-file",
-    "labels or a calibration of a frame that is not there, or a list (`ImageSets/`, `*_data_idx.txt`, `splits/`) names it",
+    "labels or a calibration of a frame that is not there, or its name in `ImageSets/`, `*_data_idx.txt`, `splits/`",
 )
 MANIFEST_MISMATCH = _error("manifest-mismatch", "a dataset's manifest counts other than there is")
 
