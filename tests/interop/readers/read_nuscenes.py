@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
 
@@ -11,7 +12,9 @@ from nuscenes.utils.data_classes import LidarPointCloud
 from nuscenes.utils.geometry_utils import BoxVisibility, view_points
 
 nusc = NuScenes(sys.argv[2], sys.argv[1], verbose=False)
-nusc.list_scenes()
+# prints a table, and stdout is for the answer
+with redirect_stdout(sys.stderr):
+    nusc.list_scenes()
 frames = {}
 for sample in nusc.sample:
     path, boxes, K = nusc.get_sample_data(sample["data"]["CAM_FRONT"], box_vis_level=BoxVisibility.NONE)
