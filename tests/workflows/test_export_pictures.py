@@ -155,7 +155,7 @@ def test_half_reviewed_frames_are_told_of_in_formats_of_truth(people: Project, t
     (note,) = report.notes
     assert report.frames == 2 and note.startswith("1 proposals wait for a review on 1 of these frames")
     assert exported(people, tmp_path / "openlabel", ExportFormat.OPENLABEL).notes == ()
-    with pytest.raises(ConfigError, match="parts are called train, val, test, not (trainval|testing)"):
+    with pytest.raises(ConfigError, match=r"called train, val, test, not (trainval|testing)"):
         exported(people, tmp_path / "bad", ExportFormat.KITTI, split=Split({"trainval": 0.5, "testing": 0.5}))
     assert not (tmp_path / "bad").exists()
 
