@@ -145,6 +145,10 @@ def test_the_calibration_beside_labels_says_where_they_are(make_project: MakePro
             archive.write(file, file.relative_to(tmp_path))
     assert read_labels(BoxFormat.KITTI, packed).frames == ("000000", "000001")
 
+    (folder / "label_2" / "000000.txt").write_text(row.replace(" 1 1.5 8 ", " 999999999.99 1.5 8 "))
+    with pytest.raises(FormatError, match="training: 000000: a box must be within"):
+        import_labels(make_project(generated / "people"), read_labels(BoxFormat.KITTI, folder))
+
     for text, problem in (
         ("P0: 1", "has no P2"),
         ("P2: 1 0 0 1e9 0 1 0 0 0 0 1 0", "by more than"),

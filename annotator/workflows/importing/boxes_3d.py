@@ -67,6 +67,9 @@ def import_labels(
                 truths = found.truths(name, source.read(stored))
             except FrameError as error:
                 done.unreadable.append(f"{stored.key}: {error}")
+            except ValueError as error:
+                # the way to the camera takes a box out of reach
+                raise FormatError(found.path, f"{name}: {error}; correct its boxes or its calibration") from error
             else:
                 done.other_classes.update(t.label for t in truths if t.label not in classes)
                 new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
