@@ -58,6 +58,8 @@ def _told(done: BoxesFrom3d, labelled: int) -> list[str]:
     ):
         if counter:
             lines.append(f"  {why}: {_by_class(counter)}")
+    if done.not_reviewed:
+        lines.append(f"  left behind: {done.not_reviewed} boxes that nobody has accepted")
     if done.drawn:
         lines.append(f"  left alone: {done.drawn} frames that somebody has drawn on or finalised")
     if done.others_views:

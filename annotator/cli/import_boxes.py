@@ -111,6 +111,10 @@ def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | Non
     print_line(f"{done.frames} frames: {classes}")
     if done.already:
         print_line(f"left alone: {done.already} frames that have labels already or are finalised")
+    if done.not_reviewed:
+        print_line(f"left behind: {done.not_reviewed} boxes that nobody has accepted")
+    if done.scores:
+        print_line(f"left behind: {done.scores} scores, which are no confidences in 0..1")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     _left_out(done.other_classes, done.unmatched, "frames")

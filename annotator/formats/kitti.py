@@ -223,6 +223,6 @@ def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, p
         )
     try:
         box = label_box(row)
-        return Truth(row.label, box if T is None else box.transformed(T), track_id)
+        return Truth(row.label, box if T is None else box.transformed(T), track_id, row.score)
     except ValueError as error:
         raise FormatError(path, str(error), line) from error

@@ -65,8 +65,16 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """One labelled object that came with a recording: its class and oriented box, camera frame."""
+    """One labelled object that came with a recording, or from elsewhere.
+
+    Attributes:
+        label: class name.
+        box: the oriented box, camera frame.
+        track_id: the object's id over the recording, where known.
+        score: as its file says it, where it does: a confidence in 0..1, or a detector's raw figure of any size.
+    """
 
     label: str
     box: OrientedBox
     track_id: int | None = None
+    score: float | None = None

@@ -41,6 +41,7 @@ class BoxesFrom3d:
         without_views: objects on the image with too few points for views, by class.
         outside, hidden: objects that the image does not show: beyond its edges, or behind something; by class.
         other_classes: left out because the project has no such class, by class.
+        not_reviewed: boxes on `frames` left out because nobody has accepted them in the dataset.
         drawn: frames that were left alone because somebody has drawn on their images, or finalised them.
         others_views: views of the other frames that keep the boxes somebody else has given them, drawn or imported.
         in_all: frames of the project with such boxes on their images now, those of earlier times too.
@@ -56,6 +57,7 @@ class BoxesFrom3d:
     outside: Counter[str] = field(default_factory=Counter)
     hidden: Counter[str] = field(default_factory=Counter)
     other_classes: Counter[str] = field(default_factory=Counter)
+    not_reviewed: int = 0
     drawn: int = 0
     others_views: int = 0
     in_all: int = 0
@@ -142,6 +144,7 @@ def _take_over(
     else:
         done.add(known)
         done.others_views += others_views
+        done.not_reviewed += labels.not_reviewed(stored)
 
 
 def _is_drawn(page: FramePage) -> bool:

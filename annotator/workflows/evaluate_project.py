@@ -16,8 +16,8 @@ from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.evaluate import SURE, Named, Options, Protocol, box_table, kitti_of
 from annotator.workflows.frames import FrameSource
-from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.kitti_view import rows_of_truth, true_kitti_rows
+from annotator.workflows.own_labels import AUTHOR
 from annotator.workflows.truth import has_truth, load_truth
 
 

@@ -23,12 +23,14 @@ class KnownLabels:
         truths: gives the objects of one of them, boxes in the camera frame.
         unmatched: names of labelled frames that the project does not have.
         one_file_a_frame: a broken label file spoils its own frame alone.
+        not_reviewed: counts the boxes of a frame that are not among its objects, because nobody has accepted them.
     """
 
     frames: tuple[StoredFrame, ...]
     truths: Callable[[StoredFrame, Frame], Sequence[Truth]]
     unmatched: tuple[str, ...] = ()
     one_file_a_frame: bool = False
+    not_reviewed: Callable[[StoredFrame], int] = lambda stored: 0
 
 
 def labels_beside(project: Project, recordings: Collection[int] | None = None) -> KnownLabels:
@@ -81,4 +83,8 @@ def labels_from(project: Project, found: LabelSet, recording: str | None = None)
     def truths(stored: StoredFrame, frame: Frame) -> list[Truth]:
         return found.truths(present[stored.id][0], frame)
 
-    return KnownLabels(tuple(stored for _, stored in present.values()), truths, tuple(unmatched))
+    def not_reviewed(stored: StoredFrame) -> int:
+        return found.left_behind(present[stored.id][0]).not_reviewed
+
+    frames = tuple(stored for _, stored in present.values())
+    return KnownLabels(frames, truths, tuple(unmatched), not_reviewed=not_reviewed)

@@ -12,6 +12,9 @@ from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing.boxes_3d import create_where_none
 from annotator.workflows.truth import has_truth, load_truth, one_file_a_frame
 
+# Tells them from boxes of other datasets, whose author is "import".
+AUTHOR = "recording"
+
 
 @dataclass
 class OwnLabels:
@@ -70,7 +73,7 @@ def import_own_labels(
                 truths = []
             found.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
-            if new and create_where_none(project, stored.id, new):
+            if new and create_where_none(project, stored.id, new, AUTHOR):
                 found.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))

@@ -19,6 +19,7 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.boxes_from_3d import AUTHOR, boxes_from_3d
 from annotator.workflows.frame_share import share_of
 from annotator.workflows.importing import BoxFormat, read_labels
+from annotator.workflows.importing.label_set import LeftBehind
 from annotator.workflows.known_labels import KnownLabels, labels_beside, labels_from
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
@@ -161,12 +162,16 @@ class Elsewhere:
         assert name == self.frames[0]
         return list(self.beside.truths(self.beside.frames[3], frame))
 
+    def left_behind(self, name: str) -> LeftBehind:
+        assert name == self.frames[0]
+        return LeftBehind(not_reviewed=2)
+
 
 def test_frames_that_nobody_labelled_teach_nothing(people: Project) -> None:
     labels = labels_from(people, Elsewhere(labels_beside(people)))
     assert labels.unmatched == ("people/000099",)
     done = boxes_from_3d(people, labels)
-    assert (done.chosen, done.frames) == (1, 1)
+    assert (done.chosen, done.frames, done.not_reviewed) == (1, 1, 2)
     assert [boxes.frame_id for boxes in people.boxes.on_images()] == [people.frames.of()[3].id]
 
 

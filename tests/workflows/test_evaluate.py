@@ -17,6 +17,7 @@ from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluate import Options, Protocol, evaluate_files, read_frame_names
 from annotator.workflows.evaluate_project import Against, Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, export_project
+from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.truth import load_truth
 
@@ -204,6 +205,20 @@ def test_recordings_and_frames_are_chosen(make_project: Callable[..., Project], 
     assert [note.split(" are ")[0] for note in hands.notes] == ["10 of the 10 labels"]
     one = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=["people/000002"]))
     assert content(one)["classes"]["person"]["objects"] == 3
+
+
+def test_boxes_of_another_dataset_are_not_the_recordings_own(
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    other = make_project(generated / "people")
+    label(other, 0)
+    export_project(other, tmp_path / "out")
+    project = make_project(generated / "people")
+    assert import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out")).labels == {"person": 3}
+    assert evaluate_project(project, Protocol.ORIENTED).notes == ()
+    import_own_labels(project, 1)
+    (note,) = evaluate_project(project, Protocol.ORIENTED).notes
+    assert note.startswith("12 of the 15 labels are the recordings' own boxes")
 
 
 def test_what_cannot_be_compared_is_said(people: Project, own_copy, make_project: Callable[..., Project]) -> None:

@@ -14,7 +14,8 @@ from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
-from annotator.workflows.importing.boxes_3d import create_where_none
+from annotator.workflows.importing.boxes_3d import AUTHOR, create_where_none
+from annotator.workflows.importing.label_set import LeftBehind
 from annotator.workflows.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
@@ -34,6 +35,9 @@ class Given:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return self.boxes[name]
 
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind()
+
 
 @pytest.fixture
 def people(make_project: Callable[..., Project], generated: Path) -> Project:
@@ -47,7 +51,7 @@ def test_what_leaves_as_rcv_comes_back(
     rng = np.random.default_rng(0)
     for number, stored in enumerate(frames[:3]):
         boxes = [OrientedBox.from_parts(rng.normal(size=3), np.eye(3), rng.uniform(0.1, 2, 3)) for _ in range(2)]
-        new = [NewLabel("person", box, track_id=number) for box in boxes]
+        new = [NewLabel("person", box, 0.25 * number, number) for box in boxes]
         made = people.labels.create(stored.id, new, Change(0, "me", Source.MANUAL))
         people.labels.reject(stored.id, made.uids[1], Change(made.receipt.revision, "me"))
     every = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED), empty_frames=True)
@@ -59,11 +63,12 @@ def test_what_leaves_as_rcv_comes_back(
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
     assert (done.frames, done.labels, done.already, done.unmatched) == (5, {"person": 3}, 0, ())
+    assert (done.not_reviewed, done.scores) == (3, 0)
     for before, after in zip(frames, other.frames.of(), strict=True):
         kept = [label for label in people.labels.of_frame(before.id) if label.state is ReviewState.ACCEPTED]
         back = other.labels.of_frame(after.id)
-        assert [(label.label, label.track_id, label.source) for label in back] == [
-            (label.label, label.track_id, Source.IMPORTED) for label in kept
+        assert [(label.label, label.score, label.track_id, label.source) for label in back] == [
+            (label.label, label.score, label.track_id, Source.IMPORTED) for label in kept
         ]
         for a, b in zip(kept, back, strict=True):
             np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
@@ -87,6 +92,29 @@ def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) 
     assert [label.track_id for label in people.labels.of_frame(second.id)] == [4]
 
 
+@pytest.mark.parametrize(
+    ("written", "kept", "lost"),
+    [
+        ((0.25, 1.0, None), [0.25, 1.0, None], 0),
+        # one raw figure says what the others are
+        ((0.25, 7.5, None), [None, None, None], 2),
+        ((-0.5, 0.0, None), [None, None, None], 2),
+    ],
+)
+def test_scores_of_kitti_results(
+    people: Project, tmp_path: Path, written: tuple[float | None, ...], kept: list[float | None], lost: int
+) -> None:
+    """Those that are confidences come along, raw figures are counted."""
+    files = [f"{stored.key}.txt" for stored in people.frames.of()[:2]]
+    rows = [f"person 0 0 0 9 9 50 80 1.8 0.4 0.5 {x} 1 3 0" for x in range(3)]
+    scored = [row if score is None else f"{row} {score}" for row, score in zip(rows, written, strict=True)]
+    (tmp_path / files[0]).write_text(f"{scored[0]}\n")
+    (tmp_path / files[1]).write_text("\n".join(scored[1:]))
+    done = import_labels(people, read_labels(BoxFormat.KITTI, tmp_path))
+    assert (done.labels, done.scores, done.not_reviewed) == ({"person": 3}, lost, 0)
+    assert [x.score for stored in people.frames.of() for x in people.labels.of_frame(stored.id)] == kept
+
+
 def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
     """Somebody has said that nothing is there."""
     first, second = people.frames.of()[:2]
@@ -94,7 +122,7 @@ def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
     done = import_labels(people, given)
     assert (done.frames, done.already) == (1, 1) and people.labels.of_frame(first.id) == ()
-    assert not create_where_none(people, first.id, [NewLabel("person", BOX)])
+    assert not create_where_none(people, first.id, [NewLabel("person", BOX)], AUTHOR)
     assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
 
 

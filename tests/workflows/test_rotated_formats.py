@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,7 +43,8 @@ def label_freely(project: Project) -> None:
             )
             for _ in range(3)
         ]
-        new = [NewLabel("person", box, track_id=track) for box, track in zip(boxes, (1, None, 2), strict=True)]
+        marks = zip(boxes, (0.5, None, 0.75), (1, None, 2), strict=True)
+        new = [NewLabel("person", box, score, track) for box, score, track in marks]
         made = project.labels.create(stored.id, new, Change(0, "me", Source.MANUAL))
         project.labels.reject(stored.id, made.uids[2], Change(made.receipt.revision, f"me{number}"))
 
@@ -83,13 +85,21 @@ def assert_same(before: Project, after: Project, precision: float, tracks: bool)
 def test_boxes_that_nobody_accepted_stay_behind(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
-    """OpenLABEL says the state of each box."""
+    """OpenLABEL says the state of each box, and its score."""
     label_freely(people)
     choose = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED))
     report = export_project(people, tmp_path / "out", ExportFormat.OPENLABEL, choose=choose)
     assert report.objects == 12
     other = make_project(generated / "people")
-    assert import_labels(other, read_labels(BoxFormat.OPENLABEL, tmp_path / "out")).labels == {"person": 8}
+    done = import_labels(other, read_labels(BoxFormat.OPENLABEL, tmp_path / "out"))
+    assert (done.labels, done.not_reviewed, done.scores) == ({"person": 8}, 4, 0)
+    assert [x.score for x in other.labels.of_frame(other.frames.of()[0].id)] == [0.5, None]
+
+    (document,) = (tmp_path / "out").glob("*.json")
+    document.write_text(re.sub(r'("name":\s*"score",\s*"val":\s*)0\.5', r"\g<1>7.5", document.read_text(), count=1))
+    raw = make_project(generated / "people")
+    assert import_labels(raw, read_labels(BoxFormat.OPENLABEL, tmp_path / "out")).scores == 4
+    assert {x.score for stored in raw.frames.of() for x in raw.labels.of_frame(stored.id)} == {None}
 
 
 @pytest.mark.shared

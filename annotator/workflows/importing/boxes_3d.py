@@ -29,6 +29,8 @@ class ImportedLabels:
         already: frames left alone because they have labels or are finalised.
         unmatched: names of labelled frames that the project does not have.
         unreadable: frames that cannot be read, as `key: reason`.
+        not_reviewed: boxes on `frames` left behind because nobody has accepted them in the dataset.
+        scores: of boxes on `frames`, left behind because they are no confidences in 0..1.
     """
 
     frames: int = 0
@@ -37,6 +39,8 @@ class ImportedLabels:
     already: int = 0
     unmatched: tuple[str, ...] = ()
     unreadable: list[str] = field(default_factory=list)
+    not_reviewed: int = 0
+    scores: int = 0
 
 
 def import_labels(
@@ -72,10 +76,13 @@ def import_labels(
                 raise FormatError(found.path, f"{name}: {error}; correct its boxes or its calibration") from error
             else:
                 done.other_classes.update(t.label for t in truths if t.label not in classes)
-                new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
-                if create_where_none(project, stored.id, new):
+                new = [NewLabel(t.label, t.box, t.score, t.track_id) for t in truths if t.label in classes]
+                if create_where_none(project, stored.id, new, AUTHOR):
                     done.frames += 1
                     done.labels.update(label.label for label in new)
+                    behind = found.left_behind(name)
+                    done.not_reviewed += behind.not_reviewed
+                    done.scores += behind.scores
                 else:
                     done.already += 1
         if progress is not None:
@@ -126,7 +133,7 @@ def _place(name: str) -> tuple[str, str]:
     return recording, key
 
 
-def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel]) -> bool:
+def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
     """Gives a frame its imported labels; False where somebody has labelled or finalised it, perhaps meanwhile.
 
     A finalised frame without labels shows no object, as somebody has said.
@@ -139,5 +146,5 @@ def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel]) 
             return True
         # the frame was changed between the two lines, perhaps by a box on its image
         with suppress(StaleRevisionError):
-            project.labels.create(frame_id, new, Change(stored.revision, AUTHOR, Source.IMPORTED))
+            project.labels.create(frame_id, new, Change(stored.revision, author, Source.IMPORTED))
             return True

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.kitti_labels import Frames, read_kitti_labels, read_kitti_shifts
 from annotator.formats.kitti_row import label_frame
 from annotator.types import Frame, Truth
+from annotator.workflows.importing.label_set import LeftBehind, are_confidences
 
 
 @dataclass(frozen=True)
@@ -21,10 +22,12 @@ class KittiLabels:
 
     Attributes:
         shifts: from rectified camera 0 to the colour camera, metres, where the dataset says it.
+        lost_scores: how many scores of a frame's objects were no confidences; the objects have none then.
     """
 
     path: Path
     objects: Frames
+    lost_scores: Mapping[str, int]
     shifts: Mapping[str, Float64[np.ndarray, "3"]]
 
     @property
@@ -37,7 +40,15 @@ class KittiLabels:
         found = self.objects[name]
         return list(found) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in found]
 
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind(scores=self.lost_scores.get(name, 0))
+
 
 def read(path: Path) -> KittiLabels:
     """Raises FormatError as `read_kitti_labels` and `read_kitti_shifts`."""
-    return KittiLabels(path, read_kitti_labels(path), read_kitti_shifts(path))
+    found, shifts = read_kitti_labels(path), read_kitti_shifts(path)
+    if are_confidences(truth.score for truths in found.values() for truth in truths):
+        return KittiLabels(path, found, {}, shifts)
+    lost = {name: sum(truth.score is not None for truth in truths) for name, truths in found.items()}
+    bare = {name: tuple(replace(truth, score=None) for truth in truths) for name, truths in found.items()}
+    return KittiLabels(path, bare, lost, shifts)

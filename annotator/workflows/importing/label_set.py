@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from annotator.types import Frame, Truth
+
+
+@dataclass(frozen=True)
+class LeftBehind:
+    """What a dataset says of a frame and `LabelSet.truths` does not.
+
+    Attributes:
+        not_reviewed: boxes that nobody has accepted: proposed ones, and rejected ones.
+        scores: of the frame's objects, which are no confidences in 0..1.
+    """
+
+    not_reviewed: int = 0
+    scores: int = 0
 
 
 @runtime_checkable
@@ -31,3 +45,11 @@ class LabelSet(Protocol):
         Raises:
             FormatError: the frame lacks what the format needs.
         """
+
+    def left_behind(self, name: str) -> LeftBehind:
+        """What of one of these frames does not come along, to be told."""
+
+
+def are_confidences(scores: Iterable[float | None]) -> bool:
+    """True where no score of a dataset is outside 0..1; one that is says that the others are raw figures, too."""
+    return all(score is None or 0 <= score <= 1 for score in scores)

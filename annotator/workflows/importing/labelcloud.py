@@ -8,6 +8,7 @@ from pathlib import Path
 
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
 from annotator.types import Frame, Truth
+from annotator.workflows.importing.label_set import LeftBehind
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,9 @@ class LabelCloudLabels:
         each = self.found[name]
         T = frame.T_camera_label if each.T_camera_cloud is None else each.T_camera_cloud
         return [Truth(label, box if T is None else box.transformed(T)) for label, box in each.boxes]
+
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind()
 
 
 def read(path: Path) -> LabelCloudLabels:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from annotator.formats.nuscenes import NuScenesBox, read_nuscenes
 from annotator.types import Frame, Truth
+from annotator.workflows.importing.label_set import LeftBehind
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,9 @@ class NuScenesLabels:
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return [Truth(each.label, each.box, each.track_id) for each in self.found[name]]
+
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind()
 
 
 def read(path: Path) -> NuScenesLabels:

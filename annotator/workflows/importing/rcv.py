@@ -9,6 +9,7 @@ from pathlib import Path
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED
 from annotator.types import Frame, Label, Truth
+from annotator.workflows.importing.label_set import LeftBehind
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,11 @@ class RcvLabels:
         return tuple(self.labels)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return [Truth(label.label, label.box, label.track_id) for label in self.labels[name] if label.state in REVIEWED]
+        reviewed = (label for label in self.labels[name] if label.state in REVIEWED)
+        return [Truth(label.label, label.box, label.track_id, label.score) for label in reviewed]
+
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind(not_reviewed=sum(label.state not in REVIEWED for label in self.labels[name]))
 
 
 def read(path: Path) -> RcvLabels:

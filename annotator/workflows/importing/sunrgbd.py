@@ -13,6 +13,7 @@ from annotator.formats.sunrgbd_sets import read_extracted_folder
 from annotator.formats.sunrgbd_upright import upright_frame
 from annotator.recordings.sunrgbd_calib import read_extracted_calibration
 from annotator.types import Frame, Truth
+from annotator.workflows.importing.label_set import LeftBehind
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,9 @@ class SunLabels:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         T = self.poses[name] if name in self.poses else upright_frame(frame)
         return [replace(truth, box=truth.box.transformed(T)) for truth in self.objects[name]]
+
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind()
 
 
 def read(path: Path) -> SunLabels:
