@@ -33,6 +33,15 @@ def until(page: Page, condition: str | Callable[[], object], seconds: float = 20
     raise AssertionError(f"not within {seconds} s: {condition}")
 
 
+def refuse(page: Page, path: str) -> None:
+    """Lets no request to a path that ends so reach the server, from now on: that is tried before the test goes on.
+
+    Under load a request that is sent right after `route` has got through.
+    """
+    page.route(f"**/{path}", lambda route: route.abort())
+    until(page, f"fetch('/refused/{path}').then(() => false, () => true)")
+
+
 def sign_in(page: Page, url: str, operator: str = "Ada") -> None:
     """Signs in without the dialog, before the page is opened."""
     answer = page.request.post(f"{url}/api/session", data={"operator": operator}, headers={"Origin": url})

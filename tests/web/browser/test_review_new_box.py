@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import drag_box
+from browser_page import drag_box, refuse
 from drawing import Scene
 from review_desk import FRAMES, Desk
 
@@ -116,7 +116,7 @@ def test_a_new_box_is_drawn_on_the_image(
     monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))
     desk.settled()
     frame = desk.frame
-    page.route("**/changes", lambda route: route.abort())
+    refuse(page, "changes")
     desk.press("f")
     draw_on_image(desk, scene.image_box(1))
     page.get_by_test_id("dialog-stay").click()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from browser_page import refuse
 from review_desk import Desk
 
 from annotator.project import Change
@@ -34,7 +35,7 @@ def test_a_stale_edit_shows_both_versions_and_loses_neither(desk: Desk, wait_for
 def test_a_box_that_could_not_be_saved_stays_until_it_is_saved_or_discarded(desk: Desk, wait_for) -> None:
     page, first, here = desk.page, desk.uid, desk.page.url
     size = desk.label.box.size_m
-    page.route("**/changes", lambda route: route.abort())
+    refuse(page, "changes")
     desk.press("f", "Tab")
     row = page.locator(f'[data-testid="frame-box"][data-uid="{first}"]')
     expect(row).to_contain_text("not saved")
@@ -65,7 +66,7 @@ def test_a_box_that_could_not_be_saved_stays_until_it_is_saved_or_discarded(desk
     expect(page.get_by_test_id("not-saved")).to_be_hidden()
     assert page.evaluate("dispatchEvent(new Event('beforeunload', { cancelable: true }))")
 
-    page.route("**/changes", lambda route: route.abort())
+    refuse(page, "changes")
     desk.press("f")
     page.get_by_test_id("draft-discard").click()
     expect(page.get_by_test_id("label-state")).to_have_text("edited")
