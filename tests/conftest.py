@@ -9,12 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 if TYPE_CHECKING:
     from annotator.workflows.detectors import Detectors
 
 install_import_hook("annotator", "beartype.beartype")
+
+# No test is timed: how long an example takes depends on what else the machine does.
+settings.register_profile("annotator", deadline=None)
+settings.load_profile("annotator")
 
 ROOT = Path(__file__).resolve().parent.parent
 
