@@ -8,6 +8,8 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 Role = Literal["image", "view"]
+# What runs a trained network; docs/detector_backends.md says how `auto` chooses.
+Backend = Literal["auto", "torch", "openvino", "onnxruntime"]
 
 
 class Augmentation(BaseModel):
@@ -88,7 +90,7 @@ class TrainingConfig(BaseModel):
 
 
 class DetectorConfig(BaseModel):
-    """Settings of a trained detector at work; all but the device are part of its fingerprint."""
+    """Settings of a trained detector at work; all but what runs it (device, backend, threads) are in its fingerprint."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -100,3 +102,5 @@ class DetectorConfig(BaseModel):
     )
     iou: float = Field(0.6, ge=0, le=1, description="of two boxes of a class that overlap more (IoU), the better stays")
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
+    backend: Backend = Field("auto", description="what runs the network; auto: the fastest that is installed")
+    threads: int | None = Field(None, ge=1, description="of the processor; None: all cores that the process may use")

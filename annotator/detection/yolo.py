@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
-from annotator.detection.config import DetectorConfig
+from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
 from annotator.detection.suppression import suppress
 from annotator.detection.ultralytics_api import api, load_weights, pick_device
@@ -37,7 +37,10 @@ class YoloDetector:
 
     Attributes:
         weights: its weights file.
+        backend: what runs its network.
     """
+
+    backend: Backend = "torch"
 
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.detection.config import DetectorConfig
+from pydantic import ValidationError
+
+from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.project.models import Role, StoredModel
 from annotator.project.project import Project
 from annotator.types import BoxKind, Detector
-from annotator.types.errors import DetectionError
+from annotator.types.errors import ConfigError, DetectionError
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,24 +25,48 @@ class Detectors:
     box_kind: BoxKind = BoxKind.BOX
 
 
-def load_detector(weights: Path) -> Detector:
-    """A trained detector from the folder of its training, at the picture size that it was trained at.
+def load_detector(
+    weights: Path, backend: Backend = "auto", image_size_px: int | None = None, threads: int | None = None
+) -> Detector:
+    """A trained detector from the folder of its training.
+
+    Args:
+        weights: its weights file.
+        backend: what runs it; auto takes the fastest that is installed.
+        image_size_px: the longer side of a picture in the network; None: the size that it was trained at.
+        threads: of the processor; None: all cores that the process may use.
 
     Raises:
-        DetectionError: missing or unreadable weights.
-        FormatError: what should lie beside them is missing.
+        ConfigError: the size or the threads are of no use.
+        DetectionError: missing or unreadable weights, or a backend that cannot be used.
+        FormatError: what should lie beside the weights is missing.
     """
-    return YoloDetector(weights, DetectorConfig(image_size_px=read_trained(weights.parent).image_size_px))
+    size = read_trained(weights.parent).image_size_px if image_size_px is None else image_size_px
+    try:
+        config = DetectorConfig(image_size_px=size, backend=backend, threads=threads)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        raise ConfigError(
+            f"detector setting {problem['loc'][0]}: {problem['msg']}, not {problem['input']!r}"
+        ) from error
+    return YoloDetector(weights, config)
 
 
-def active_detectors(project: Project) -> Detectors:
+def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
     """The detectors that the project uses now.
 
+    Args:
+        backend, threads: as in `load_detector`.
+
     Raises:
-        DetectionError: one of them has not been trained yet.
+        ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
     """
     image, view = _active(project, Role.IMAGE), _active(project, Role.VIEW)
-    return Detectors(load_detector(image.path), load_detector(view.path), view.box_kind)
+    return Detectors(
+        load_detector(image.path, backend, threads=threads),
+        load_detector(view.path, backend, threads=threads),
+        view.box_kind,
+    )
 
 
 def _active(project: Project, role: Role) -> StoredModel:
