@@ -90,7 +90,7 @@ class TrainingConfig(BaseModel):
 
 
 class DetectorConfig(BaseModel):
-    """Settings of a trained detector at work; all but what runs it (device, backend, threads) are in its fingerprint."""
+    """Settings of a trained detector at work; what runs it (device, backend, threads) is not in its fingerprint."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
