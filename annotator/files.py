@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import errno
+import lzma
 import os
 import shutil
+import struct
 import tempfile
 import uuid
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +18,21 @@ from pathlib import Path
 from annotator.types.errors import FormatError
 
 CHUNK_BYTES = 2**20
+# What zipfile is seen to raise on archives that are damaged, encrypted (RuntimeError), or of a compression that Python
+# does not know (NotImplementedError).
+ARCHIVE_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    OSError,
+    ValueError,
+    LookupError,
+    ArithmeticError,
+    NotImplementedError,
+    RuntimeError,
+)
 
 
 def why_missing(path: Path) -> str | None:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import lzma
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePath, PurePosixPath
 
-from annotator.files import read_at_most
+from annotator.files import ARCHIVE_ERRORS, read_at_most
 from annotator.types.errors import FormatError
 
 # A label file of a single frame is some kilobytes.
 MAX_BYTES = 16 * 2**20
 MAX_FILES = 1_000_000
-# RuntimeError: encrypted; NotImplementedError: a compression that Python does not know; the rest: damaged.
-ARCHIVE_ERRORS = (OSError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 
 def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> Iterator[tuple[str, Path, str]]:
@@ -97,16 +93,7 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
                     content = stream.read(MAX_BYTES + 1)
                 file = path / PurePosixPath(named[key].filename).name
                 yield key, file, _text(file, content)
-    except (
-        OSError,
-        EOFError,
-        RuntimeError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-        lzma.LZMAError,
-    ) as error:
-        # RuntimeError: encrypted; NotImplementedError: a compression that Python does not know
+    except ARCHIVE_ERRORS as error:
         raise FormatError(path, f"the archive cannot be read ({error})") from error
 
 

@@ -7,17 +7,15 @@ Headers are checked against what the file holds before an array is made: NEP 1 a
 from __future__ import annotations
 
 import io
-import lzma
-import struct
 import warnings
 import zipfile
-import zlib
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
 
+from annotator.files import ARCHIVE_ERRORS
 from annotator.recordings.cloud_columns import CLOUD_REMEDY, RawCloud, eight_bits, from_columns
 from annotator.types.errors import FrameError
 
@@ -28,20 +26,6 @@ COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
 MOST_BYTES = 1 << 30
 # A member of an archive says of itself that it is an IO[bytes], and is none.
 Stream = IO[bytes] | io.BufferedIOBase
-# What zipfile is seen to raise on damaged archives.
-ARCHIVE_ERRORS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    EOFError,
-    OSError,
-    ValueError,
-    LookupError,
-    ArithmeticError,
-    NotImplementedError,
-    RuntimeError,
-)
 
 
 def parse_npy(path: Path, data: bytes) -> RawCloud:
