@@ -16,14 +16,14 @@ from annotator.workflows.known_labels import KnownLabels, labels_beside, labels_
 
 def import_as_2d(
     project: Project, path: Path | None, format: str, recording: str | None, fraction: float, seed: int
-) -> tuple[str, ...]:
+) -> KnownLabels:
     """Keeps the 2D boxes of known 3D boxes, and tells of them.
 
     Args:
         path: of the labels; None = those beside the recordings, whatever their format.
 
     Returns:
-        Names of labelled frames that the project does not have.
+        The labels that there were.
 
     Raises:
         ConfigError: a format without 3D boxes, no labels, or none of the project's classes.
@@ -34,7 +34,7 @@ def import_as_2d(
         done = boxes_from_3d(project, labels, fraction=fraction, seed=seed, progress=progress)
     for line in _told(done, len(labels.frames)):
         print_line(line)
-    return labels.unmatched
+    return labels
 
 
 def _labels(project: Project, path: Path | None, format: str, recording: str | None) -> KnownLabels:
@@ -48,7 +48,7 @@ def _labels(project: Project, path: Path | None, format: str, recording: str | N
 def _told(done: BoxesFrom3d, labelled: int) -> list[str]:
     lines = [
         f"{done.frames} of {labelled} labelled frames: {_by_class(done.image_boxes)} on camera images; "
-        f"{_by_class(done.objects)} on {4 * done.objects.total()} pseudo-views, which show {done.view_boxes} boxes"
+        f"{_by_class(done.objects)} on {done.views} pseudo-views, which show {done.view_boxes} boxes"
     ]
     for counter, why in (
         (done.without_views, "on the image alone, with too few points for pseudo-views"),

@@ -17,6 +17,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.importing import (
     BoxFormat,
     FlatFormat,
+    Renamed,
     import_image_boxes,
     import_labels,
     import_view_boxes,
@@ -71,8 +72,9 @@ def run(
         raise ConfigError("--as-2d makes its pictures from 3D boxes; leave --pictures away")
     with open_named(project, root) as opened:
         if as_2d:
-            unmatched = import_as_2d(opened, path, format, recording, fraction, seed)
-            _left_out({}, unmatched, "frames")
+            labels = import_as_2d(opened, path, format, recording, fraction, seed)
+            _renamed(labels.renamed)
+            _left_out({}, labels.unmatched, "frames")
             print_line(f"next: annotator train {project}")
         elif path is None:
             raise ConfigError(
@@ -100,6 +102,7 @@ def _flat(
         print_line(f"left alone: {done.finalised} pictures of finalised frames")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
+    _renamed(done.renamed)
     _left_out(done.other_classes, done.unmatched, "images")
 
 
@@ -117,7 +120,13 @@ def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | Non
         print_line(f"left behind: {done.scores} scores, which are no confidences in 0..1")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
+    _renamed(done.renamed)
     _left_out(done.other_classes, done.unmatched, "frames")
+
+
+def _renamed(renamed: Renamed | None) -> None:
+    if renamed is not None:
+        print_line(f"taken for {', '.join(renamed.taken_for)}: the recording that the labels call {renamed.named}")
 
 
 def _left_out(other_classes: Counter[str] | dict[str, int], unmatched: Sequence[str], what: str) -> None:

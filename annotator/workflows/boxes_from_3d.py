@@ -28,6 +28,14 @@ from annotator.workflows.views_out import geometry_of
 AUTHOR = "import of 3D boxes"
 
 
+@dataclass(frozen=True)
+class _Kept:
+    """A frame's views that carry their boxes now, and the number of those that keep somebody else's."""
+
+    views: tuple[ViewBoxesSet, ...]
+    others: int
+
+
 @dataclass
 class BoxesFrom3d:
     """What was made of the 3D boxes.
@@ -37,7 +45,8 @@ class BoxesFrom3d:
         frames: whose 2D boxes are in the project now, also those that show none of the classes.
         image_boxes: on their camera images, by class.
         objects: with boxes on all four views, by class.
-        view_boxes: boxes on views in all; a view has those of all objects that it shows.
+        views: that carry their boxes now; objects with one box on the image share their first views.
+        view_boxes: boxes on them in all; a view has those of all objects that it shows.
         without_views: objects on the image with too few points for views, by class.
         outside, hidden: objects that the image does not show: beyond its edges, or behind something; by class.
         other_classes: left out because the project has no such class, by class.
@@ -52,6 +61,7 @@ class BoxesFrom3d:
     frames: int = 0
     image_boxes: Counter[str] = field(default_factory=Counter)
     objects: Counter[str] = field(default_factory=Counter)
+    views: int = 0
     view_boxes: int = 0
     without_views: Counter[str] = field(default_factory=Counter)
     outside: Counter[str] = field(default_factory=Counter)
@@ -63,12 +73,14 @@ class BoxesFrom3d:
     in_all: int = 0
     unreadable: list[str] = field(default_factory=list)
 
-    def add(self, known: KnownFrame) -> None:
+    def add(self, known: KnownFrame, kept: _Kept) -> None:
         """Counts a frame whose boxes are kept."""
         self.frames += 1
         self.image_boxes.update(box.label for box in known.on_image)
         self.objects.update(item.image_box.label for item in known.objects)
-        self.view_boxes += sum(len(view.boxes) for item in known.objects for view in item.views)
+        self.views += len(kept.views)
+        self.view_boxes += sum(len(view.boxes) for view in kept.views)
+        self.others_views += kept.others
         for counter, labels in (
             (self.without_views, known.without_views),
             (self.outside, known.outside),
@@ -138,12 +150,11 @@ def _take_over(
     own = [truth for truth in truths if truth.label in settings.classes]
     orientation = orientation_for(settings.settings.rotation, frame)
     known = boxes_of_known(frame, own, config.model_copy(update={"orientation": orientation}))
-    others_views = _keep(project, stored.id, known)
-    if others_views is None:
+    kept = _keep(project, stored.id, known)
+    if kept is None:
         done.drawn += 1
     else:
-        done.add(known)
-        done.others_views += others_views
+        done.add(known, kept)
         done.not_reviewed += labels.not_reviewed(stored)
 
 
@@ -151,8 +162,8 @@ def _is_drawn(page: FramePage) -> bool:
     return page.frame.finalised or (page.image_boxes is not None and page.image_boxes.author != AUTHOR)
 
 
-def _keep(project: Project, frame_id: int, known: KnownFrame) -> int | None:
-    """Stores a frame's boxes and counts the views that keep others'; None where somebody has drawn on it meanwhile."""
+def _keep(project: Project, frame_id: int, known: KnownFrame) -> _Kept | None:
+    """Stores a frame's boxes; None where somebody has drawn on it meanwhile."""
     on_image = ImageBoxesSet(boxes=known.on_image, box_kind=BoxKind.BOX)
     # two objects with one box on the image share their first views, which then carry the same boxes
     wanted = {entry.view: entry for entry in _view_boxes(project, known)}
@@ -162,13 +173,13 @@ def _keep(project: Project, frame_id: int, known: KnownFrame) -> int | None:
             return None
         others = {view.view_id for view in page.view_boxes if view.author != AUTHOR} & wanted.keys()
         own = {view_id: entry for view_id, entry in wanted.items() if view_id not in others}
-        payloads = _changes(page, on_image, own)
+        payloads, kept = _changes(page, on_image, own), _Kept(tuple(own.values()), len(others))
         if not payloads:
-            return len(others)
+            return kept
         # the frame was changed between the two lines, perhaps by an automatic pass
         with suppress(StaleRevisionError):
             project.log.append(frame_id, payloads, Change(page.frame.revision, AUTHOR, Source.IMPORTED))
-            return len(others)
+            return kept
 
 
 def _view_boxes(project: Project, known: KnownFrame) -> list[ViewBoxesSet]:

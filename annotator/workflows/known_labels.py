@@ -11,6 +11,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing import LabelSet
 from annotator.workflows.importing.boxes_3d import match_frames
+from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.truth import has_truth, label_file, load_truth, one_file_a_frame
 
 
@@ -22,6 +23,7 @@ class KnownLabels:
         frames: that are labelled, also those without an object, in the project's order.
         truths: gives the objects of one of them, boxes in the camera frame.
         unmatched: names of labelled frames that the project does not have.
+        renamed: the dataset's only recording, where it was taken for one of another name.
         one_file_a_frame: a broken label file spoils its own frame alone.
         not_reviewed: counts the boxes of a frame that are not among its objects, because nobody has accepted them.
     """
@@ -29,6 +31,7 @@ class KnownLabels:
     frames: tuple[StoredFrame, ...]
     truths: Callable[[StoredFrame, Frame], Sequence[Truth]]
     unmatched: tuple[str, ...] = ()
+    renamed: Renamed | None = None
     one_file_a_frame: bool = False
     not_reviewed: Callable[[StoredFrame], int] = lambda stored: 0
 
@@ -77,8 +80,8 @@ def labels_from(project: Project, found: LabelSet, recording: str | None = None)
         FormatError: none of the labelled frames is one of the project's, or a name fits several.
         NotFoundError: no such recording.
     """
-    matched, unmatched = match_frames(project, found.path, found.frames, recording)
-    present = {stored.id: (name, stored) for name, stored in matched if stored.index is not None}
+    known = match_frames(project, found.path, found.frames, recording)
+    present = {stored.id: (name, stored) for name, stored in known.matched if stored.index is not None}
 
     def truths(stored: StoredFrame, frame: Frame) -> list[Truth]:
         return found.truths(present[stored.id][0], frame)
@@ -87,4 +90,4 @@ def labels_from(project: Project, found: LabelSet, recording: str | None = None)
         return found.left_behind(present[stored.id][0]).not_reviewed
 
     frames = tuple(stored for _, stored in present.values())
-    return KnownLabels(frames, truths, tuple(unmatched), not_reviewed=not_reviewed)
+    return KnownLabels(frames, truths, known.unmatched, known.renamed, not_reviewed=not_reviewed)

@@ -39,7 +39,7 @@ def test_2d_boxes_alone_are_kept_and_teach(people: Project) -> None:
     assert {(x.box_kind, x.source) for x in views} == {(BoxKind.BOX, Source.IMPORTED)}
     assert done.image_boxes == Counter(person=sum(len(x.boxes) for x in on_images))
     assert Counter(view.step for view in views) == {0: 2 * done.objects["person"], 1: 2 * done.objects["person"]}
-    assert done.view_boxes == sum(len(x.boxes) for x in views) > len(views)
+    assert done.view_boxes == sum(len(x.boxes) for x in views) > len(views) == done.views
     # three people walk before each other: nobody is out of the picture
     assert done.objects["person"] + done.without_views["person"] + done.hidden["person"] == 6
 
@@ -71,6 +71,16 @@ def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
         np.testing.assert_allclose(spans_m(view), expected, atol=1e-6)
         checked += 1
     assert checked >= 4
+
+
+def test_views_that_objects_share_count_once(people: Project) -> None:
+    """A box that stands in the labels twice has one set of views."""
+    beside = labels_beside(people)
+    twice = replace(beside, truths=lambda stored, frame: list(beside.truths(stored, frame)[:1]) * 2)
+    done = boxes_from_3d(people, twice, fraction=0.2)
+    views = people.boxes.on_views()
+    assert (done.objects["person"], done.views, len(views)) == (2, 4, 4)
+    assert done.view_boxes == sum(len(view.boxes) for view in views) == 8
 
 
 def moved(labels: KnownLabels, by_m: float) -> KnownLabels:
@@ -133,7 +143,8 @@ def test_views_that_somebody_has_corrected_elsewhere_stay(people: Project) -> No
     )
     again = boxes_from_3d(people, labels, fraction=0.2)
     assert (again.frames, again.others_views) == (1, 1)
-    assert replace(again, others_views=0) == first
+    theirs = {"views": again.views + 1, "view_boxes": again.view_boxes + len(view.boxes)}
+    assert replace(again, others_views=0, **theirs) == first
     after = {each.view_id: each for each in people.boxes.on_views()}
     assert (after[view.view_id].boxes, after[view.view_id].author) == (better, "import")
     assert {key: each.boxes for key, each in after.items() if key != view.view_id} == {

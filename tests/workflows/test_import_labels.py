@@ -13,7 +13,7 @@ from annotator.project import Change, NewLabel, Project
 from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
 from annotator.workflows.importing.boxes_3d import AUTHOR, create_where_none
 from annotator.workflows.importing.label_set import LeftBehind
 from annotator.workflows.own_labels import import_own_labels
@@ -140,10 +140,11 @@ def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> 
     first, second = (frame.key for frame in people.frames.of()[:2])
     both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)
-    assert (done.frames, done.unmatched) == (1, (f"street/{second}",))
+    assert (done.frames, done.unmatched, done.renamed) == (1, (f"street/{second}",), None)
     with pytest.raises(FormatError, match="none of its frames"):
         import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
-    assert import_labels(people, Given({f"renamed/{second}": [Truth("person", BOX)]})).frames == 1
+    done = import_labels(people, Given({f"other/{second}": [Truth("person", BOX)]}))
+    assert (done.frames, done.renamed) == (1, Renamed("other", ("people",)))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from annotator.workflows.importing.boxes_2d import Imported, import_image_boxes, import_view_boxes
 from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels
+from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.picture_labels import FlatFormat
 from annotator.workflows.importing.table import BoxFormat, read_labels
@@ -12,6 +13,7 @@ __all__ = [
     "Imported",
     "ImportedLabels",
     "LabelSet",
+    "Renamed",
     "import_image_boxes",
     "import_labels",
     "import_view_boxes",

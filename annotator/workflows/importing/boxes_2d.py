@@ -13,6 +13,7 @@ from pathlib import Path
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
+from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
 from annotator.workflows.importing.view_boxes import checked_views, store_on_view
@@ -32,6 +33,7 @@ class Imported:
         unreadable: images whose frame cannot be read, which alone knows their size, as `key: reason`.
         replaced: images whose boxes somebody else had drawn, and which have those of the dataset now.
         finalised: pictures that were left alone because their frame is finalised.
+        renamed: the dataset's only recording, where it was taken for one of another name.
     """
 
     pictures: int
@@ -42,6 +44,7 @@ class Imported:
     unreadable: tuple[str, ...] = ()
     replaced: int = 0
     finalised: int = 0
+    renamed: Renamed | None = None
 
 
 def import_image_boxes(
@@ -128,6 +131,7 @@ def _import(
         images.unreadable if images is not None else (),
         tally.outcomes[Stored.REPLACED],
         tally.outcomes[Stored.LEFT_ALONE],
+        images.renamed if images is not None else None,
     )
 
 

@@ -12,7 +12,7 @@ from annotator.project import Change, NewLabel, Project, StoredFrame
 from annotator.types import Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frames import FrameSource
-from annotator.workflows.importing.frame_finder import FrameFinder
+from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.label_set import LabelSet
 
 AUTHOR = "import"
@@ -31,6 +31,7 @@ class ImportedLabels:
         unreadable: frames that cannot be read, as `key: reason`.
         not_reviewed: boxes on `frames` left behind because nobody has accepted them in the dataset.
         scores: of boxes on `frames`, left behind because they are no confidences in 0..1.
+        renamed: the dataset's only recording, where it was taken for one of another name.
     """
 
     frames: int = 0
@@ -41,6 +42,22 @@ class ImportedLabels:
     unreadable: list[str] = field(default_factory=list)
     not_reviewed: int = 0
     scores: int = 0
+    renamed: Renamed | None = None
+
+
+@dataclass(frozen=True)
+class MatchedFrames:
+    """A dataset's frames in a project.
+
+    Attributes:
+        matched: each name with the project's frame, in the project's order.
+        unmatched: names of frames that the project does not have.
+        renamed: the dataset's only recording, where it was taken for one of another name.
+    """
+
+    matched: tuple[tuple[str, StoredFrame], ...]
+    unmatched: tuple[str, ...]
+    renamed: Renamed | None
 
 
 def import_labels(
@@ -60,10 +77,10 @@ def import_labels(
         NotFoundError: no such recording.
         RecordingError: a recording is not where it was.
     """
-    matched, unmatched = match_frames(project, found.path, found.frames, recording)
-    source, done = FrameSource(project), ImportedLabels(unmatched=tuple(unmatched))
+    frames = match_frames(project, found.path, found.frames, recording)
+    source, done = FrameSource(project), ImportedLabels(unmatched=frames.unmatched, renamed=frames.renamed)
     classes = set(project.config.classes)
-    for number, (name, stored) in enumerate(matched, 1):
+    for number, (name, stored) in enumerate(frames.matched, 1):
         if stored.finalised or project.labels.of_frame(stored.id):
             done.already += 1
         else:
@@ -86,14 +103,12 @@ def import_labels(
                 else:
                     done.already += 1
         if progress is not None:
-            progress(number, len(matched))
+            progress(number, len(frames.matched))
     return done
 
 
-def match_frames(
-    project: Project, path: Path, names: Sequence[str], recording: str | None = None
-) -> tuple[list[tuple[str, StoredFrame]], list[str]]:
-    """Each name with the project's frame, in the project's order, and the names of frames that it does not have.
+def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
+    """Finds the project's frames that a dataset names.
 
     Args:
         path: where the names come from, for messages.
@@ -125,7 +140,9 @@ def match_frames(
     if not matched:
         shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
         raise FormatError(path, f"none of its frames ({shown or 'it has none'}) is a frame of the project")
-    return sorted(matched.values(), key=lambda pair: order[pair[1].id]), unmatched
+    renamed = finder.renamed(stored for name, stored in matched.values() if places[name][0] is not None)
+    in_order = sorted(matched.values(), key=lambda pair: order[pair[1].id])
+    return MatchedFrames(tuple(in_order), tuple(unmatched), renamed)
 
 
 def _place(name: str) -> tuple[str, str]:

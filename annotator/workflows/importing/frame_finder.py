@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 
 from annotator.project import Project, StoredFrame
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """A recording that a dataset names and the project does not have, and the project's that it was taken for."""
+
+    named: str
+    taken_for: tuple[str, ...]
 
 
 class FrameFinder:
@@ -12,7 +21,7 @@ class FrameFinder:
 
     Keys such as 000012 are everywhere: what a dataset says of another recording is about none of the project's frames.
     Only where it names a single recording, and one that the project does not have, is that taken for the project's
-    recording under another name.
+    recording under another name; `renamed` tells so.
 
     Args:
         recording: name of the only recording to look in; None = all.
@@ -31,7 +40,7 @@ class FrameFinder:
             self._by_key.setdefault(frame.key, []).append(frame)
             self._by_place[self._names[frame.recording_id], frame.key] = frame
         known = {place[0] for place in self._by_place}
-        self._may_be_renamed = len(set(named)) == 1 and not known & set(named)
+        self._unknown = next(iter(named)) if len(set(named)) == 1 and not known & set(named) else None
 
     def find(self, recording: str | None, key: str) -> list[StoredFrame]:
         """The frames that may be meant: more than one where several recordings have the key.
@@ -39,10 +48,19 @@ class FrameFinder:
         Args:
             recording: as the dataset names it; None where it does not.
         """
-        if recording is None or self._may_be_renamed:
+        if recording is None or recording == self._unknown:
             return self._by_key.get(key, [])
         exact = self._by_place.get((recording, key))
         return [] if exact is None else [exact]
+
+    def renamed(self, found: Iterable[StoredFrame]) -> Renamed | None:
+        """What the dataset's recording was taken for, where the project has none of its name.
+
+        Args:
+            found: the frames that were found for it.
+        """
+        taken_for = tuple(dict.fromkeys(map(self.recording_of, found)))
+        return Renamed(self._unknown, taken_for) if self._unknown is not None and taken_for else None
 
     def recording_of(self, frame: StoredFrame) -> str:
         """The name of a frame's recording."""

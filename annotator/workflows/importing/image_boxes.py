@@ -19,7 +19,7 @@ from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing.boxes_3d import AUTHOR
-from annotator.workflows.importing.frame_finder import FrameFinder
+from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
 from annotator.workflows.view_followers import view_followers
 
@@ -48,11 +48,18 @@ class Stored(Enum):
 
 @dataclass(frozen=True)
 class CheckedImages:
-    """Images with their frames, file names of those that have none, and frames that cannot be read."""
+    """Images with their frames, and what is told of the others.
+
+    Attributes:
+        unmatched: file names of images that belong to no frame.
+        unreadable: frames that cannot be read, as `key: reason`.
+        renamed: the dataset's only recording, where it was taken for one of another name.
+    """
 
     matched: tuple[OnImage, ...]
     unmatched: tuple[str, ...]
     unreadable: tuple[str, ...]
+    renamed: Renamed | None
 
 
 def checked_images(
@@ -69,7 +76,7 @@ def checked_images(
             or none is of a frame of the project.
         NotFoundError: no such recording.
     """
-    matched, unmatched = _matched(project, found, pictures, recording)
+    matched, unmatched, renamed = _matched(project, found, pictures, recording)
     source = FrameSource(project)
     ready, unreadable = [], []
     for picture, stored in matched:
@@ -85,13 +92,13 @@ def checked_images(
         size_px = (camera.width_px, camera.height_px)
         _require_size(found.path, picture, size_px)
         ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*size_px)))
-    return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable))
+    return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable), renamed)
 
 
 def _matched(
     project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
-) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str]]:
-    """The images with their frames, and the names of those that have none."""
+) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str], Renamed | None]:
+    """The images with their frames, the names of those that have none, and what their recording was taken for."""
     path = found.path
     frames = FrameFinder(project, recording, {origin.recording for origin in found.origins.values()})
     matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
@@ -117,7 +124,8 @@ def _matched(
             "none of its images is a frame of the project; a file's name without its suffix must be the frame's key "
             "(000012.jpg is the frame 000012)",
         )
-    return list(matched.values()), unmatched
+    named = (stored for picture, stored in matched.values() if picture.stem in found.origins)
+    return list(matched.values()), unmatched, frames.renamed(named)
 
 
 def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) -> None:
