@@ -21,7 +21,7 @@ from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Move, Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
-from annotator.project.writing import Change, Receipt
+from annotator.project.writing import Change, FramePart, Receipt
 
 __all__ = [
     "REVIEWED",
@@ -30,6 +30,7 @@ __all__ = [
     "Done",
     "Effort",
     "Event",
+    "FramePart",
     "FrameResult",
     "FrameState",
     "History",

@@ -14,25 +14,16 @@ from datetime import UTC, datetime
 
 from sqlalchemy import Connection, select
 
+from annotator.project.action_words import named, words_of
 from annotator.project.events import Effort
-from annotator.project.payloads import LabelState, Payload
+from annotator.project.payloads import Payload
 from annotator.project.schema import AnyRow, events, frames, revertible
-from annotator.project.subjects import FRAME, IMAGE, LABEL, VIEW, read_subject, restoring, same_state
-from annotator.project.writing import Change, Receipt, Writer
+from annotator.project.subjects import FRAME, read_subject, restoring, same_state
+from annotator.project.writing import Change, FramePart, Receipt, Writer
 from annotator.types.errors import HistoryError
 
-# What an action is called by its events, the first that fits.
-WORDS = (
-    ("label_created", "draw"),
-    ("label_deleted", "delete"),
-    ("label_rejected", "reject"),
-    ("label_edited", "edit"),
-    ("label_accepted", "accept"),
-    ("frame_finalised", "finalise"),
-    ("frame_reopened", "reopen"),
-    ("view_boxes_set", "draw on a view"),
-    ("image_boxes_set", "draw on the image"),
-)
+# Events of automatic passes and imports that may change what an action has left.
+PASSES = ("proposals_replaced", "tracks_linked", "image_boxes_set", "view_boxes_set", "label_edited")
 
 
 @dataclass(frozen=True)
@@ -53,14 +44,16 @@ class Done:
     """An undo or redo that was made.
 
     Attributes:
-        frame_id: where.
-        receipt: as of every write.
+        frame_id: where; of several frames the one that the action began with.
+        receipt: as of every write, of that frame.
         words: what was taken back or done again.
+        others: the other frames that were changed, and the receipt of each.
     """
 
     frame_id: int
     receipt: Receipt
     words: str
+    others: tuple[tuple[int, Receipt], ...] = ()
 
 
 @dataclass
@@ -126,8 +119,8 @@ class History:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             for step in reversed(steps):
                 rows = _changes_of(connection, step.action)
-                payloads = _restored(rows)
-                if not payloads:
+                restored = _restored_by_frame(rows)
+                if not restored:
                     continue
                 conflict = _conflict(connection, rows)
                 if conflict is None:
@@ -140,11 +133,15 @@ class History:
                     )
             else:
                 raise HistoryError(f"all that {author} could {'undo' if is_undo else 'redo'} was changed by others")
-            frame_id = rows[0].frame_id
-            revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
-            change = Change(revision, author, effort=effort, undoes=step.action)
-            receipt = self._writer.to_frame_in(connection, frame_id, payloads, change)
-            return Done(frame_id, receipt, self._told(connection, step))
+            parts = []
+            for frame_id, payloads in restored.items():
+                revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+                parts.append(FramePart(frame_id, payloads, Change(revision, author, effort=effort, undoes=step.action)))
+                # what it cost is counted once
+                effort = None
+            receipts = self._writer.to_frames_in(connection, parts)
+            others = tuple(zip(list(restored)[1:], receipts[1:], strict=True))
+            return Done(parts[0].frame_id, receipts[0], self._told(connection, step), others)
 
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
         """Both stacks, brought up to the transaction's moment by the events since the last look."""
@@ -165,7 +162,7 @@ class History:
 
     def _told(self, connection: Connection, step: Step) -> str:
         if step.original not in self._words:
-            self._words[step.original] = _words(connection, _changes_of(connection, step.original))
+            self._words[step.original] = words_of(connection, _changes_of(connection, step.original))
         return self._words[step.original]
 
 
@@ -188,12 +185,12 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
 
 def _conflict(connection: Connection, rows: Sequence[AnyRow]) -> str | None:
     """Who has changed one of the subjects since, and what; None where all are as the action left them."""
-    left = {row.subject: row for row in rows}
-    for subject, row in left.items():
+    left = {(row.frame_id, row.subject): row for row in rows}
+    for (_, subject), row in left.items():
         present = read_subject(connection, row.frame_id, subject)
         if not same_state(subject, present, row.after):
             who, when = _last_hand(connection, row, subject)
-            return f"{_named(subject, row.after or row.before)} was changed by {who} since{when}"
+            return f"{named(subject, row.after or row.before)} was changed by {who} since{when}"
     return None
 
 
@@ -208,7 +205,7 @@ def _last_hand(connection: Connection, row: AnyRow, subject: str) -> tuple[str, 
     found = connection.execute(later).first()
     if found is None:
         # automatic passes and imports are about many subjects and are not kept by subject
-        kinds = events.c.kind.in_(("proposals_replaced", "image_boxes_set", "view_boxes_set", "label_edited"))
+        kinds = events.c.kind.in_(PASSES)
         others = select(events.c.author, events.c.time_ns).where(
             events.c.frame_id == row.frame_id, events.c.id > row.id, events.c.action.is_(None), kinds
         )
@@ -217,6 +214,13 @@ def _last_hand(connection: Connection, row: AnyRow, subject: str) -> tuple[str, 
         return "somebody else", ""
     moment = datetime.fromtimestamp(found.time_ns / 1e9, UTC)
     return found.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
+
+
+def _restored_by_frame(rows: Sequence[AnyRow]) -> dict[int, list[Payload]]:
+    """What takes an action back, frame by frame, in its order; no entry for a frame with nothing to restore."""
+    own = {frame_id: [row for row in rows if row.frame_id == frame_id] for frame_id in {r.frame_id: 0 for r in rows}}
+    found = {frame_id: _restored(part) for frame_id, part in own.items()}
+    return {frame_id: payloads for frame_id, payloads in found.items() if payloads}
 
 
 def _restored(rows: Sequence[AnyRow]) -> list[Payload]:
@@ -231,24 +235,3 @@ def _restored(rows: Sequence[AnyRow]) -> list[Payload]:
         for subject, row in first.items()
         if not (row.before == last[subject].after and (row.before is None or subject == FRAME))
     ]
-
-
-def _named(subject: str, state: str | None) -> str:
-    kind = subject.partition(":")[0]
-    if kind == LABEL and state is not None:
-        return f"the {LabelState.model_validate_json(state).label} label"
-    return {LABEL: "the label", IMAGE: "the boxes on the image", VIEW: "the box on the view", FRAME: "the frame"}[kind]
-
-
-def _words(connection: Connection, rows: Sequence[AnyRow]) -> str:
-    """Such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
-    key = connection.execute(select(frames.c.key).where(frames.c.id == rows[0].frame_id)).scalar_one()
-    kinds = {row.kind for row in rows}
-    verb = next((word for kind, word in WORDS if kind in kinds), "change")
-    touched = {row.subject: row for row in rows if row.subject.startswith(LABEL)}
-    if len(touched) > 1:
-        return f"{verb} {len(touched)} labels (frame {key})"
-    for row in touched.values():
-        name = LabelState.model_validate_json(row.after or row.before).label
-        return f"{verb} {name} (frame {key})"
-    return f"{verb} frame {key}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} (frame {key})"

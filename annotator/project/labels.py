@@ -60,6 +60,7 @@ class StoredLabel:
         run_id: of the batch run that proposed it, where one did.
         origin: how an operator made it, where one did.
         image_box: on the camera image, where it was drawn from one.
+        track_linked: True where linking gave the track id, and no person or file.
     """
 
     frame_id: int
@@ -68,6 +69,7 @@ class StoredLabel:
     run_id: int | None
     origin: Origin | None = None
     image_box: Box2D | None = None
+    track_linked: bool = False
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,8 @@ def _label(row: AnyRow) -> Label:
 def stored_label(row: AnyRow) -> StoredLabel:
     """The label that a row of the table holds, with its place in the project."""
     origin = None if row.origin is None else Origin(row.origin)
-    return StoredLabel(row.frame_id, _label(row), _quality(row), row.run_id, origin, box_2d_of(row.image_box))
+    image_box = box_2d_of(row.image_box)
+    return StoredLabel(row.frame_id, _label(row), _quality(row), row.run_id, origin, image_box, row.track_linked)
 
 
 def _quality(row: AnyRow) -> Quality | None:

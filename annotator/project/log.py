@@ -11,7 +11,7 @@ from annotator.project.derived import rebuild
 from annotator.project.events import Event, read_events
 from annotator.project.payloads import Payload
 from annotator.project.schema import events
-from annotator.project.writing import Change, Receipt, Writer
+from annotator.project.writing import Change, FramePart, Receipt, Writer
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,14 @@ class Log:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
         """
         return self.writer.to_frame(frame_id, payloads, change)
+
+    def append_to_frames(self, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
+        """Say things about several frames as one action, which one undo takes back: all are kept, or none.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.
+        """
+        return self.writer.to_frames(parts)
 
     def of_frame(self, frame_id: int) -> tuple[Event, ...]:
         """Everything that was said about a frame, in order."""

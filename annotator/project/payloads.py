@@ -13,10 +13,12 @@ from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
 from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
 from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Source
+from annotator.types.tracks import MOST_TRACK
 
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
 ClassName = Annotated[str, Field(min_length=1)]
+TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
 class Origin(StrEnum):
@@ -35,6 +37,7 @@ class LabelState(BaseModel):
 
     Attributes:
         place: number of its row, which orders the labels of a frame.
+        track_linked: True where linking gave the track id, and no person or file.
     """
 
     model_config = EXACT
@@ -56,6 +59,7 @@ class LabelState(BaseModel):
     image_box: Box2D | None
     place: int
     image_agreement: float | None = None
+    track_linked: bool = False
 
 
 class ImageBoxesState(BaseModel):
@@ -129,6 +133,7 @@ class ProposedObject(BaseModel):
     Attributes:
         uid: of the label that it became.
         covered_by: uid of the reviewed label that says the same already, so that no label was made; else None.
+        track_id: the object's id over the recording, where the pass followed it from another frame.
     """
 
     model_config = EXACT
@@ -136,6 +141,7 @@ class ProposedObject(BaseModel):
     uid: Uid
     proposal: ProposalRecord
     covered_by: Uid | None = None
+    track_id: TrackId | None = None
 
 
 class ProposalsReplaced(_Payload):
@@ -183,6 +189,55 @@ class LabelCreated(_Payload):
 
     def classes(self) -> set[str]:
         return {self.label}
+
+
+class LabelProposed(_Payload):
+    """A box that an operator had proposed: carried over from other frames of its track, or found from there.
+
+    It waits for a review as the proposals of a pass do, and the next pass over the frame takes its place.
+
+    Attributes:
+        proposal: with its trace, where the recursion found the box.
+    """
+
+    kind: Literal["label_proposed"] = "label_proposed"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    track_id: TrackId | None = None
+    proposal: ProposalRecord | None = None
+
+    def classes(self) -> set[str]:
+        return {self.label}
+
+
+class LabelTracked(_Payload):
+    """The label belongs to another track, or to none; its box and its review stay as they are."""
+
+    kind: Literal["label_tracked"] = "label_tracked"
+    uid: Uid
+    track_id: TrackId | None
+
+
+class LinkedLabel(BaseModel):
+    """One label that was linked.
+
+    Attributes:
+        box: smoothed over its track; None leaves the label's box, as it must for a reviewed one.
+    """
+
+    model_config = EXACT
+
+    uid: Uid
+    track_id: TrackId
+    box: BoxRecord | None = None
+
+
+class TracksLinked(_Payload):
+    """Linking over the recording: the track ids of some labels of a frame, and smoothed boxes of open proposals."""
+
+    kind: Literal["tracks_linked"] = "tracks_linked"
+    labels: tuple[LinkedLabel, ...]
 
 
 class LabelAccepted(_Payload):
@@ -287,7 +342,10 @@ Payload = (
     ImageBoxesSet
     | ViewBoxesSet
     | ProposalsReplaced
+    | TracksLinked
     | LabelCreated
+    | LabelProposed
+    | LabelTracked
     | LabelAccepted
     | LabelEdited
     | LabelRejected

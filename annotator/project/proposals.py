@@ -13,7 +13,7 @@ from annotator.geometry.iou import iou_3d_matrix
 from annotator.project.events import Event, event_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_labels
-from annotator.project.payloads import ProposalsReplaced, ProposedObject
+from annotator.project.payloads import LabelProposed, ProposalsReplaced, ProposedObject
 from annotator.project.records import ProposalRecord, storable
 from annotator.project.schema import events, labels
 from annotator.project.writing import Change, Receipt, Writer, require_writable
@@ -94,6 +94,7 @@ class Proposals:
         *,
         lost: Sequence[LostObject] = (),
         run: RunShare | None = None,
+        track_ids: Sequence[int | None] | None = None,
     ) -> Replaced:
         """Put new proposals in place of those that nobody has reviewed.
 
@@ -103,6 +104,7 @@ class Proposals:
         Args:
             change: its source is normally AUTO, which a finalised frame refuses.
             run: where given, the frame is noted as done for that run, in the same transaction.
+            track_ids: of the proposals' objects over the recording, where the pass followed them from another frame.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
@@ -116,8 +118,10 @@ class Proposals:
             covering = covered_by(proposals, reviewed)
             with storable(f"{where}: a proposal"):
                 objects = tuple(
-                    ProposedObject(uid=uuid.uuid4().hex, proposal=ProposalRecord.of(proposal), covered_by=cover)
-                    for proposal, cover in zip(proposals, covering, strict=True)
+                    ProposedObject(
+                        uid=uuid.uuid4().hex, proposal=ProposalRecord.of(each), covered_by=cover, track_id=id
+                    )
+                    for each, cover, id in zip(proposals, covering, track_ids or [None] * len(proposals), strict=True)
                 )
                 payload = ProposalsReplaced(run=run.run_id if run else None, objects=objects, lost=tuple(lost))
             receipt = self.writer.to_frame_in(connection, frame_id, (payload,), change)
@@ -144,7 +148,10 @@ class Proposals:
             raise NotFoundError(f"the project has no label {uid} (any more)")
         if row.proposal_event_id is None:
             return None
-        return next(entry.proposal.proposal() for entry in _payload(event_of(row)).objects if entry.uid == uid)
+        event = event_of(row)
+        if isinstance(event.payload, LabelProposed) and event.payload.proposal is not None:
+            return event.payload.proposal.proposal()
+        return next(entry.proposal.proposal() for entry in _payload(event).objects if entry.uid == uid)
 
     def latest(self, frame_id: int) -> Pass | None:
         """The latest automatic pass over a frame, or None."""

@@ -119,6 +119,7 @@ labels = Table(
     Column("origin", Text),
     Column("image_box", Text),
     Column("image_agreement", Float),
+    Column("track_linked", Boolean, nullable=False),
 )
 
 image_labels = Table(

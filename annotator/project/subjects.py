@@ -20,6 +20,7 @@ from annotator.project.payloads import (
     LabelState,
     Payload,
     ProposalsReplaced,
+    TracksLinked,
     ViewBoxesRemoved,
     ViewBoxesRestored,
     ViewBoxesSet,
@@ -40,7 +41,7 @@ def subject_of(payload: Payload) -> str:
         ProjectError: an automatic pass, which is about many.
     """
     match payload:
-        case ProposalsReplaced():
+        case ProposalsReplaced() | TracksLinked():
             raise ProjectError("an automatic pass cannot be taken back")
         case ImageBoxesSet() | ImageBoxesRestored() | ImageBoxesRemoved():
             return IMAGE
@@ -117,6 +118,7 @@ def _label_state(row: AnyRow) -> LabelState:
         image_box=box_2d_of(row.image_box),
         place=row.id,
         image_agreement=row.image_agreement,
+        track_linked=row.track_linked,
     )
 
 

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, func, select
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
 from annotator.project.events import Effort, Event, insert_event
-from annotator.project.payloads import PAYLOAD, Payload, ProposalsReplaced, ViewBoxesSet
+from annotator.project.payloads import PAYLOAD, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
 from annotator.project.records import storable
 from annotator.project.schema import events, frames, recordings
 from annotator.project.store import Store
@@ -58,6 +58,15 @@ class Change:
             raise ProjectError("a change needs an author; give a name")
 
 
+@dataclass(frozen=True)
+class FramePart:
+    """What a change to several frames says of one of them."""
+
+    frame_id: int
+    payloads: Sequence[Payload]
+    change: Change
+
+
 @dataclass(frozen=True, eq=False)
 class Writer:
     """Appends events to a project.
@@ -91,6 +100,23 @@ class Writer:
         where = require_writable(connection, frame_id, change)
         return self._append(connection, frame_id, where, payloads, change)
 
+    def to_frames(self, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
+        """Append events to several frames as one action, all or none; the action costs what the first part says.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `to_frame`, of any of the frames.
+        """
+        with self.store.write() as connection:
+            return self.to_frames_in(connection, parts)
+
+    def to_frames_in(self, connection: Connection, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
+        """As `to_frames`, as a part of the caller's write transaction."""
+        action, receipts = uuid.uuid4().hex, list[Receipt]()
+        for part in parts:
+            where = require_writable(connection, part.frame_id, part.change)
+            receipts.append(self._append(connection, part.frame_id, where, part.payloads, part.change, action))
+        return tuple(receipts)
+
     def to_view(self, payload: ViewBoxesSet, change: Change) -> Receipt:
         """Append boxes on a pseudo-view that came from no frame of the project.
 
@@ -107,11 +133,18 @@ class Writer:
             return self._append(connection, None, where, (payload,), change)
 
     def _append(
-        self, connection: Connection, frame_id: int | None, where: str, payloads: Sequence[Payload], change: Change
+        self,
+        connection: Connection,
+        frame_id: int | None,
+        where: str,
+        payloads: Sequence[Payload],
+        change: Change,
+        shared: str | None = None,
     ) -> Receipt:
+        """`shared`: the action that these events are a part of, where they are one; None = one of their own."""
         self._require_classes(where, payloads)
         time_ns = self.store.clock()
-        action = uuid.uuid4().hex if _is_action(frame_id, payloads, change) else None
+        action = (shared or uuid.uuid4().hex) if _is_action(frame_id, payloads, change) else None
         done: list[Event] = []
         for revision, payload in enumerate(payloads, change.revision + 1):
             content, stored = _encoded(where, payload)
@@ -171,7 +204,7 @@ def require_writable(connection: Connection, frame_id: int, change: Change) -> s
 def _is_action(frame_id: int | None, payloads: Sequence[Payload], change: Change) -> bool:
     """True for what an operator may take back: neither automatic passes nor imports."""
     by_hand = frame_id is not None and change.source is Source.MANUAL
-    return by_hand and not any(isinstance(payload, ProposalsReplaced) for payload in payloads)
+    return by_hand and not any(isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads)
 
 
 def _encoded(where: str, payload: Payload) -> tuple[str, Payload]:

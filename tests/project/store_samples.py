@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Callable
 
 import numpy as np
@@ -9,8 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import Change, NewLabel, Project
-from annotator.project.payloads import LabelAccepted, LabelDeleted
+from annotator.project import Change, FramePart, NewLabel, Project, StoredFrame
+from annotator.project.payloads import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -99,7 +101,7 @@ def some_boxes(count: int) -> list[Box2D]:
 Step = tuple[str, int, int, int]
 """What to do, on which frame, and two small numbers that say how."""
 
-STEPS = ("propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk")
+STEPS = ("propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk", "track", "span")
 
 
 def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[list[Step]]:
@@ -133,10 +135,20 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
         "image": lambda: project.boxes.set_on_image(frame.id, some_boxes(a), list(BoxKind)[b % 2], change),
         "view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change, frame_id=frame.id),
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
+        "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
+        "span": lambda: project.log.append_to_frames([_carried_over(other, a) for other in project.frames.of()[:2]]),
         "bulk": lambda: project.log.append(
             frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
         ),
     }
+
+
+def _carried_over(frame: StoredFrame, track_id: int) -> FramePart:
+    """A part of an action over several frames."""
+    proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
+    uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
+    carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)
+    return FramePart(frame.id, [carried], by_hand(frame.revision))
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)

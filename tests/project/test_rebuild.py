@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from hypothesis import given, settings
 from sqlalchemy import text
-from store_samples import Step, actions, by_hand, by_machine, lists_of_steps, proposal_at, some_boxes, state_of
+from store_samples import Step, actions, box_at, by_hand, by_machine, lists_of_steps, proposal_at, some_boxes, state_of
 
 from annotator.project import Project, create_project
-from annotator.types import BoxKind
+from annotator.project.payloads import LinkedLabel, TracksLinked
+from annotator.project.records import BoxRecord
+from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import FinalisedFrameError, ProjectError
 
-STEPS = lists_of_steps("loose view", frames=3, longest=16)
+STEPS = lists_of_steps("loose view", "link", frames=3, longest=16)
+
+
+def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:
+    """All labels of a frame in tracks, open proposals with another box."""
+    moved = BoxRecord.of(box_at(4.0))
+    return TracksLinked(
+        labels=tuple(
+            LinkedLabel(uid=each.uid, track_id=track_id, box=moved if each.state is ReviewState.PROPOSED else None)
+            for each in labels
+        )
+    )
 
 
 def _take(project: Project, views: list[str], step: Step) -> None:
@@ -24,7 +38,10 @@ def _take(project: Project, views: list[str], step: Step) -> None:
     labels = project.labels.of_frame(frame.id)
     loose = [seen.revision for seen in project.boxes.on_views() if (seen.frame_id, seen.view_id) == (None, view)]
     change = by_hand(max(loose, default=0))
-    more = {"loose view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change)}
+    more = {
+        "loose view": lambda: project.boxes.set_on_view(view, some_boxes(a), BoxKind.BOX, change),
+        "link": lambda: project.log.append(frame.id, [linked(labels, a)], by_machine(frame.revision)),
+    }
     try:
         (actions(project, views, step) | more)[what]()
     except FinalisedFrameError:

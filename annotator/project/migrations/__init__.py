@@ -20,6 +20,7 @@ from annotator.project.migrations import (
     m0005_actions,
     m0006_agreement,
     m0007_moves,
+    m0008_tracks,
 )
 from annotator.types.errors import ProjectError
 
@@ -47,6 +48,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(5, m0005_actions.STATEMENTS),
     Migration(6, m0006_agreement.STATEMENTS),
     Migration(7, m0007_moves.STATEMENTS),
+    Migration(8, m0008_tracks.STATEMENTS),
 )
 
 

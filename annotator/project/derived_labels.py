@@ -1,0 +1,190 @@
+"""The rows of the table `labels`, as the events about 3D boxes change them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import Connection, case, delete, insert, select, update
+
+from annotator.project.events import Event
+from annotator.project.payloads import (
+    LabelAccepted,
+    LabelChange,
+    LabelCreated,
+    LabelDeleted,
+    LabelEdited,
+    LabelProposed,
+    LabelRejected,
+    LabelRestored,
+    LinkedLabel,
+    ProposalsReplaced,
+    ProposedObject,
+)
+from annotator.project.records import ProposalRecord, box_2d_json
+from annotator.project.schema import labels
+from annotator.types import ReviewState, Source
+from annotator.types.errors import ProjectError
+
+Value = str | int | float | None
+
+
+def replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
+    """An automatic pass: new proposals in place of those that nobody has reviewed."""
+    unreviewed = (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+    connection.execute(delete(labels).where(unreviewed))
+    rows = [_proposed_row(event, entry, payload.run) for entry in payload.objects if entry.covered_by is None]
+    if rows:
+        connection.execute(insert(labels), rows)
+
+
+def _proposed_row(event: Event, entry: ProposedObject, run_id: int | None) -> dict[str, Value]:
+    proposal = entry.proposal
+    row: dict[str, Value] = {
+        "uid": entry.uid,
+        "frame_id": event.frame_id,
+        "label": proposal.label,
+        "box": proposal.box.model_dump_json(),
+        "score": proposal.score,
+        "state": ReviewState.PROPOSED.value,
+        "track_id": entry.track_id,
+        "track_linked": entry.track_id is not None,
+        "run_id": run_id,
+    } | _proposal_values(event, proposal)
+    # an automatic pass proposes, whoever started it
+    return row | _stamp(event) | {"source": Source.AUTO.value}
+
+
+def _proposal_values(event: Event, proposal: ProposalRecord) -> dict[str, Value]:
+    """What a label keeps of the recursion that proposed it; the rest stays in the event."""
+    return {
+        "view_disagreement": proposal.quality.view_disagreement,
+        "kept_share": proposal.quality.kept_share,
+        "last_change": proposal.quality.last_change,
+        "image_agreement": proposal.quality.image_agreement,
+        "proposal_event_id": event.id,
+    }
+
+
+def create_label(connection: Connection, event: Event, payload: LabelCreated | LabelProposed) -> None:
+    """A label that no pass brought.
+
+    Raises:
+        ProjectError: its uid is taken.
+    """
+    if connection.execute(select(labels.c.id).where(labels.c.uid == payload.uid)).first():
+        raise ProjectError(f"label {payload.uid} exists already")
+    row: dict[str, Value] = {
+        "uid": payload.uid,
+        "frame_id": event.frame_id,
+        "label": payload.label,
+        "box": payload.box.model_dump_json(),
+        "track_id": payload.track_id,
+        "track_linked": False,
+    }
+    row |= _stamp(event)
+    if isinstance(payload, LabelCreated):
+        row |= {"score": payload.score, "state": payload.state.value}
+        row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
+    else:
+        row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
+        row |= {"track_linked": payload.track_id is not None}
+        if payload.proposal is not None:
+            row |= {"score": payload.proposal.score} | _proposal_values(event, payload.proposal)
+    connection.execute(insert(labels), row)
+
+
+def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> None:
+    """The track of one label, found by linking, and the smoothed box of an open proposal.
+
+    Raises:
+        ProjectError: the label is gone, or its box would change although somebody has reviewed it.
+    """
+    values: dict[str, Any] = {"track_id": linked.track_id, "track_linked": True, "event_id": event.id}
+    chosen = (labels.c.uid == linked.uid) & (labels.c.frame_id == event.frame_id)
+    if linked.box is not None:
+        # a box that somebody has looked at is never changed
+        chosen &= labels.c.state == ReviewState.PROPOSED.value
+        values["box"] = linked.box.model_dump_json()
+    if connection.execute(update(labels).where(chosen).values(**values)).rowcount != 1:
+        raise ProjectError(f"label {linked.uid} is not in this frame (any more), or has been reviewed; link again")
+
+
+def change_label(connection: Connection, event: Event, payload: LabelChange) -> None:
+    """A review.
+
+    Raises:
+        ProjectError: the label is not in the frame (any more).
+    """
+    if isinstance(payload, LabelDeleted):
+        chosen = (labels.c.uid == payload.uid) & (labels.c.frame_id == event.frame_id)
+        _require_one(payload.uid, connection.execute(delete(labels).where(chosen)).rowcount)
+    else:
+        put_label(connection, event, payload.uid, _new_values(payload))
+
+
+def put_label(connection: Connection, event: Event, uid: str, values: dict[str, Any]) -> None:
+    """Give a label new values, and say who has.
+
+    Raises:
+        ProjectError: it is not in the frame (any more).
+    """
+    chosen = (labels.c.uid == uid) & (labels.c.frame_id == event.frame_id)
+    changes = {"author": event.author, "time_ns": event.time_ns, "event_id": event.id} | values
+    _require_one(uid, connection.execute(update(labels).where(chosen).values(**changes)).rowcount)
+
+
+def _require_one(uid: str, changed: int) -> None:
+    if changed != 1:
+        raise ProjectError(f"label {uid} is not in this frame (any more); reload the frame")
+
+
+def track_values(track_id: int | None) -> dict[str, Any]:
+    """A track id that somebody gives. One that is only said again, with another change, stays what it was."""
+    same = labels.c.track_id.is_not_distinct_from(track_id)
+    return {"track_id": track_id, "track_linked": case((same, labels.c.track_linked), else_=False)}
+
+
+def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[str, Any]:
+    match payload:
+        case LabelAccepted():
+            return {"state": ReviewState.ACCEPTED.value}
+        case LabelRejected():
+            return {"state": ReviewState.REJECTED.value}
+        case LabelEdited():
+            moved: dict[str, Any] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
+            edited = {"label": payload.label, "box": payload.box.model_dump_json()}
+            return moved | edited | {"state": ReviewState.EDITED.value} | track_values(payload.track_id)
+
+
+def restore_label(connection: Connection, event: Event, payload: LabelRestored) -> None:
+    """A label as it was before.
+
+    Raises:
+        ProjectError: it is in another frame.
+    """
+    former = payload.former
+    chosen = labels.c.uid == payload.uid
+    if connection.execute(select(labels.c.id).where(chosen, labels.c.frame_id != event.frame_id)).first():
+        raise ProjectError(f"label {payload.uid} is in another frame")
+    connection.execute(delete(labels).where(chosen))
+    row: dict[str, Value] = former.model_dump(exclude={"box", "image_box", "place"}, mode="json")
+    row |= {
+        "uid": payload.uid,
+        "frame_id": event.frame_id,
+        "box": former.box.model_dump_json(),
+        "image_box": box_2d_json(former.image_box),
+        "event_id": event.id,
+    }
+    # back in its place among the frame's labels, unless another label has taken the row
+    if not connection.execute(select(labels.c.id).where(labels.c.id == former.place)).first():
+        row["id"] = former.place
+    connection.execute(insert(labels), row)
+
+
+def _stamp(event: Event) -> dict[str, Value]:
+    return {
+        "author": event.author,
+        "time_ns": event.time_ns,
+        "source": event.source.value,
+        "event_id": event.id,
+    }
