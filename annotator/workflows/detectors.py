@@ -61,7 +61,7 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
     Raises:
         ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
     """
-    image, view = _active(project, Role.IMAGE), _active(project, Role.VIEW)
+    image, view = active_model(project, Role.IMAGE), active_model(project, Role.VIEW)
     return Detectors(
         load_detector(image.path, backend, threads=threads),
         load_detector(view.path, backend, threads=threads),
@@ -69,7 +69,12 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
     )
 
 
-def _active(project: Project, role: Role) -> StoredModel:
+def active_model(project: Project, role: Role) -> StoredModel:
+    """The model that a project uses now.
+
+    Raises:
+        DetectionError: it has not been trained yet.
+    """
     model = project.models.active(role)
     if model is None:
         raise DetectionError(
