@@ -113,6 +113,31 @@ class ConsensusConfig(BaseModel):
     )
 
 
+class WarmConfig(BaseModel):
+    """How an object starts from a box that it had a moment ago, and when that box is dropped."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    min_image_iou: float = Field(
+        0.3, gt=0, le=1, description="IoU on the image of the seed, and of what came of it, with the image box"
+    )
+    room: float = Field(
+        0.25, ge=0, le=2, description="points this share of the seed's longest side outside are looked at, and no more"
+    )
+    spread_rad: float = Field(
+        0.5, gt=0, le=1.5, description="free: how far the hypotheses lie from the seed's axes, radians"
+    )
+    min_seen: float = Field(0.6, ge=0, le=1, description="share of the first step's views that show the object")
+    max_size_ratio: float = Field(1.5, ge=1, description="a side that differs more is another object's, factor")
+    min_iou: float = Field(
+        0.4, ge=0, le=1, description="IoU with the seed, centre on centre, below which it is another object's"
+    )
+    settled_iou: float = Field(
+        0.8, ge=0, le=1, description="IoU with the seed, centre on centre, from which one step is enough"
+    )
+    max_steps: int = Field(2, ge=1, le=20, description="step limit from a seed")
+
+
 class RcvConfig(BaseModel):
     """Settings of the recursion. Defaults are the ones that measured best (docs/benchmarks.md)."""
 
@@ -125,6 +150,7 @@ class RcvConfig(BaseModel):
     axes: AxesConfig = AxesConfig()
     consensus: ConsensusConfig = ConsensusConfig()
     fit: FitConfig = FitConfig()
+    warm: WarmConfig = WarmConfig()
 
     max_steps: int = Field(5, ge=1, le=20, description="step limit, the first (camera axes) included")
     min_points: int = Field(5, ge=1, description="a cloud with fewer points ends the recursion, points")

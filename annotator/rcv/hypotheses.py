@@ -10,6 +10,8 @@ from annotator.rcv.axes import UPRIGHT_SYMMETRIES, camera_frame, match_frame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import spread_rotations
 
+DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
+
 
 def wide_frames(up: Float64[np.ndarray, "3"] | None, config: RcvConfig) -> list[Float64[np.ndarray, "3 3"]]:
     """Frames spread over all orientations that a box can have: yaws of a quarter turn, or over SO(3)."""
@@ -38,6 +40,33 @@ def near_frames(
         offsets = np.concatenate([np.zeros((1, 3)), spread * directions])[:count]
     turns = Rotation.from_rotvec(offsets).as_matrix()
     return [look_from_camera(rotation.T @ turn.T, up) for turn in turns]
+
+
+def beside_frames(
+    rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None, step: int, config: RcvConfig
+) -> list[Float64[np.ndarray, "3 3"]]:
+    """Frames that hold a box by themselves, without a wide step before them, around a rotation that is nearly right.
+
+    Along its own axes a box's width does not tell which way it is turned; turned about a diagonal, every axis of a view
+    tells of two turns. So free boxes are looked at from about the diagonals, to the other side in the next step.
+
+    Args:
+        rotation: columns = box axes.
+        step: number of the step, from 0.
+    """
+    if up is not None:
+        return near_frames(rotation, up, config)
+    count, spread = config.consensus.refine_hypotheses, config.warm.spread_rad
+    side = 1.0 if step % 2 == 0 else -1.0
+    turns = Rotation.from_rotvec(side * spread * _diagonals(count)).as_matrix()
+    return [look_from_camera((rotation @ turn).T, up) for turn in turns]
+
+
+def _diagonals(count: int) -> Float64[np.ndarray, "k 3"]:
+    """Unit vectors: four diagonals of a cube, no two opposite; directions spread evenly where more are asked for."""
+    if count > len(DIAGONALS):
+        return _fibonacci_directions(count)
+    return DIAGONALS[:count]
 
 
 def look_from_camera(

@@ -10,23 +10,32 @@ from annotator.geometry.frustum import in_frustum
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
-from annotator.rcv.recursion import ObjectState, absorb_step, plan_step, start
+from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start
+from annotator.rcv.seeds import Seed, checked, matched_seeds, warm_start
 from annotator.types import Box2D, Detector, Frame, StopReason
 
 
 def propose(
-    frames: Sequence[Frame], image_detector: Detector, view_detector: Detector, config: RcvConfig
+    frames: Sequence[Frame],
+    image_detector: Detector,
+    view_detector: Detector,
+    config: RcvConfig,
+    seeds: Sequence[Sequence[Seed]] | None = None,
 ) -> list[FrameProposals]:
     """Recursive Cross-View on several frames at once.
 
     The image detector runs once on all images; then every step runs the view detector once, on the pseudo-views of
     all objects that are still in recursion.
 
+    Args:
+        seeds: for each frame the boxes that its objects had a moment ago. An object whose image box matches one starts
+            from it, and without it where the two turn out to disagree (`seeds`).
+
     Returns:
         one result a frame, in the order given.
     """
     image_boxes = image_detector.detect(frames)
-    return propose_from_boxes(frames, image_boxes, view_detector, config)
+    return propose_from_boxes(frames, image_boxes, view_detector, config, seeds)
 
 
 def propose_from_boxes(
@@ -34,11 +43,13 @@ def propose_from_boxes(
     image_boxes: Sequence[Sequence[Box2D]],
     view_detector: Detector,
     config: RcvConfig,
+    seeds: Sequence[Sequence[Seed]] | None = None,
 ) -> list[FrameProposals]:
     """The same from given 2D boxes on the images, one list a frame."""
     active: list[ObjectState] = []
-    for index, (frame, boxes) in enumerate(zip(frames, image_boxes, strict=True)):
-        active.extend(_frustums(index, frame, boxes, config))
+    each_seeds = seeds if seeds is not None else [()] * len(frames)
+    for index, (frame, boxes, known) in enumerate(zip(frames, image_boxes, each_seeds, strict=True)):
+        active.extend(_frustums(index, frame, boxes, known, config))
     done = [state for state in active if state.stop is not StopReason.CONTINUES]
     active = [state for state in active if state.stop is StopReason.CONTINUES]
     while active:
@@ -46,16 +57,35 @@ def propose_from_boxes(
         found = iter(view_detector.detect([view for plan in plans for view in plan.views]))
         advanced: list[ObjectState] = []
         for state, plan in zip(active, plans, strict=True):
-            advanced.extend(absorb_step(state, plan, [next(found) for _ in plan.views], config))
+            detections = [next(found) for _ in plan.views]
+            advanced.extend(_advanced(frames[state.frame_index], state, plan, detections, config))
         done.extend(state for state in advanced if state.stop is not StopReason.CONTINUES)
         active = [state for state in advanced if state.stop is StopReason.CONTINUES]
     return [finish(frame, [s for s in done if s.frame_index == i], config) for i, frame in enumerate(frames)]
 
 
-def _frustums(index: int, frame: Frame, boxes: Sequence[Box2D], config: RcvConfig) -> list[ObjectState]:
+def _advanced(
+    frame: Frame, state: ObjectState, plan: StepPlan, detections: Sequence[Sequence[Box2D]], config: RcvConfig
+) -> list[ObjectState]:
+    advanced = absorb_step(state, plan, detections, config)
+    if state.without_seed is None:
+        return advanced
+    return [checked(frame.camera, state, after, config) for after in advanced]
+
+
+def _frustums(
+    index: int, frame: Frame, boxes: Sequence[Box2D], seeds: Sequence[Seed], config: RcvConfig
+) -> list[ObjectState]:
     boxes = [box for box in boxes if box.score >= config.min_image_score]
     masks = [in_frustum(frame.camera, frame.cloud.xyz_m, box) for box in boxes]
     cloud = frame.cloud
     if boxes and needs_normals(config):
         cloud = with_normals(frame, np.logical_or.reduce(masks), config)
-    return [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
+    states = [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
+    if not seeds:
+        return states
+    matched = matched_seeds(frame.camera, boxes, seeds, config)
+    return [
+        state if seed is None or state.stop is not StopReason.CONTINUES else warm_start(state, seed, config)
+        for state, seed in zip(states, matched, strict=True)
+    ]

@@ -18,7 +18,7 @@ from annotator.rcv import cross_view
 from annotator.rcv.axes import camera_frame, find_axes, frame_angle
 from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
-from annotator.rcv.hypotheses import near_frames, wide_frames
+from annotator.rcv.hypotheses import beside_frames, near_frames, wide_frames
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.rcv.pseudo_view import render_pairs
@@ -53,6 +53,9 @@ class ObjectState:
         disagreement, last_change, kept_share: the quality signals of the last step.
         steps: the trace.
         stop: CONTINUES while the recursion runs.
+        notes: what the first step's trace tells of how the object started.
+        is_warm: it started from a seed, a box that it had a moment ago (`seeds`).
+        without_seed: for an object that starts from a seed and has not been checked yet, its state without the seed.
     """
 
     frame_index: int
@@ -69,6 +72,14 @@ class ObjectState:
     kept_share: float = 1.0
     steps: tuple[StepTrace, ...] = ()
     stop: StopReason = StopReason.CONTINUES
+    notes: tuple[str, ...] = ()
+    is_warm: bool = False
+    without_seed: ObjectState | None = None
+
+    @property
+    def is_first(self) -> bool:
+        """True where nothing is known of the object but its frustum."""
+        return not self.steps and self.box is None
 
     @property
     def quality(self) -> Quality:
@@ -108,7 +119,7 @@ def start(
 def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
     """Chooses the projection axes of the next step and draws its views."""
     fallback: tuple[str, ...] = ()
-    if not state.steps:
+    if state.is_first:
         strategy, frames = Strategy.CAMERA, [camera_frame(state.up)]
     elif config.strategy is Strategy.CONSENSUS:
         strategy = Strategy.CONSENSUS
@@ -117,6 +128,8 @@ def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
         axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
     show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
+    if not state.steps:
+        fallback = state.notes + fallback
     return StepPlan(strategy, fallback, tuple(frames), tuple(render_pairs(state.cloud, frames, config.view, show)))
 
 
@@ -134,9 +147,12 @@ def _consensus_frames(
     state: ObjectState, config: RcvConfig
 ) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
     """The step's hypotheses, and what was tried for them in vain."""
-    if len(state.steps) == 1 or state.box is None:
+    if state.box is None or (len(state.steps) == 1 and not state.is_warm):
         return wide_frames(state.up, config), ()
-    frames = near_frames(state.box.rotation, state.up, config)
+    if state.is_warm:
+        frames = beside_frames(state.box.rotation, state.up, len(state.steps), config)
+    else:
+        frames = near_frames(state.box.rotation, state.up, config)
     if config.box_kind is not BoxKind.SILHOUETTE:
         return frames, ()
     normals = find_axes(state.cloud, Strategy.NORMALS, camera_frame(state.up), state.up, config)
@@ -155,7 +171,7 @@ def absorb_step(
         tuple(b for b in found if b.label == state.image_box.label and b.score >= config.min_view_score)
         for found in detections
     ]
-    if not state.steps:
+    if state.is_first:
         return _absorb_first(state, plan, boxes, config)
     if plan.strategy is not Strategy.CONSENSUS:
         measured = measure_pair(plan.frames[0], plan.views, boxes, state.box, config)
@@ -206,7 +222,7 @@ def _advance(
     inside = int(contains(box, cloud.xyz_m).sum())
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
     turned = np.inf if state.box is None else frame_angle(measured.frame, state.axes)
-    stop = _stop(len(state.steps) + 1, len(cloud), turned, change, measured.cut, config)
+    stop = _stop(state, len(cloud), turned, change, measured.cut, config)
     told = replace(plan, fallback=plan.fallback + measured.fallback)
     step = _step_trace(told, boxes, measured.used, box, n, len(cloud), stop)
     return replace(
@@ -225,17 +241,21 @@ def _advance(
     )
 
 
-def _stop(steps: int, points: int, turned_rad: float, change: float, is_cut: bool, config: RcvConfig) -> StopReason:
+def _stop(
+    state: ObjectState, points: int, turned_rad: float, change: float, is_cut: bool, config: RcvConfig
+) -> StopReason:
     if points < config.min_points:
         return StopReason.TOO_FEW_POINTS
+    steps = len(state.steps) + 1
     # The first step's axes are the camera's, whatever the object: a fit that happens to agree with them has not
     # converged yet. What a picture cut off is looked at once more in a larger one.
-    first = 2 if config.strategy is Strategy.CONSENSUS else 1
+    first = 2 if config.strategy is Strategy.CONSENSUS and not state.is_warm else 1
     if steps > first and not is_cut and turned_rad < config.axes_tolerance_rad:
         return StopReason.AXES_CONVERGED
     if steps > first and not is_cut and change < config.box_tolerance:
         return StopReason.BOX_CONVERGED
-    return StopReason.STEP_LIMIT if steps >= config.max_steps else StopReason.CONTINUES
+    limit = config.warm.max_steps if state.is_warm else config.max_steps
+    return StopReason.STEP_LIMIT if steps >= limit else StopReason.CONTINUES
 
 
 def _step_trace(
