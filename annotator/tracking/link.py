@@ -1,0 +1,142 @@
+"""Which boxes of a recording are one object: frame by frame, the assignment of least cost (Kuhn-Munkres).
+
+A box costs less for an object the nearer it is to where the object's motion leads, the more it overlaps the box there,
+and the more alike the sizes are. What is out of reach is never assigned. Ids that somebody has given decide before any
+cost does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import linear_sum_assignment
+
+from annotator.geometry.iou import iou_3d_matrix
+from annotator.tracking.config import TrackingConfig
+from annotator.tracking.motion import predicted
+from annotator.types import OrientedBox
+
+# The cost of what is out of reach; far above all others.
+NEVER = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One box of one frame.
+
+    Attributes:
+        label: class name; only boxes of one class are linked.
+        box: camera frame; the camera is taken to stand still, or to move evenly.
+        given: the id of its object, where somebody has said it.
+    """
+
+    label: str
+    box: OrientedBox
+    given: int | None = None
+
+
+@dataclass(eq=False)
+class Track:
+    """One object.
+
+    Attributes:
+        label: class name.
+        members: place of the frame, and of the box in the frame, in order.
+        boxes, times: of the members.
+        given: the object's id, where somebody has said it of one of its boxes.
+    """
+
+    label: str
+    members: list[tuple[int, int]] = field(default_factory=list)
+    boxes: list[OrientedBox] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    given: int | None = None
+
+
+def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: TrackingConfig) -> list[Track]:
+    """The objects of a recording, in the order of their first boxes; every box belongs to one.
+
+    Args:
+        frames: the boxes of each frame, in the order of time.
+        times: of the frames, as `frame_times` gives them.
+    """
+    tracks: list[Track] = []
+    alive: list[Track] = []
+    named: dict[tuple[str, int], Track] = {}
+    for place, (boxes, time) in enumerate(zip(frames, times, strict=True)):
+        alive = [track for track in alive if time - track.times[-1] <= config.max_gap + 1]
+        owner = {
+            number: named[seen.label, seen.given]
+            for number, seen in enumerate(boxes)
+            if seen.given is not None and (seen.label, seen.given) in named
+        }
+        free = [number for number in range(len(boxes)) if number not in owner]
+        held = {id(track) for track in owner.values()}
+        owner |= _assigned(free, boxes, [track for track in alive if id(track) not in held], time, config)
+        for number, seen in enumerate(boxes):
+            key = None if seen.given is None else (seen.label, seen.given)
+            # an id that stands twice in a frame is one object, as somebody has said
+            track = owner.get(number) or (named.get(key) if key else None)
+            if track is None:
+                track = Track(seen.label)
+                tracks.append(track)
+            owner[number] = track
+            track.members.append((place, number))
+            track.boxes.append(seen.box)
+            track.times.append(time)
+            if key is not None:
+                track.given = seen.given
+                named[key] = track
+        alive = list({id(track): track for track in [*alive, *owner.values()]}.values())
+    return tracks
+
+
+def _assigned(
+    free: Sequence[int], boxes: Sequence[Seen], waiting: Sequence[Track], time: float, config: TrackingConfig
+) -> dict[int, Track]:
+    """Of boxes that nobody has named the object that each belongs to; boxes of new objects are left out."""
+    found: dict[int, Track] = {}
+    for label in sorted({boxes[number].label for number in free}):
+        numbers = [number for number in free if boxes[number].label == label]
+        tracks = [track for track in waiting if track.label == label]
+        if not tracks:
+            continue
+        cost = _costs(tracks, [boxes[number] for number in numbers], time, config)
+        for row, column in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[row, column] < NEVER:
+                found[numbers[column]] = tracks[row]
+    return found
+
+
+def _costs(
+    tracks: Sequence[Track], boxes: Sequence[Seen], time: float, config: TrackingConfig
+) -> Float64[np.ndarray, "t n"]:
+    """What each box costs for each object: at most 1 for each of distance, overlap and size; `NEVER` out of reach."""
+    count = config.motion_boxes
+    expected = [predicted(track.boxes[-count:], track.times[-count:], time) for track in tracks]
+    sides = np.array([box.size_m.max() for box in expected])
+    waited = np.minimum([time - track.times[-1] for track in tracks], config.most_frames)
+    reach = np.array([config.reach_new if len(track.boxes) == 1 else config.reach for track in tracks])
+    far = np.linalg.norm(_centers(expected)[:, None] - _centers([seen.box for seen in boxes])[None], axis=2)
+    far /= (reach * sides * waited)[:, None]
+    unlike = _unlike(expected, [seen.box for seen in boxes]) / np.log(config.max_size_ratio)
+    cost = far + unlike + 1.0 - iou_3d_matrix(expected, [seen.box for seen in boxes])
+    # two objects that somebody has named are two
+    named = np.array(
+        [[t.given is not None and b.given is not None and t.given != b.given for b in boxes] for t in tracks]
+    )
+    cost[(far > 1) | (unlike > 1) | named] = NEVER
+    return cost
+
+
+def _centers(boxes: Sequence[OrientedBox]) -> Float64[np.ndarray, "n 3"]:
+    return np.array([box.center_m for box in boxes])
+
+
+def _unlike(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> Float64[np.ndarray, "t n"]:
+    """The largest logarithm of the ratio of two sides, in the order of their lengths."""
+    a, b = (np.log(np.sort([box.size_m for box in boxes], axis=1)) for boxes in (first, second))
+    return np.abs(a[:, None] - b[None]).max(axis=2)
