@@ -8,11 +8,11 @@ z up, metres, radians: centre, full sizes, and the length's direction, counter-c
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.formats.finite import finite_number
 from annotator.types.errors import FormatError
 
 TEXTS = ("image", "class")
@@ -80,19 +80,8 @@ def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
     values = dict(zip(head, (field.strip() for field in fields), strict=True))
     if not (values["image"] and values["class"]):
         raise FormatError(path, "image and class must not be empty", line)
-    cx, cy, cz, length, width, height, yaw = (_number(path, line, name, values[name]) for name in NUMBERS)
+    cx, cy, cz, length, width, height, yaw = (finite_number(values[name], path, line, name) for name in NUMBERS)
     if min(length, width, height) <= 0:
         raise FormatError(path, f"l w h must be positive, not {length:g} {width:g} {height:g}", line)
-    score = _number(path, line, SCORE, values[SCORE]) if SCORE in values else None
+    score = finite_number(values[SCORE], path, line, SCORE) if SCORE in values else None
     return BoxRow(values["image"], values["class"], (cx, cy, cz), (length, width, height), yaw, score)
-
-
-def _number(path: Path, line: int, name: str, text: str) -> float:
-    try:
-        # float() reads 1_000, too
-        value = float(text.replace("_", "?"))
-    except ValueError:
-        raise FormatError(path, f"{name}: {text!r} is not a number", line) from None
-    if not math.isfinite(value):
-        raise FormatError(path, f"{name}: {text!r} is not a finite number", line)
-    return value

@@ -11,7 +11,6 @@ conventions end here: what comes out is our box, x along the heading, y across, 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.finite import finite_number
 from annotator.formats.text_folder import text_rows
 from annotator.types import Box2D, OrientedBox, Truth
 from annotator.types.errors import FormatError
@@ -28,8 +28,6 @@ DONT_CARE = "DontCare"
 FIELDS = 15
 DECIMALS = 2
 TRACKING_FIELDS = 2
-# Of a word that is no number.
-SHOWN = 40
 
 
 @dataclass(frozen=True)
@@ -184,24 +182,13 @@ def parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
     """As `parse_label_line`, of a row that is split already."""
     if len(fields) not in (FIELDS, FIELDS + 1):
         raise FormatError(path, f"a label row has {FIELDS} fields (or one more, a score), not {len(fields)}", line)
-    values = [_number(field, path, line) for field in fields[1:]]
+    values = [finite_number(field, path, line) for field in fields[1:]]
     occluded = _integer(fields[2], path, line)
     return KittiLabel(fields[0], values[0], occluded, *values[2:])
 
 
-def _number(field: str, path: Path, line: int) -> float:
-    try:
-        # float() reads 1_000, too
-        value = float(field.replace("_", "?"))
-    except ValueError:
-        raise FormatError(path, f"{field[:SHOWN]!r} is not a number", line) from None
-    if not math.isfinite(value):
-        raise FormatError(path, f"{field[:SHOWN]!r} is not a finite number", line)
-    return value
-
-
 def _integer(field: str, path: Path, line: int) -> int:
-    value = _number(field, path, line)
+    value = finite_number(field, path, line)
     if value != int(value):
         raise FormatError(path, f"{field!r} is not a whole number", line)
     return int(value)

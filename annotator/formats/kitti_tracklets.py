@@ -10,7 +10,6 @@ type may declare (entities above all, which can grow without end) is let in.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -18,6 +17,7 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from annotator.formats.finite import finite_number
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -81,16 +81,11 @@ def _box(path: Path, line: int, pose: dict[str, str], size_m: np.ndarray) -> Ori
 
 def _number(path: Path, line: int, values: dict[str, str], name: str, missing: float | None = None) -> float:
     text = values.get(name)
-    if text is None and missing is not None:
+    if text is None:
+        if missing is None:
+            raise FormatError(path, f"there is no {name}", line)
         return missing
-    try:
-        # float() reads 1_000, too
-        value = float((text or "").replace("_", "?"))
-    except ValueError:
-        raise FormatError(path, f"{name} is {text!r} and no number", line) from None
-    if not math.isfinite(value):
-        raise FormatError(path, f"{name} is not a finite number", line)
-    return value
+    return finite_number(text, path, line, name)
 
 
 def _objects(path: Path) -> list[tuple[int, _Object]]:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dataset_samples import BOXES, assert_same_box, make_box, make_label
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset import DatasetItem
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv, read_rcv
@@ -29,22 +29,10 @@ INFO = RcvInfo(
 )
 
 
-def make_box(
-    center: tuple[float, ...] = (0.1, -0.2, 1.5),
-    rotation: tuple[float, ...] = (0.3, -0.4, 0.5),
-    size: tuple[float, ...] = (0.5, 0.25, 1.75),
-) -> OrientedBox:
-    return OrientedBox(
-        RigidTransform.from_components(np.array(center), Rotation.from_rotvec(np.array(rotation))), np.array(size)
-    )
-
-
-def make_label(box: OrientedBox | None = None, **changes: Any) -> Label:
-    known: dict[str, Any] = {
-        "uid": "u1", "label": "hand", "box": box or make_box(), "score": 0.75, "source": Source.AUTO,
-        "state": ReviewState.ACCEPTED, "author": "ann", "time_ns": 1_700_000_000_123_456_789, "track_id": 4,
-    }  # fmt: skip
-    return Label(**{**known, **changes})
+def auto_label(box: OrientedBox | None = None, **changes: Any) -> Label:
+    """With all that a label can say."""
+    known = {"score": 0.75, "source": Source.AUTO, "time_ns": 1_700_000_000_123_456_789, "track_id": 4}
+    return make_label(box, **{**known, **changes})
 
 
 def make_frame(key: str = "000001", *, rgb: bool = True, reflectance: bool = False, n: int = 5) -> Frame:
@@ -58,12 +46,6 @@ def make_frame(key: str = "000001", *, rgb: bool = True, reflectance: bool = Fal
     return Frame(key, 3, CAMERA, image, cloud, up=np.array([0.0, -1.0, 0.0]), timestamp_ns=17)
 
 
-def assert_same_box(have: OrientedBox, want: OrientedBox) -> None:
-    np.testing.assert_allclose(have.center_m, want.center_m, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(have.size_m, want.size_m, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(have.rotation, want.rotation, rtol=0, atol=1e-9)
-
-
 def facts(label: Label) -> tuple[object, ...]:
     return (
         label.uid, label.label, label.score, label.source, label.state, label.author, label.time_ns, label.track_id,
@@ -75,7 +57,7 @@ def facts(label: Label) -> tuple[object, ...]:
 @pytest.mark.parametrize("n", [0, 5])
 def test_frame_reads_back_bit_for_bit(tmp_path: Path, rgb: bool, reflectance: bool, n: int) -> None:
     frame = make_frame(rgb=rgb, reflectance=reflectance, n=n)
-    label = make_label()
+    label = auto_label()
     export_rcv(tmp_path / "out", [DatasetItem("rec", frame, [label])], INFO)
 
     dataset = read_rcv(tmp_path / "out")
@@ -99,19 +81,10 @@ def test_frame_reads_back_bit_for_bit(tmp_path: Path, rgb: bool, reflectance: bo
     assert_same_box(back.labels[0].box, label.box)
 
 
-numbers = st.floats(-100, 100)
-boxes = st.builds(
-    make_box,
-    st.tuples(numbers, numbers, numbers),
-    st.tuples(*[st.floats(-4, 4)] * 3),
-    st.tuples(*[st.floats(1e-3, 50)] * 3),
-)
-
-
 @settings(max_examples=30, deadline=None)
-@given(st.lists(boxes, max_size=3))
+@given(st.lists(BOXES, max_size=3))
 def test_import_of_export_is_the_same_any_number_of_times(wanted: list[OrientedBox]) -> None:
-    labels: tuple[Label, ...] = tuple(make_label(box, uid=f"u{k}") for k, box in enumerate(wanted))
+    labels: tuple[Label, ...] = tuple(auto_label(box, uid=f"u{k}") for k, box in enumerate(wanted))
     first = labels
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(3):
@@ -126,7 +99,7 @@ def test_import_of_export_is_the_same_any_number_of_times(wanted: list[OrientedB
 def test_json_says_the_box_in_every_form(tmp_path: Path) -> None:
     """A quarter turn about the camera's z: length along y, width along -x."""
     box = make_box((1.0, 2.0, 3.0), (0.0, 0.0, np.pi / 2), (4.0, 2.0, 1.0))
-    export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [make_label(box, score=None, track_id=None)])], INFO)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [auto_label(box, score=None, track_id=None)])], INFO)
     content = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())
     (entry,) = content["objects"]
     assert entry["center"] == [1.0, 2.0, 3.0]
@@ -143,7 +116,7 @@ def test_json_says_the_box_in_every_form(tmp_path: Path) -> None:
 
 
 def test_the_corner_order_that_is_written_is_the_one_that_is_used(tmp_path: Path) -> None:
-    manifest = export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [make_label()])], INFO)
+    manifest = export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     entry = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())["objects"][0]
     signs = np.array([[1 if sign == "+" else -1 for sign in word] for word in manifest.conventions.corner_order])
     by_hand = np.array(entry["center"]) + (signs * np.array(entry["size"]) / 2) @ np.array(entry["rotation"]).T
@@ -166,9 +139,9 @@ def test_open3d_reads_the_cloud(tmp_path: Path, reflectance: bool) -> None:
 def test_manifest_counts_and_names_everything(tmp_path: Path) -> None:
     frames = [make_frame(key) for key in ("000001", "000002")]
     items = [
-        DatasetItem("a", frames[0], [make_label(uid="1"), make_label(uid="2", label="Büro | 1", source=Source.MANUAL)]),
+        DatasetItem("a", frames[0], [auto_label(uid="1"), auto_label(uid="2", label="Büro | 1", source=Source.MANUAL)]),
         DatasetItem("a", frames[1], []),
-        DatasetItem("b/x", frames[0], [make_label(uid="3", state=ReviewState.EDITED)]),
+        DatasetItem("b/x", frames[0], [auto_label(uid="3", state=ReviewState.EDITED)]),
     ]
     written = export_rcv(tmp_path / "out", iter(items), INFO)
     manifest = read_rcv(tmp_path / "out").manifest
@@ -186,7 +159,7 @@ def test_manifest_counts_and_names_everything(tmp_path: Path) -> None:
 def test_readme_describes_every_field_and_its_example_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [make_label()])], INFO)
+    export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     text = (tmp_path / "out/README.md").read_text(encoding="utf-8")
     entry = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())
     for name in (*entry["objects"][0], "up", "camera", "timestamp_ns"):
@@ -276,7 +249,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     cases: list[tuple[list[DatasetItem], str]] = [
         ([], "no frame to export"),
         ([item, item], "rec, frame 000001: the frame comes twice"),
-        ([DatasetItem("rec", make_frame(), [make_label(label="cat")])], "label 'cat' is none of the classes hand"),
+        ([DatasetItem("rec", make_frame(), [auto_label(label="cat")])], "label 'cat' is none of the classes hand"),
     ]
     for items, says in cases:
         with pytest.raises(FormatError, match=says):
@@ -319,7 +292,7 @@ def edit(path: Path, **changes: Any) -> None:
 )
 def test_broken_dataset_says_where(tmp_path: Path, file: str, changes: dict[str, Any], says: str) -> None:
     out = tmp_path / "out"
-    export_rcv(out, [DatasetItem("rec", make_frame(), [make_label()])], INFO)
+    export_rcv(out, [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     edit(out / file, **changes)
     with pytest.raises(FormatError, match=re.escape(says)):
         read_rcv(out).frame(0)
@@ -336,7 +309,7 @@ def test_broken_dataset_says_where(tmp_path: Path, file: str, changes: dict[str,
 )
 def test_truncated_and_missing_files_say_which(tmp_path: Path, file: str, says: str) -> None:
     out = tmp_path / "out"
-    export_rcv(out, [DatasetItem("rec", make_frame(), [make_label()])], INFO)
+    export_rcv(out, [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     whole = (out / file).read_bytes()
     for end in (0, 20, len(whole) - 3):
         (out / file).write_bytes(whole[:end])
