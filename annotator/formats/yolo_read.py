@@ -24,7 +24,10 @@ from annotator.formats.yolo_dataset import DATA_YAML, PARTS
 from annotator.types.errors import FormatError
 
 CLASSES = "classes.txt"
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+READABLE = (".png", ".jpg", ".jpeg")
+# Ultralytics takes these, too; here they are told, and not passed over.
+OTHERS = (".bmp", ".tif", ".tiff", ".webp")
+SUFFIXES = READABLE + OTHERS
 LEADS_OUT = "leads out of the dataset's folder, or is no name"
 # Of a name that is none.
 SHOWN = 60
@@ -67,8 +70,8 @@ def read_yolo(path: Path) -> list[YoloPicture]:
         path: `data.yaml`; the folder that it lies in; or a folder of label files with `classes.txt` in it or above it.
 
     Raises:
-        FormatError: none of these, a damaged `data.yaml`, a part that is not there or leads out of the folder, or a
-            label file that does not follow the format.
+        FormatError: none of these, a damaged `data.yaml`, a part that is not there or leads out of the folder, a
+            label file that does not follow the format, or a picture that is there and neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
         return list(_with_classes(path))
@@ -166,9 +169,16 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
 
 
 def _read(picture: Path, root: Path, names: Mapping[int, str]) -> YoloPicture:
+    if picture.is_file():
+        _require_readable(picture)
     label_file = _inside(_labels_of(picture, root).with_suffix(".txt"), root)
     boxes = parse_boxes(label_file, read_text(label_file), names) if label_file.is_file() else ()
     return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
+
+
+def _require_readable(picture: Path) -> None:
+    if picture.suffix.lower() in OTHERS:
+        raise FormatError(picture, "only PNG and JPEG pictures are read; save it as one of them, beside its labels")
 
 
 def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str]) -> YoloPicture:
@@ -199,6 +209,8 @@ def _with_classes(folder: Path) -> Iterator[YoloPicture]:
         picture = next(
             (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
         )
+        if picture is not None:
+            _require_readable(picture)
         boxes = parse_boxes(label_file, read_text(_inside(label_file, root)), names)
         place = folders[-1] if picture is None else picture.parent
         yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)

@@ -97,6 +97,8 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
         ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the dataset's folder"),
         ({"data.yaml": "train: l.txt\nnames: [a]", "l.txt": "\n../../x.png"}, r"l\.txt:2: .* leads out"),
         ({"data.yaml": "train: i\nnames: [a]", "i/x.png": "", "i/x.txt": "0 1"}, r"i/x\.txt:1: has 2 fields"),
+        ({"data.yaml": "train: i\nnames: [a]", "i/x.BMP": ""}, r"i/x\.BMP: only PNG and JPEG pictures are read; save"),
+        ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG pictures are read"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, files: dict[str, str], says: str) -> None:
