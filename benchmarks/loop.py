@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -95,7 +96,6 @@ def run(args: Arguments) -> dict[str, object]:
         ConfigError: arguments that contradict each other, the folders or the project that is kept.
         AnnotatorError: of its stages.
     """
-    rotation = args.rotation
     recording = open_recording(args.train_dir)
     test = recording if args.test_dir is None else open_recording(args.test_dir)
     if not (has_truth(test) or has_masks(test)):
@@ -103,8 +103,7 @@ def run(args: Arguments) -> dict[str, object]:
     step = 2 if args.test_dir is None else 1
     frames = list(range(step - 1, len(test), step))
     seconds: dict[str, float] = {}
-    with TemporaryDirectory() as temporary, _project(args, recording, rotation, Path(temporary)) as project:
-        boxes_2d = _teach(project, recording, step, args, seconds)
+    with taught(args, recording, step, seconds) as (project, boxes_2d):
         begin = time.perf_counter()
         detectors = active_detectors(project)
         config = RcvConfig(strategy=args.axes, box_kind=detectors.box_kind)
@@ -118,6 +117,23 @@ def run(args: Arguments) -> dict[str, object]:
         "axes": args.axes.value,
         "seconds": seconds,
     }
+
+
+@contextmanager
+def taught(
+    args: Arguments, recording: Recording, step: int, seconds: dict[str, float]
+) -> Iterator[tuple[Project, int]]:
+    """A project whose detectors have learnt from every so many frames of a recording, and how many 2D boxes it has.
+
+    Args:
+        step: 2 = every second frame.
+        seconds: gets what labelling and training took, as far as they were to be done.
+
+    Raises:
+        ConfigError, AnnotatorError: as `run`.
+    """
+    with TemporaryDirectory() as temporary, _project(args, recording, args.rotation, Path(temporary)) as project:
+        yield project, _teach(project, recording, step, args, seconds)
 
 
 def _labels(args: Arguments, recording: Recording) -> list[str]:

@@ -4,7 +4,8 @@
     ├── InputError            something that a user gave cannot be used
     │   ├── RecordingError        a recording or one of its frames
     │   │   ├── UnknownFormatError    no reader knows the folder
-    │   │   └── FrameError            one frame is broken; the others may be fine
+    │   │   ├── FrameError            one frame is broken; the others may be fine
+    │   │   └── DeviceError           a camera that is not there, not usable, or gone
     │   ├── FormatError           a label or dataset file
     │   └── ConfigError           a setting or a command-line value
     ├── GeometryError         a computation that has no answer for this input
@@ -14,6 +15,7 @@
     │   ├── StaleRevisionError    somebody else changed the frame first
     │   ├── HistoryError          there is nothing to undo or redo, or somebody else has changed it since
     │   └── FinalisedFrameError   an automatic pass wanted to change a finalised frame
+    ├── WorkerError           the processes that do a batch's work cannot be started, or go on dying
     └── MissingExtraError     an optional package is not installed
 
 A message says what is wrong, where (path, frame) and what to do next. These errors are caught in three
@@ -51,6 +53,10 @@ class FrameError(RecordingError):
     def __init__(self, path: Path, problem: str, remedy: str = "") -> None:
         self.path = path
         super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class DeviceError(RecordingError):
+    """A camera cannot be opened, or gives no frames any more."""
 
 
 class FormatError(InputError):
@@ -119,6 +125,10 @@ class HistoryError(ProjectError):
 
 class FinalisedFrameError(ProjectError):
     """An automatic pass wanted to change a frame that an operator has finalised."""
+
+
+class WorkerError(AnnotatorError):
+    """The processes that do a batch's work cannot be started, or go on dying."""
 
 
 class MissingExtraError(AnnotatorError):

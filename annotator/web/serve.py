@@ -12,6 +12,7 @@ from contextlib import closing, suppress
 from dataclasses import replace
 
 import uvicorn
+from fastapi import FastAPI
 
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
@@ -27,9 +28,16 @@ WS_LIMIT = 1 << 22
 class Running(uvicorn.Server):
     """A server on a socket that is bound already, so that its port is known before it begins."""
 
-    def __init__(self, settings: ServerSettings) -> None:
+    def __init__(self, settings: ServerSettings, app: FastAPI | None = None) -> None:
+        """
+        Args:
+            app: what is served; None = the workbench.
+
+        Raises:
+            ConfigError: the address cannot be used, or anybody could come in.
+        """
         self.settings = settings
-        self.app = create_app(settings)
+        self.app = create_app(settings) if app is None else app
         self.socket = bind(settings.host, settings.port)
         self.port: int = self.socket.getsockname()[1]
         super().__init__(
@@ -78,6 +86,13 @@ def bind(host: str, port: int) -> socket.socket:
     return bound
 
 
+def with_token(settings: ServerSettings) -> ServerSettings:
+    """The settings, with a new token where another address than this computer's own has none."""
+    if settings.token is None and not is_loopback(settings.host):
+        return replace(settings, token=secrets.token_urlsafe(32))
+    return settings
+
+
 def serve(settings: ServerSettings, place: str | None = None, *, open_browser: bool, window: bool) -> None:
     """Serves until interrupted, or until the window is closed; says where on standard output.
 
@@ -91,8 +106,7 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
             window.
         MissingExtraError: a window needs pywebview.
     """
-    if settings.token is None and not is_loopback(settings.host):
-        settings = replace(settings, token=secrets.token_urlsafe(32))
+    settings = with_token(settings)
     if window:
         check_window()
     with sole_server(settings.projects_root):

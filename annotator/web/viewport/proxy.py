@@ -1,9 +1,10 @@
-"""The way from a browser to a workbench's viser server, through the application's own port."""
+"""The way from a browser to a viser server, through the application's own port."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+from typing import Protocol, runtime_checkable
 
 import httpx
 from fastapi import WebSocket
@@ -14,7 +15,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Origin, Subprotocol
 
-from annotator.web.viewport.workbench import HOST, Workbench
+from annotator.web.viewport.server import HOST
 
 LOG = logging.getLogger("annotator.web")
 
@@ -33,13 +34,28 @@ UNSENDABLE = (1005, 1006, 1015)
 GONE, TRY_AGAIN = 1001, 1013
 
 
-async def forward_http(request: Request, bench: Workbench, path: str) -> Response:
+@runtime_checkable
+class Viewport(Protocol):
+    """What has a viser server of its own.
+
+    Attributes:
+        id: its name in messages.
+        port: of its viser server, on `HOST`.
+        origin: a secret that its viser server asks of everybody who connects.
+    """
+
+    id: str
+    port: int
+    origin: str
+
+
+async def forward_http(request: Request, viewport: Viewport, path: str) -> Response:
     """One of viser's files."""
     headers = {name: request.headers[name] for name in FORWARDED_REQUEST if name in request.headers}
     async with (
         httpx.AsyncClient(timeout=TIMEOUT_S) as client,
         client.stream(
-            "GET", httpx.URL(scheme="http", host=HOST, port=bench.port, path=f"/{path}"), headers=headers
+            "GET", httpx.URL(scheme="http", host=HOST, port=viewport.port, path=f"/{path}"), headers=headers
         ) as answer,
     ):
         # raw: what is packed stays packed
@@ -48,7 +64,7 @@ async def forward_http(request: Request, bench: Workbench, path: str) -> Respons
     return Response(body, answer.status_code, {**kept, "Content-Security-Policy": POLICY})
 
 
-async def forward_socket(browser: WebSocket, bench: Workbench) -> None:
+async def forward_socket(browser: WebSocket, viewport: Viewport) -> None:
     """A browser's WebSocket, until either side closes it.
 
     Each direction waits for the other side to take what it was sent, so a slow browser slows viser down (which then
@@ -57,8 +73,8 @@ async def forward_socket(browser: WebSocket, bench: Workbench) -> None:
     offered = [Subprotocol(name) for name in browser.scope["subprotocols"]]
     try:
         viser = await connect(
-            f"ws://{HOST}:{bench.port}",
-            origin=Origin(bench.origin),
+            f"ws://{HOST}:{viewport.port}",
+            origin=Origin(viewport.origin),
             subprotocols=offered or None,
             compression=None,
             max_size=None,
@@ -67,7 +83,7 @@ async def forward_socket(browser: WebSocket, bench: Workbench) -> None:
             proxy=None,
         )
     except (OSError, TimeoutError, WebSocketException) as error:
-        LOG.warning("workbench %s: its viewport does not answer: %s", bench.id, error)
+        LOG.warning("viewport %s does not answer: %s", viewport.id, error)
         await browser.close(TRY_AGAIN, "the viewport does not answer")
         return
     async with viser:
@@ -79,7 +95,7 @@ async def forward_socket(browser: WebSocket, bench: Workbench) -> None:
         results = await asyncio.gather(*ways, return_exceptions=True)
     for result in results:
         if isinstance(result, Exception):
-            LOG.error("workbench %s: connection failed", bench.id, exc_info=result)
+            LOG.error("viewport %s: connection failed", viewport.id, exc_info=result)
 
 
 async def _to_browser(viser: ClientConnection, browser: WebSocket) -> None:

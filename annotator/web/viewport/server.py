@@ -10,7 +10,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import viser
 
+HOST = "127.0.0.1"
+
 _starting = threading.Lock()
+_quiet = threading.Lock()
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """viser says on the terminal that it starts and stops, also where it is asked not to."""
+    import rich
+
+    with _quiet:
+        console = rich.get_console()
+        before, console.quiet = console.quiet, True
+        try:
+            yield
+        finally:
+            console.quiet = before
 
 
 def start_viser(host: str, origin: str) -> viser.ViserServer:

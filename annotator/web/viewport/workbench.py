@@ -16,20 +16,17 @@ from annotator.types import OrientedBox
 from annotator.web.viewport.content import SceneContent
 from annotator.web.viewport.picking import picked
 from annotator.web.viewport.scene import Scene, Shown
-from annotator.web.viewport.server import start_viser
+from annotator.web.viewport.server import HOST, silence, start_viser
 
 if TYPE_CHECKING:
     import viser
 
 LOG = logging.getLogger("annotator.web")
-HOST = "127.0.0.1"
 # A drag whose end never came (a browser that died) holds the gizmo no longer than this, seconds.
 DRAG_ENDS_S = 5.0
 
 Send = Callable[["Workbench", dict[str, Any]], None]
 """Carries an event of a workbench to its page; called from any thread."""
-
-_quiet = threading.Lock()
 
 
 class Workbench:
@@ -58,7 +55,7 @@ class Workbench:
         self._lock = threading.Lock()
         self._dragged_s: float | None = None
         self.origin = f"annotator://{secrets.token_hex(16)}"
-        with _silence():
+        with silence():
             self._server = start_viser(HOST, self.origin)
         self.port = self._server.get_port()
         self._server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
@@ -75,7 +72,7 @@ class Workbench:
 
     def close(self) -> None:
         """Ends the server; browsers that look at it lose their connection."""
-        with _silence():
+        with silence():
             self._server.stop()
 
     def _listen(self) -> None:
@@ -115,17 +112,3 @@ def _logged(what: str) -> Iterator[None]:
         yield
     except Exception:
         LOG.exception("viewport: %s failed", what)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """viser says on the terminal that it starts and stops, also where it is asked not to."""
-    import rich
-
-    with _quiet:
-        console = rich.get_console()
-        before, console.quiet = console.quiet, True
-        try:
-            yield
-        finally:
-            console.quiet = before

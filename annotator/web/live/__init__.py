@@ -1,0 +1,1 @@
+"""The live page: one viser view of what the pipeline sees now."""

@@ -1,0 +1,121 @@
+"""The live view: the cloud with its boxes in 3D, and beside it the camera image, the figures and the buttons."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from annotator.types import ReviewState
+from annotator.web.live.picture import picture
+from annotator.web.viewport.content import SceneContent, ShownBox
+from annotator.web.viewport.scene import Scene
+from annotator.web.viewport.server import HOST, silence, start_viser
+from annotator.workflows.live.detection import Detected
+from annotator.workflows.live.figures import Figures
+
+if TYPE_CHECKING:
+    import viser
+
+# Of a live cloud: a browser has to take them many times a second.
+MOST_POINTS = 40_000
+JPEG_QUALITY = 75
+# Nobody reads figures that change faster, seconds.
+FIGURES_EVERY_S = 0.5
+PLACE = ("live", 0)
+
+
+class LiveView:
+    """A viser server of its own, and what it shows. `show` is for one thread; browsers come through the proxy.
+
+    Attributes:
+        id: its name in messages.
+        port, origin: as `proxy.Viewport` has them.
+    """
+
+    def __init__(self, source: str, facts: Mapping[str, str], figures: Callable[[], Figures]) -> None:
+        """Starts the server.
+
+        Args:
+            source: what is seen, for people.
+            facts: what stays as it is, such as the backend.
+            figures: asked for what is written beside the image.
+        """
+        self.id = "live"
+        self.origin = f"annotator://{secrets.token_hex(16)}"
+        with silence():
+            self._server = start_viser(HOST, self.origin)
+        self.port = self._server.get_port()
+        self._facts, self._figures, self._figures_at_s = facts, figures, 0.0
+        self._scene = Scene(self._server, _ignored)
+        self._look_again = threading.Event()
+        gui = self._server.gui
+        gui.configure_theme(
+            control_layout="fixed", control_width="large", dark_mode=True, show_logo=False, show_share_button=False
+        )
+        self._server.gui.set_panel_label(f"annotator live: {source}")
+        self._image: viser.GuiImageHandle | None = None
+        self._text = gui.add_markdown("waiting for the first frame", order=2.0)
+        self._pause = gui.add_button("Pause", order=3.0)
+        look = gui.add_button("Look from the camera", order=4.0)
+
+        @look.on_click
+        def _(_: object) -> None:
+            self._look_again.set()
+
+    def on_pause(self, call: Callable[[bool], None]) -> None:
+        """Has `call` told when somebody presses Pause (True) or Resume (False)."""
+
+        @self._pause.on_click
+        def _(_: object) -> None:
+            paused = self._pause.label == "Pause"
+            self._pause.label = "Resume" if paused else "Pause"
+            call(paused)
+
+    def show(self, detected: Detected) -> None:
+        """One frame; what no browser has taken yet is replaced."""
+        boxes = tuple(ShownBox(None, found.box, ReviewState.PROPOSED) for found in detected.found.proposals)
+        look_again = self._look_again.is_set()
+        self._look_again.clear()
+        content = SceneContent(PLACE, detected.frame, boxes, most_points=MOST_POINTS, reset_view=look_again)
+        self._scene.show(content)
+        image = picture(detected.frame, detected.found)
+        if self._image is None:
+            self._image = self._server.gui.add_image(image, format="jpeg", jpeg_quality=JPEG_QUALITY, order=1.0)
+        else:
+            self._image.image = image
+        now = time.monotonic()
+        if now - self._figures_at_s >= FIGURES_EVERY_S:
+            self._figures_at_s = now
+            self._text.content = table(detected, self._figures(), self._facts)
+
+    def close(self) -> None:
+        """Ends the server."""
+        with silence():
+            self._server.stop()
+
+
+def table(detected: Detected, figures: Figures, facts: Mapping[str, str]) -> str:
+    """The figures as Markdown."""
+    stages = " · ".join(f"{name} {ms:.0f}" for name, ms in figures.stages_ms.items())
+    drops = " · ".join(f"{name} {count}" for name, count in vars(figures.drops).items() if count)
+    objects = f"{len(detected.found.proposals)}" + (f", {lost} lost" if (lost := len(detected.found.lost)) else "")
+    rows = {
+        "frame": f"{detected.frame.key} ({figures.shown} shown)",
+        "objects": objects,
+        "frames/s": "-" if figures.fps is None else f"**{figures.fps:.1f}**",
+        "latency": "-"
+        if figures.latency_ms is None
+        else f"**{figures.latency_ms:.0f} ms**, 95 %: {figures.latency_p95_ms:.0f} ms",
+        "stages, ms": stages or "-",
+        "dropped": drops or "none",
+        **({"unreadable": str(figures.broken)} if figures.broken else {}),
+        **facts,
+    }
+    return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())])
+
+
+async def _ignored(event: object) -> None:
+    """Nothing is moved by hand in a live view."""

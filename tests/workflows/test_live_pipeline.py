@@ -1,0 +1,352 @@
+"""Live: slots, a recording played at its own pace, and the stages side by side."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annotator.project import BoxRotation
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.seeds import is_warm
+from annotator.recordings import Recording, open_recording
+from annotator.types import Frame
+from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.live.detection import OLDEST_SEED_S, Detected, LiveDetection
+from annotator.workflows.live.figures import Drops, Meter, told
+from annotator.workflows.live.pipeline import Pipeline
+from annotator.workflows.live.playback import Playback, Repeat
+from annotator.workflows.live.slot import Slot
+from annotator.workflows.live.source import Taken
+
+NEVER = threading.Event()
+SHORT = RcvConfig(max_steps=2)
+
+
+@pytest.fixture(scope="module")
+def hands(generated: Path) -> Recording:
+    return open_recording(generated / "hands")
+
+
+@pytest.fixture(scope="module")
+def frame(hands: Recording) -> Frame:
+    return hands.frame(0)
+
+
+def test_the_newest_wins_in_a_slot() -> None:
+    slot: Slot[int] = Slot()
+    for number in range(3):
+        slot.put(number)
+    assert (slot.take(), slot.dropped) == (2, 2)
+    slot.put(3)
+    slot.close()
+    slot.put(4)
+    assert (slot.take(), slot.take(), slot.dropped) == (3, None, 2)
+    emptied: Slot[int] = Slot()
+    emptied.put(1)
+    emptied.close(empty=True)
+    assert emptied.take() is None
+
+
+def test_who_waits_at_a_slot_gets_what_comes_and_is_woken_at_its_end() -> None:
+    slot: Slot[int] = Slot()
+    got: list[int | None] = []
+    thread = threading.Thread(target=lambda: got.extend([slot.take(), slot.take()]))
+    thread.start()
+    slot.put(7)
+    while not got and slot._item is not None:
+        time.sleep(0.001)
+    slot.close()
+    thread.join(10)
+    assert got == [7, None]
+
+
+# --- a recording that is played ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Told:
+    """A recording that knows when its frames were taken, and gives any frame at once."""
+
+    any_frame: Frame
+    times_ns: tuple[int | None, ...]
+    broken: tuple[int, ...] = ()
+    path: Path = Path("told")
+    format: str = "rgbd_folder"
+    name: str = "told"
+    asked: list[int] = field(default_factory=list)
+
+    root = path
+    is_sequence = True
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(map(str, range(len(self))))
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    def frame(self, i: int) -> Frame:
+        self.asked.append(i)
+        if i in self.broken:
+            raise FrameError(self.path, f"frame {i} is broken")
+        return replace(self.any_frame, key=str(i), index=i)
+
+
+def played(playback: Playback, most: int = 100) -> Iterator[Taken]:
+    for _ in range(most):
+        taken = playback.read(NEVER)
+        if taken is None:
+            return
+        yield taken
+
+
+def test_a_recording_keeps_its_own_times(frame: Frame) -> None:
+    told_times = Told(frame, tuple(int(1e9 + 1e6 * ms) for ms in (0, 30, 130, 190)))
+    taken = list(played(Playback(told_times)))
+    at_s = [each.taken_s - taken[0].taken_s for each in taken]
+    assert [each.frame.key for each in taken] == ["0", "1", "2", "3"]
+    assert at_s == pytest.approx([0, 0.03, 0.13, 0.19], abs=1e-6)
+    assert all(each.read_s < 1 for each in taken)
+
+
+def test_a_rate_and_the_default_of_a_format(frame: Frame) -> None:
+    unknown = Told(frame, (None,) * 3)
+    assert Playback(unknown).rate == pytest.approx(30)
+    unknown.format = "kitti_raw"
+    assert Playback(unknown).rate == pytest.approx(10)
+    taken = list(played(Playback(unknown, rate=50.0)))
+    assert [b.taken_s - a.taken_s for a, b in itertools.pairwise(taken)] == pytest.approx([0.02, 0.02])
+    for rate in (0.0, -1.0, math.nan):
+        with pytest.raises(ConfigError, match="frames a second"):
+            Playback(unknown, rate=rate)
+
+
+def test_who_comes_late_misses_frames_as_with_a_camera(frame: Frame) -> None:
+    playback = Playback(Told(frame, (None,) * 60), rate=100.0)
+    first = playback.read(NEVER)
+    time.sleep(0.1)
+    second = playback.read(NEVER)
+    assert first is not None
+    assert second is not None
+    missed = second.frame.index - 1
+    assert missed >= 8
+    assert playback.skipped == missed
+    assert second.taken_s - first.taken_s == pytest.approx(0.01 * (missed + 1))
+    # after a pause nothing has been missed
+    time.sleep(0.1)
+    playback.resume()
+    third = playback.read(NEVER)
+    assert third is not None
+    assert third.frame.index == second.frame.index + 1
+
+
+@pytest.mark.parametrize(
+    ("repeat", "order"),
+    [(Repeat.NO, [0, 1, 2]), (Repeat.AGAIN, [0, 1, 2, 0, 1, 2, 0]), (Repeat.BACK, [0, 1, 2, 1, 0, 1, 2])],
+)
+def test_what_comes_after_the_last_frame(frame: Frame, repeat: Repeat, order: list[int]) -> None:
+    told_times = Told(frame, (None,) * 3)
+    assert [taken.frame.index for taken in played(Playback(told_times, rate=math.inf, repeat=repeat), 7)] == order
+    one = Told(frame, (None,))
+    assert len(list(played(Playback(one, rate=math.inf, repeat=repeat), 3))) == (1 if repeat is Repeat.NO else 3)
+
+
+def test_nobody_waits_for_a_frame_that_is_not_wanted_any_more(frame: Frame) -> None:
+    playback = Playback(Told(frame, (0, 900_000_000)))
+    stop = threading.Event()
+    assert playback.read(stop) is not None
+    stop.set()
+    begin = time.perf_counter()
+    assert playback.read(stop) is None
+    assert time.perf_counter() - begin < 0.5
+
+
+def test_a_recording_that_cannot_be_read_at_all_ends(frame: Frame) -> None:
+    playback = Playback(Told(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, repeat=Repeat.AGAIN)
+    with pytest.raises(FrameError):
+        playback.read(NEVER)
+    with pytest.raises(RecordingError, match="none of its 2 frames"):
+        playback.read(NEVER)
+
+
+# --- the stages -------------------------------------------------------------------------------------------------------
+
+
+class Slow:
+    """A detection that takes a while and finds nothing."""
+
+    def __init__(self, seconds: float = 0.0) -> None:
+        self.seconds = seconds
+
+    def detect(self, taken: Taken) -> Detected:
+        time.sleep(self.seconds)
+        return Detected(taken.frame, FrameProposals(taken.frame.key, (), ()), taken.taken_s, {"read": taken.read_s})
+
+
+class Shown(list[str]):
+    """The keys of the frames that were shown, and when the last one was."""
+
+    def __call__(self, detected: Detected) -> None:
+        self.append(detected.frame.key)
+
+
+def run(made: Pipeline) -> None:
+    made.start()
+    assert made.wait(60.0)
+    for thread in made._threads:
+        thread.join(5)
+        assert not thread.is_alive()
+
+
+def test_frames_come_through_and_the_end_of_the_source_ends_all(hands: Recording, knowing: Any) -> None:
+    shown: list[Detected] = []
+    detectors: Detectors = knowing("hands")
+    detection = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=False)
+    made = Pipeline(Playback(hands, rate=2.0), detection, shown.append, most_frames=2)
+    ends: list[str] = []
+    made.at_end(lambda: ends.append("end"))
+    run(made)
+    figures = made.figures()
+    assert (figures.read, figures.detected, figures.shown) == (2, 2, 2)
+    assert [len(each.found.proposals) for each in shown] == [2, 2]
+    assert [each.seeded for each in shown] == [0, 0]
+    assert list(figures.stages_ms) == ["read", "image", "views", "geometry", "show"]
+    assert all(took >= 0 for took in figures.stages_ms.values())
+    assert figures.latency_ms is not None
+    assert figures.latency_ms > sum(figures.stages_ms.values()) / 2
+    assert ends == ["end"]
+    made.at_end(lambda: ends.append("later"))
+    assert ends == ["end", "later"]
+
+
+def test_a_slow_detection_and_a_slow_display_drop_frames_and_no_stage_waits(frame: Frame) -> None:
+    shown = Shown()
+
+    def show(detected: Detected) -> None:
+        shown(detected)
+        time.sleep(0.15)
+
+    source = Playback(Told(frame, (None,) * 40), rate=100.0)
+    made = Pipeline(source, Slow(0.05), show)
+    run(made)
+    figures = made.figures()
+    drops = figures.drops
+    assert figures.read + drops.source == 40
+    assert figures.detected + drops.detect == figures.read
+    assert figures.shown + drops.show == figures.detected
+    assert 2 <= figures.shown < figures.detected < figures.read
+    assert shown[-1] == "39", "the last one is never dropped"
+
+
+def test_a_frame_that_cannot_be_read_is_told_and_the_others_come(frame: Frame) -> None:
+    shown, lines = Shown(), list[str]()
+    made = Pipeline(Playback(Told(frame, (None,) * 4, broken=(1,)), rate=20.0), Slow(), shown, tell=lines.append)
+    run(made)
+    assert (made.figures().broken, made.figures().read) == (1, 3)
+    assert "frame 1 is broken" in lines[0]
+    assert shown[0] == "0"
+    assert shown[-1] == "3"
+
+
+class Unplugged:
+    """A camera that gives two frames and is gone."""
+
+    name, skipped = "camera", 0
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame, self.left, self.closed = frame, 2, 0
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        if not self.left:
+            raise DeviceError("camera: was unplugged")
+        self.left -= 1
+        return Taken(self.frame, time.perf_counter(), 0.0)
+
+    def resume(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def fails(detected: Detected) -> None:
+    raise ValueError("no display")
+
+
+def test_an_error_of_any_stage_ends_all_and_is_raised(frame: Frame) -> None:
+    gone = Unplugged(frame)
+    made = Pipeline(gone, Slow(), Shown())
+    made.start()
+    with pytest.raises(DeviceError, match="unplugged"):
+        made.wait(60.0)
+    assert gone.closed == 1
+    endless = Playback(Told(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN)
+    made = Pipeline(endless, Slow(), fails)
+    made.start()
+    with pytest.raises(ValueError, match="no display"):
+        made.wait(60.0)
+    with pytest.raises(ValueError, match="no display"):
+        made.end()
+
+
+def test_it_ends_when_it_is_told_to_also_while_it_pauses(frame: Frame) -> None:
+    shown = Shown()
+    made = Pipeline(Playback(Told(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN), Slow(), shown)
+    made.start()
+    while len(shown) < 2:
+        time.sleep(0.001)
+    made.pause(True)
+    assert made.is_paused
+    time.sleep(0.1)
+    seen = len(shown)
+    time.sleep(0.2)
+    assert len(shown) == seen
+    made.pause(False)
+    while len(shown) < seen + 2:
+        time.sleep(0.001)
+    made.pause(True)
+    made.end()
+    assert made.ended.is_set()
+    with pytest.raises(ConfigError, match="0 frames"):
+        Pipeline(Playback(Told(frame, (None,)), rate=1.0), Slow(), shown, most_frames=0)
+
+
+# --- the boxes of the moment before -----------------------------------------------------------------------------------
+
+
+def test_the_last_boxes_are_seeds_as_long_as_they_are_new(hands: Recording, knowing: Any) -> None:
+    detection = LiveDetection(knowing("hands"), SHORT, BoxRotation.AUTO, warm_start=True)
+    frames = [hands.frame(index) for index in range(3)]
+    moments = (10.0, 10.1, 10.1 + 2 * OLDEST_SEED_S)
+    found = [detection.detect(Taken(f, at, 0.01)) for f, at in zip(frames, moments, strict=True)]
+    assert [each.seeded for each in found] == [0, 2, 0]
+    assert [any(map(is_warm, each.found.proposals)) for each in found] == [False, True, False]
+    assert all(len(each.found.proposals) == 2 for each in found)
+    assert found[0].stages_s["read"] == 0.01
+    assert found[0].detect_s > 0
+
+
+def test_figures_look_back_over_their_window_only() -> None:
+    meter = Meter(window_s=0.3)
+    assert told(meter.figures(Drops())) == "no frame yet; 0 shown"
+    meter.shown(time.perf_counter() - 5, {"show": 1.0})
+    time.sleep(0.35)
+    for _ in range(3):
+        time.sleep(0.02)
+        meter.shown(time.perf_counter() - 0.05, {"show": 0.002})
+    figures = meter.figures(Drops(detect=2, record=1))
+    assert figures.shown == 4
+    assert figures.stages_ms == pytest.approx({"show": 2.0})
+    assert figures.latency_ms == pytest.approx(50, abs=20)
+    assert figures.fps is not None
+    assert 5 < figures.fps < 51
+    assert "dropped: 2 detect, 1 record" in told(figures)
