@@ -42,7 +42,7 @@ def decode_picture(data: bytes, flags: int) -> np.ndarray:
     problem = image_problem(data)
     if problem:
         raise ValueError(problem)
-    width, height = _promised_size(data)
+    width, height = promised_size(data)
     if width * height == 0:
         raise ValueError("cannot be decoded as a PNG or JPEG image; images of other formats must be saved as one")
     if width * height > MOST_PIXELS:
@@ -104,7 +104,7 @@ def _jpeg_problem(data: bytes) -> str:
     return "the JPEG image is truncated"
 
 
-def _promised_size(data: bytes) -> tuple[int, int]:
+def promised_size(data: bytes) -> tuple[int, int]:
     """Width and height in the header of a PNG or JPEG file; 0 and 0 for any other, and where none is found."""
     if data.startswith(PNG_SIGNATURE) and data[12:16] == b"IHDR":
         return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])

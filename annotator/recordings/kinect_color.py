@@ -8,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.pictures import image_problem
+from annotator.pictures import JPEG_START, image_problem, promised_size
 
 # The four characters that a track names its format with -> bytes a pixel, in halves; None where it is compressed.
 FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}
-JPEG_FRAME_MARKERS = frozenset({0xC0, 0xC1, 0xC2})
 
 
 def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
@@ -33,7 +32,7 @@ def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray
     if problem:
         raise ValueError(problem)
     # looked at before decoding: a few damaged bytes could ask for gigabytes
-    if jpeg_size(data) != (width_px, height_px):
+    if not data.startswith(JPEG_START) or promised_size(data) != (width_px, height_px):
         raise ValueError(f"it is no JPEG image of {width_px} x {height_px} pixels")
     bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if bgr is None:
@@ -57,14 +56,3 @@ def _convert(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[n
     else:
         rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 4), cv2.COLOR_BGRA2RGB)
     return np.asarray(rgb)
-
-
-def jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that a JPEG file declares (ITU-T T.81, B.2.2), or None where it does not."""
-    at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker in JPEG_FRAME_MARKERS:
-            return int.from_bytes(data[at + 7 : at + 9]), int.from_bytes(data[at + 5 : at + 7])
-        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4])
-    return None

@@ -21,9 +21,10 @@ from annotator.project.payloads import (
 )
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind
+from annotator.types.tracks import MOST_TRACK
 from annotator.web.wire import MOST_BOXES, Box2DJson, Box3DJson, ClassName, Effort, RowId, Uid, Wire
 
-TrackId = Annotated[int, Field(ge=-(2**53), le=2**53)]
+TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
 class Accept(Wire):

@@ -14,11 +14,11 @@ from annotator.types.errors import NotFoundError
 from annotator.web.context import Ctx, Operator
 from annotator.web.jobs.records import CurvePoint
 from annotator.web.projects import ModelInfo, model_info
+from annotator.web.wire import RowId
 from annotator.workflows.model_facts import model_facts
 
 router = APIRouter(prefix="/api/projects/{project}/models", tags=["models"])
 
-ModelId = Annotated[int, Path(ge=0, le=2**53)]
 PictureNumber = Annotated[int, Path(ge=0, le=1000)]
 
 
@@ -60,7 +60,7 @@ def models(project: str, ctx: Ctx, who: Operator) -> ModelList:
 
 
 @router.post("/{model}/activate")
-def activate(project: str, model: ModelId, ctx: Ctx, who: Operator) -> ModelDetails:
+def activate(project: str, model: RowId, ctx: Ctx, who: Operator) -> ModelDetails:
     """Let a detector propose from now on, in place of its role's present one."""
     opened = ctx.project(project)
     opened.models.activate(model)
@@ -68,7 +68,7 @@ def activate(project: str, model: ModelId, ctx: Ctx, who: Operator) -> ModelDeta
 
 
 @router.get("/{model}/pictures/{number}.jpg", response_class=FileResponse)
-def picture(project: str, model: ModelId, number: PictureNumber, ctx: Ctx, who: Operator) -> FileResponse:
+def picture(project: str, model: RowId, number: PictureNumber, ctx: Ctx, who: Operator) -> FileResponse:
     """A picture with the boxes that a detector finds on it."""
     pictures = model_facts(ctx.project(project).models.get(model)).pictures
     if number >= len(pictures):
