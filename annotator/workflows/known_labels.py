@@ -10,7 +10,7 @@ from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing import LabelSet
-from annotator.workflows.importing.boxes_3d import match_frames
+from annotator.workflows.importing.boxes_3d import match_frames, truths_of
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.truth import has_truth, label_file, load_truth, one_file_a_frame
 
@@ -83,8 +83,8 @@ def labels_from(project: Project, found: LabelSet, recording: str | None = None)
     known = match_frames(project, found.path, found.frames, recording)
     present = {stored.id: (name, stored) for name, stored in known.matched if stored.index is not None}
 
-    def truths(stored: StoredFrame, frame: Frame) -> list[Truth]:
-        return found.truths(present[stored.id][0], frame)
+    def truths(stored: StoredFrame, frame: Frame) -> Sequence[Truth]:
+        return truths_of(found, present[stored.id][0], frame)
 
     def not_reviewed(stored: StoredFrame) -> int:
         return found.left_behind(present[stored.id][0]).not_reviewed

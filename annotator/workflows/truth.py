@@ -37,14 +37,19 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
 
     Raises:
         RecordingError: the recording has no labels at all.
-        FormatError: its labels are broken.
+        FormatError: its labels are broken, or the way to the camera takes a box out of reach.
     """
     file = label_file(recording, recording.keys[index])
     if file is None:
         raise RecordingError(f"{recording.path}: has no true boxes; looked for {_looked_for(recording)}")
-    if isinstance(recording, KittiRaw):
-        return _from_tracklets(file, recording, recording.keys[index])
-    return _READERS[recording.format](file, recording.keys[index], frame)
+    key = recording.keys[index]
+    try:
+        if isinstance(recording, KittiRaw):
+            return _from_tracklets(file, recording, key)
+        return _READERS[recording.format](file, key, frame)
+    except ValueError as error:
+        # the way to the camera takes a box out of reach
+        raise FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration") from error
 
 
 def has_truth(recording: Recording) -> bool:

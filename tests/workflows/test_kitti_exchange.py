@@ -18,9 +18,11 @@ from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
+from annotator.workflows.boxes_from_3d import boxes_from_3d
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.kitti_view import true_kitti_rows
+from annotator.workflows.known_labels import labels_from
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.truth import load_truth
 
@@ -148,6 +150,9 @@ def test_the_calibration_beside_labels_says_where_they_are(make_project: MakePro
     (folder / "label_2" / "000000.txt").write_text(row.replace(" 1 1.5 8 ", " 999999999.99 1.5 8 "))
     with pytest.raises(FormatError, match="training: 000000: a box must be within"):
         import_labels(make_project(generated / "people"), read_labels(BoxFormat.KITTI, folder))
+    with pytest.raises(FormatError, match="training: 000000: a box must be within"):
+        project = make_project(generated / "people")
+        boxes_from_3d(project, labels_from(project, read_labels(BoxFormat.KITTI, folder)))
 
     for text, problem in (
         ("P0: 1", "has no P2"),

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from annotator.project import Change, NewLabel, Project, StoredFrame
-from annotator.types import Source
+from annotator.types import Frame, Source, Truth
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
@@ -85,12 +85,9 @@ def import_labels(
             done.already += 1
         else:
             try:
-                truths = found.truths(name, source.read(stored))
+                truths = truths_of(found, name, source.read(stored))
             except FrameError as error:
                 done.unreadable.append(f"{stored.key}: {error}")
-            except ValueError as error:
-                # the way to the camera takes a box out of reach
-                raise FormatError(found.path, f"{name}: {error}; correct its boxes or its calibration") from error
             else:
                 done.other_classes.update(t.label for t in truths if t.label not in classes)
                 new = [NewLabel(t.label, t.box, t.score, t.track_id) for t in truths if t.label in classes]
@@ -105,6 +102,18 @@ def import_labels(
         if progress is not None:
             progress(number, len(frames.matched))
     return done
+
+
+def truths_of(found: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
+    """The objects of a frame that a dataset names, boxes in the camera frame.
+
+    Raises:
+        FormatError: the way to the camera takes a box out of reach; or as `LabelSet.truths`.
+    """
+    try:
+        return found.truths(name, frame)
+    except ValueError as error:
+        raise FormatError(found.path, f"{name}: {error}; correct its boxes or its calibration") from error
 
 
 def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
