@@ -48,6 +48,7 @@ def run(
     classes: tuple[str, ...] = (),
     recordings: tuple[str, ...] = (),
     empty_frames: bool = False,
+    skip_unreadable: bool = False,
     split: str | None = None,
     split_by: SplitBy = SplitBy.FRAMES,
     seed: int = 0,
@@ -69,6 +70,7 @@ def run(
         classes: which labels, by class; default: all.
         recordings: names of the recordings; default: all.
         empty_frames: also frames without any such label.
+        skip_unreadable: leave out frames that cannot be read, and say which; every frame is read twice then.
         split: divide the frames into parts, by shares: train=0.8,val=0.2.
         split_by: recordings = no recording is divided.
         seed: of the dividing.
@@ -88,7 +90,7 @@ def run(
             opened,
             out,
             format,
-            choose=ExportFilter(states or None, classes or None, ids, empty_frames),
+            choose=ExportFilter(states or None, classes or None, ids, empty_frames, skip_unreadable),
             split=parts,
             options=ExportOptions(images.value, pictures.value, vertices),
             overwrite=overwrite,
@@ -108,6 +110,8 @@ def _tell(report: ExportReport) -> None:
         print_line("divided: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
     for loss in report.losses:
         print_line(f"{report.format} does not hold: {loss.message}")
+    for line in report.unreadable:
+        print_line(f"unreadable: {line}")
     for note in report.notes:
         print_line(note)
 

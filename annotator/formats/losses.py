@@ -30,6 +30,7 @@ class Lost(StrEnum):
     OPEN: images whose objects nobody has reviewed to the end, left out.
     GRAVITY: the direction of gravity, where it is not the image's downwards.
     LEVEL: gravity was not known; where the format needs it, the image's downwards was taken for it.
+    UNREADABLE: frames whose files cannot be read, left out because somebody asked for it.
     """
 
     TILT = "tilt"
@@ -48,6 +49,7 @@ class Lost(StrEnum):
     OPEN = "open"
     GRAVITY = "gravity"
     LEVEL = "level"
+    UNREADABLE = "unreadable"
 
 
 # A box that leans by less is upright, radians: angles in files have two to six decimals.
@@ -70,6 +72,7 @@ _WORDS = {
     Lost.OPEN: "images with reviewed boxes also have proposals that wait for a review, and were left out",
     Lost.GRAVITY: "frames know where gravity points, and it is not down the image",
     Lost.LEVEL: "frames do not know where gravity points; it was taken to point down the image",
+    Lost.UNREADABLE: "frames cannot be read, and were left out",
 }
 
 
@@ -125,7 +128,7 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> No
     """Counts what one frame and its labels have of `kinds`.
 
     Args:
-        kinds: what the format does not hold; TILT, OUTSIDE, NAME and LEVEL are found only while it is written.
+        kinds: what the format does not hold, of those that a frame tells before it is written.
     """
     frame = item.frame
     has = {

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from annotator.formats.losses import Lost
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.model import RcvManifest
 from annotator.project import Change, NewLabel, Project, Role, RunShare
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
-from annotator.workflows.exporting import ExportFilter, ExportOptions, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, export_project
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.recordings import add_recordings, register_recording
 from annotator.workflows.truth import load_truth
@@ -177,6 +178,27 @@ def test_a_frame_that_fails_leaves_nothing(
     with pytest.raises(FrameError, match=r"depth/000003\.png"):
         exported(project, tmp_path / "place" / "out")
     assert list((tmp_path / "place").iterdir()) == []
+
+
+@pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.KITTI, ExportFormat.COCO])
+def test_frames_that_fail_are_left_out_where_that_is_asked_for(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path, format: ExportFormat
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    label_all(project, (0, 3))
+    depth = folder / "depth" / "000000.png"
+    depth.write_bytes(depth.read_bytes()[:500])
+    skip = ExportFilter(skip_unreadable=True)
+    report = export_project(project, tmp_path / "out", format, choose=skip)
+    assert (report.frames, report.objects) == (1, 2)
+    (left_out,) = report.unreadable
+    assert left_out.startswith("people/000000: ") and "the PNG image is truncated" in left_out
+    assert [loss.count for loss in report.losses if loss.kind is Lost.UNREADABLE] == [1]
+    (folder / "depth" / "000003.png").write_bytes(b"")
+    with pytest.raises(FrameError, match=r"depth/000000\.png"):
+        export_project(project, tmp_path / "none", format, choose=skip)
+    assert not (tmp_path / "none").exists()
 
 
 def test_frames_that_are_gone(

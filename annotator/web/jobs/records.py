@@ -10,9 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from annotator.project import Role
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
+from annotator.web.wire import RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 
-Ids = Annotated[list[Annotated[int, Field(ge=0, le=2**53)]], Field(min_length=1, max_length=10_000)]
+Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
@@ -70,6 +71,7 @@ class ExportRequest(_Request):
         pictures: what formats of 2D boxes hold.
         images: how camera images are written.
         empty_frames: also frames without any such label.
+        skip_unreadable: leave out frames that cannot be read, where otherwise one of them ends the export.
     """
 
     kind: Literal["export"]
@@ -78,6 +80,7 @@ class ExportRequest(_Request):
     classes: Annotated[list[Annotated[str, Field(max_length=64)]], Field(min_length=1, max_length=200)] | None = None
     recordings: Ids | None = None
     empty_frames: bool = False
+    skip_unreadable: bool = False
     split: SplitRequest | None = None
     pictures: Literal["images", "views", "both"] = "images"
     images: Literal["png", "jpg"] = "png"

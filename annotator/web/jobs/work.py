@@ -144,7 +144,11 @@ def export_work(desk: Desk, request: ExportRequest) -> Outcome:
         out,
         request.format,
         choose=ExportFilter(
-            _chosen(request.states), _chosen(request.classes), _chosen(request.recordings), request.empty_frames
+            _chosen(request.states),
+            _chosen(request.classes),
+            _chosen(request.recordings),
+            request.empty_frames,
+            request.skip_unreadable,
         ),
         split=None if split is None else Split(parse_shares(split.shares), split.by, split.seed),
         options=ExportOptions(request.images, request.pictures),
@@ -154,6 +158,7 @@ def export_work(desk: Desk, request: ExportRequest) -> Outcome:
     shutil.rmtree(out)
     told = report.model_dump(mode="json", include={"format", "frames", "objects", "splits", "notes"})
     lost = [loss.message for loss in report.losses]
+    told["unreadable"] = report.unreadable[:FAILURES_TOLD]
     result = {"file": packed.name, "bytes": packed.stat().st_size, **told, "lost": lost}
     return Outcome(f"{report.objects} boxes in {report.frames} frames", result)
 

@@ -10,6 +10,7 @@ from annotator.project import Project
 from annotator.workflows.exporting.choose import Chosen, ExportFilter, choose_frames, waiting_note
 from annotator.workflows.exporting.choose_pictures import choose_pictures
 from annotator.workflows.exporting.job import ExportJob, ExportOptions
+from annotator.workflows.exporting.readable import readable_frames
 from annotator.workflows.exporting.report import ExportReport
 from annotator.workflows.exporting.split import Split, SplitBy, parse_shares
 from annotator.workflows.exporting.table import WRITERS, ExportFormat
@@ -47,16 +48,20 @@ def export_project(
     Raises:
         ConfigError: no label (or picture) fits the filter, or the frames cannot be divided so.
         FormatError: `out` is taken or cannot be written.
-        RecordingError: a frame that can no longer be read.
+        RecordingError: a frame that can no longer be read, if such are not skipped; or not one of them can.
     """
     choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), WRITERS[format], Losses()
     states = choose.states or writer.states
     chosen: Sequence[Chosen]
-    note = None
+    note, unreadable = None, tuple[str, ...]()
     if writer.flat:
         chosen = choose_pictures(project, choose, states, split, options.pictures, losses)
     else:
         chosen = choose_frames(project, choose, states, split)
+    if choose.skip_unreadable:
+        chosen, unreadable = readable_frames(project, chosen, losses)
+    if not writer.flat:
         note = waiting_note(project, choose, states, chosen)
     report = writer.write(ExportJob(project, out, tuple(chosen), options, overwrite, progress, losses, choose))
-    return report if note is None else report.model_copy(update={"notes": (*report.notes, note)})
+    notes = report.notes if note is None else (*report.notes, note)
+    return report.model_copy(update={"notes": notes, "unreadable": unreadable})

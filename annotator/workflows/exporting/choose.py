@@ -21,12 +21,14 @@ class ExportFilter:
         classes: None = all of the project's.
         recordings: ids; None = all.
         empty_frames: also frames without any such label, as far as they are still in their recordings.
+        skip_unreadable: leave out frames that cannot be read, where otherwise one of them ends the export.
     """
 
     states: tuple[ReviewState, ...] | None = None
     classes: tuple[str, ...] | None = None
     recordings: tuple[int, ...] | None = None
     empty_frames: bool = False
+    skip_unreadable: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ class ExportReport(BaseModel):
         objects_by_class: with every class of the dataset, also those without a box.
         splits: frames of each part; empty where it is not divided.
         losses: what the format could not hold.
+        unreadable: frames that were left out, as `RECORDING/KEY: reason`.
         notes: what else to know of it, a line each.
     """
 
@@ -32,4 +33,5 @@ class ExportReport(BaseModel):
     objects_by_class: dict[str, int]
     splits: dict[str, int] = {}
     losses: tuple[Loss, ...] = ()
+    unreadable: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

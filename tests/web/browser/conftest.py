@@ -121,12 +121,12 @@ class Shop:
     projects: int = 0
     pages: dict[bool, Page] = field(default_factory=dict)
 
-    def new_project(self) -> Project:
-        """A project with 5 frames of people, none labelled."""
+    def new_project(self, recording: Path | None = None) -> Project:
+        """A project with 5 frames of people, none labelled; of the file's recording, or of one of the test's own."""
         self.projects += 1
         name = f"room{self.projects}"
         with create_project(self.live.settings.projects_root, name, ("person",)) as project:
-            register_recording(project, open_recording(self.recording))
+            register_recording(project, open_recording(recording or self.recording))
         return self.live.context.project(name)
 
 

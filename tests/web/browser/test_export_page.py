@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,12 +28,23 @@ def test_nothing_to_export_says_what_to_do_next(signed_in: Page, room: Project) 
     expect(signed_in.get_by_text("No box is accepted yet")).to_be_visible()
 
 
-def test_a_dataset_is_made_and_downloaded(signed_in: Page, shop: Shop, room: Project, tmp_path: Path) -> None:
-    count = label_truth(room, shop.recording, 2)
+def test_a_dataset_is_made_and_downloaded(
+    signed_in: Page, shop: Shop, own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Without the frame that cannot be read, as somebody has chosen; the page says which one it is."""
+    recording = own_copy("people")
+    room = shop.new_project(recording)
+    chosen = label_truth(room, recording, 3)
+    count = chosen - len(room.labels.of_frame(room.frames.of()[0].id))
+    (recording / "depth/000000.png").write_bytes(b"")
     signed_in.goto(f"/#/{room.path.name}/export")
-    expect(signed_in.get_by_test_id("export-note")).to_contain_text(f"{count} boxes")
+    expect(signed_in.get_by_test_id("export-note")).to_contain_text(f"{chosen} boxes")
+    signed_in.get_by_test_id("export-skip-unreadable").check()
     signed_in.get_by_test_id("export-start").click()
     expect(signed_in.get_by_test_id("job-export-text")).to_contain_text(f"{count} boxes", timeout=60_000)
+    expect(signed_in.get_by_test_id("export-lost")).to_contain_text("1 frames cannot be read, and were left out")
+    unreadable = signed_in.get_by_test_id("export-unreadable").locator("li")
+    expect(unreadable).to_have_text("people/000000: people/depth/000000.png: the file is empty")
     signed_in.reload()  # the job and its file are still known
     with signed_in.expect_download() as downloading:
         signed_in.get_by_test_id("download").click()

@@ -78,10 +78,12 @@ function told({ id, created_ns, operator, download, result }) {
   const about = h("span", { class: "muted number" }, `${result?.format ? `${result.format}, ` : ""}${size(result?.bytes)}made ${made} by ${operator}`);
   const parts = Object.entries(result?.splits ?? {}).map(([name, frames]) => `${name}: ${count(frames, "frame")}`);
   const lost = result?.lost ?? [];
+  const unreadable = result?.unreadable ?? [];
   return [
     h("div", { class: "row" }, download === "gone" ? gone : get, about),
     parts.length ? h("p", { class: "number", "data-testid": "export-parts" }, parts.join(", ")) : null,
     lost.length ? h("div", { "data-testid": "export-lost" }, h("p", { class: "field-label" }, "What the format does not hold"), h("ul", { class: "help" }, lost.map((text) => h("li", {}, text)))) : null,
+    unreadable.length ? h("div", { "data-testid": "export-unreadable" }, h("p", { class: "field-label" }, "Frames that cannot be read, left out"), h("ul", { class: "help" }, unreadable.map((text) => h("li", {}, text)))) : null,
     ...(result?.notes ?? []).map((text) => h("p", { class: "help" }, text)),
   ].filter(Boolean);
 }

@@ -32,6 +32,7 @@ export function createExportForm(app, formats, onChange) {
   const format = h("select", { "data-testid": "export-format", onchange: onChange }, options(formats.map(({ name, summary }) => [name, `${name}: ${summary}`])));
   const pictures = h("select", { "data-testid": "export-pictures" }, options(PICTURES));
   const pictures_field = h("label", { class: "field" }, h("span", {}, "2D boxes on"), pictures);
+  const skip = check("skip", false, "export-skip-unreadable");
   const divide = check("divide", false, "export-divide");
   const shares = h("input", { value: "train=0.8,val=0.2", "aria-label": "Parts and their shares", "data-testid": "export-shares" });
   const by = h("select", { "aria-label": "What is not divided", "data-testid": "export-split-by" }, options([["frames", "by frames"], ["recordings", "by whole recordings"]]));
@@ -53,6 +54,7 @@ export function createExportForm(app, formats, onChange) {
       h("label", { class: "field" }, h("span", {}, "Format"), format),
       pictures_field,
       group("Parts", [h("label", { class: "row" }, divide, "Divide the frames into parts"), division]),
+      group("Damaged files", [h("label", { class: "row" }, skip, "Leave out frames that cannot be read")]),
     ].filter(Boolean),
 
     request() {
@@ -64,6 +66,7 @@ export function createExportForm(app, formats, onChange) {
         classes: all(of_classes),
         recordings: all(of_recordings)?.map(Number) ?? null,
         pictures: pictures.value,
+        skip_unreadable: skip.checked,
         split: divide.checked ? { shares: shares.value, by: by.value, seed: Number(seed.value) || 0 } : null,
       };
     },
