@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.types import BoxKind
 
 # Part of what decides whether a frame has been done: raise it when the same settings would give other boxes.
-REVISION = 2
+REVISION = 3
 
 
 class Strategy(StrEnum):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.rcv.axes import UPRIGHT_SYMMETRIES, camera_frame, match_frame
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.interval_fit import spread_rotations
+from annotator.rcv.rotation_grid import spread_rotations
 
 DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
 

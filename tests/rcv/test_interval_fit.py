@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.rcv.axes import BOX_SYMMETRIES
-from annotator.rcv.interval_fit import Intervals, fit_box, spread_rotations
+from annotator.rcv.interval_fit import Intervals, fit_box
+from annotator.rcv.rotation_grid import distinct, free_grid, near_each_other, spread_rotations
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -121,3 +124,33 @@ def test_spread_rotations_differ_for_a_box(count: int) -> None:
         for j in range(i):
             nearest = np.einsum("sij,ij->s", BOX_SYMMETRIES @ rotations[i], rotations[j]).max()
             assert nearest < 3 - 1e-4
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_wrong_intervals_do_not_pull_the_box(upright: bool) -> None:
+    """A tenth of the ends are far off, one end in ten is not known; the search and the fit follow the others."""
+    rng = np.random.default_rng(3)
+    box = random_box(rng, upright)
+    directions = upright_directions() if upright else spread_rotations(12).reshape(-1, 3)
+    intervals = measure(box, directions, 0.001)
+    count = len(directions)
+    wrong = rng.choice(2 * count, count // 5, replace=False)
+    ends, sigma = intervals.ends_m.reshape(-1).copy(), intervals.sigma_m.reshape(-1).copy()
+    ends[wrong[1::2]] += rng.choice([-0.2, 0.2], len(wrong[1::2]))
+    sigma[wrong[::2]] = np.inf
+    fit = fit_box(Intervals(directions, ends.reshape(-1, 2), sigma.reshape(-1, 2)), UP if upright else None)
+    assert fit is not None
+    assert iou_3d(box, box_of(fit)) > 0.98
+
+
+def test_starts_are_apart_and_the_cheapest_come_first() -> None:
+    grid = free_grid()
+    costs = np.random.default_rng(0).random(len(grid))
+    limit = np.deg2rad(20)
+    chosen = distinct(costs, near_each_other(grid, limit), 8)
+    assert chosen[0] == np.argmin(costs)
+    assert (np.diff(costs[chosen]) > 0).all()
+    for i, j in itertools.combinations(chosen, 2):
+        turned = np.einsum("sij,jk->sik", BOX_SYMMETRIES, grid[i].T @ grid[j])
+        assert Rotation.from_matrix(turned).magnitude().min() > limit
+    assert len(distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
