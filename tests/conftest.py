@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 from collections.abc import Callable
@@ -40,14 +41,37 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="session")
-def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """`made_once(NAME, fill)`: a folder that the first of the side-by-side processes fills; not to be changed."""
+    own = tmp_path_factory.getbasetemp()
+    # the processes of one pytest-xdist have sibling folders; without it a sibling is another run's
+    root = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, filled = root / f"once_{name}", root / f"once_{name}.filled"
+        with (root / f"once_{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not filled.exists():
+                # a try that failed may have left a part
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                fill(folder)
+                filled.touch()
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def generated(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Two small generated recordings, `people` (three of them) and `hands` (two), 5 frames each; not to be changed."""
     from annotator.recordings.generated import write_generated
 
-    folder = tmp_path_factory.mktemp("generated")
-    for preset in ("people", "hands"):
-        write_generated(folder / preset, preset, 5, 0, 320, 240)
-    return folder
+    def fill(folder: Path) -> None:
+        for preset in ("people", "hands"):
+            write_generated(folder / preset, preset, 5, 0, 320, 240)
+
+    return made_once("generated", fill)
 
 
 @pytest.fixture

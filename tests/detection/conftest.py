@@ -11,7 +11,7 @@ import pytest
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.trained import TrainedModel
+from annotator.detection.trained import TrainedModel, read_trained
 from annotator.types import Box2D, BoxKind
 
 COLORS = {"red": (230, 30, 30), "blue": (30, 30, 230)}
@@ -43,13 +43,15 @@ def scene() -> Callable[..., Scene]:
 
 
 @pytest.fixture(scope="session")
-def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiny_dataset(made_once: Callable[..., Path]) -> Path:
     """Twelve pictures to learn from and four to measure on."""
-    folder = tmp_path_factory.mktemp("tiny") / "set"
     scenes = [make_scene(seed) for seed in range(16)]
     samples = [TrainingSample(s.rgb, s.boxes, f"{i // 2:06d}", "drawn") for i, s in enumerate(scenes)]
-    write_dataset(folder, samples, ["blue", "red"], val_share=0.25, kind=BoxKind.BOX)
-    return folder
+
+    def fill(folder: Path) -> None:
+        write_dataset(folder / "set", samples, ["blue", "red"], val_share=0.25, kind=BoxKind.BOX)
+
+    return made_once("tiny_dataset", fill) / "set"
 
 
 @pytest.fixture(scope="session")
@@ -60,9 +62,10 @@ def quick_config() -> TrainingConfig:
 
 
 @pytest.fixture(scope="session")
-def tiny_model(
-    tiny_dataset: Path, quick_config: TrainingConfig, tmp_path_factory: pytest.TempPathFactory
-) -> TrainedModel:
+def tiny_model(tiny_dataset: Path, quick_config: TrainingConfig, made_once: Callable[..., Path]) -> TrainedModel:
     from annotator.detection.training import train_detector
 
-    return train_detector(tiny_dataset, tmp_path_factory.mktemp("tiny_model") / "run", quick_config)
+    def fill(folder: Path) -> None:
+        train_detector(tiny_dataset, folder / "run", quick_config)
+
+    return read_trained(made_once("tiny_model", fill) / "run")
