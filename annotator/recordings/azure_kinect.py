@@ -61,6 +61,11 @@ class AzureKinect(KeyedFrames):
     def name(self) -> str:
         return self.path.resolve().stem
 
+    @property
+    def times_ns(self) -> tuple[int, ...]:
+        """When each colour image was taken, on the device's clock."""
+        return tuple(self.start_ns + capture.color.time_ns for capture in self.captures)
+
     def frame(self, i: int) -> Frame:
         """Frame `i`; its cloud has `rgb`.
 

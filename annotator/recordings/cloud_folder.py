@@ -6,6 +6,7 @@ calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour c
 camera_intrinsic.json      optional instead: as of an RGB-D folder, the clouds are in the camera's frame; or in another,
                            from which "cloud_to_camera" (4 x 4, row by row) leads to it
 gravity.json               optional, beside camera_intrinsic.json
+timestamps.csv             optional: when each frame was taken (`frame_times`)
 
 Without a calibration the clouds are taken for a level LiDAR's (x forward, y left, z up), and a camera is put at its
 place, looking forward; where all points are further away than a LiDAR sees, those of a map, it is put among them.
@@ -27,6 +28,7 @@ from annotator.geometry.projection import inside_image, project
 from annotator.pictures import MOST_PIXELS
 from annotator.recordings.cloud_columns import RawCloud
 from annotator.recordings.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
 from annotator.recordings.kitti_frame import NEAREST_Z_M, UP
@@ -90,10 +92,12 @@ class CloudFolder(KeyedFrames):
     Attributes:
         clouds: where the files of points are.
         images: where the images are, or None without any.
+        times_ns: when each frame was taken, where `timestamps.csv` says so.
     """
 
     clouds: Path
     images: Path | None
+    times_ns: Times | None = None
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
 
@@ -125,7 +129,16 @@ class CloudFolder(KeyedFrames):
                     f"none of its {len(raw.xyz_m)} points lies in the image, the cloud is empty",
                     f"check that {view.path} belongs to this cloud, and leads from its frame to the camera's",
                 )
-        return Frame(key, i, view.camera, rgb, cloud, up=view.up, T_camera_label=view.T_camera_cloud)
+        return Frame(
+            key,
+            i,
+            view.camera,
+            rgb,
+            cloud,
+            up=view.up,
+            T_camera_label=view.T_camera_cloud,
+            timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+        )
 
     def _view(self, key: str, rgb: np.ndarray | None) -> View | None:
         """As the folder's calibration has it; None without one."""
@@ -145,7 +158,11 @@ class CloudFolder(KeyedFrames):
 
 
 def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
-    """The folder of point clouds at `path`, where it is one."""
+    """The folder of point clouds at `path`, where it is one.
+
+    Raises:
+        RecordingError: the times cannot be used.
+    """
     if not path.is_dir():
         return NotFound(LOOKED_FOR)
     for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):
@@ -154,7 +171,8 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
             images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
             if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
                 images = clouds
-            return CloudFolder(path, sorted_keys(path, keys, LOOKED_FOR), clouds, images)
+            ordered = sorted_keys(path, keys, LOOKED_FOR)
+            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered))
     return NotFound(LOOKED_FOR)
 
 

@@ -4,6 +4,7 @@ color/KEY.jpg|png   (or image/, where a camera file lies in the folder itself)
 depth/KEY.png       uint16, millimetres, or `depth_scale` units a metre
 camera_intrinsic.json
 gravity.json        optional: {"up": [x, y, z]} in the camera frame
+timestamps.csv      optional: when each frame was taken (`frame_times`)
 mask/, boxes.json   optional labels; read by annotator.formats, not here
 """
 
@@ -16,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from annotator.geometry.projection import unproject_depth
+from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
@@ -30,13 +32,15 @@ LOOKED_FOR = "folders color/ (or image/ and a camera_*.json) and depth/"
 class RgbdFolder(KeyedFrames):
     """A `Recording` of an Open3D RGB-D folder.
 
-    A folder's frames are taken to be in time order, as the convention has it; their times are not known.
+    A folder's frames are taken to be in time order, as the convention has it.
 
     Attributes:
         color: the folder of the colour images.
+        times_ns: when each frame was taken, where `timestamps.csv` says so.
     """
 
     color: Path
+    times_ns: Times | None = None
     format: ClassVar[str] = "rgbd_folder"
     is_sequence: ClassVar[bool] = True
 
@@ -63,6 +67,7 @@ class RgbdFolder(KeyedFrames):
             cloud=_cloud(depth_path, described.camera, depth_m, rgb),
             depth_m=depth_m,
             up=read_up(self.path / "gravity.json"),
+            timestamp_ns=None if self.times_ns is None else self.times_ns[i],
         )
 
 
@@ -73,7 +78,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     for their depth, which is encoded otherwise.
 
     Raises:
-        RecordingError: the folders are there, but hold no image.
+        RecordingError: the folders are there, but hold no image; or the times cannot be used.
     """
     depth = path / "depth"
     color = path / "color"
@@ -82,7 +87,8 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     if not (color.is_dir() and depth.is_dir()):
         return NotFound(LOOKED_FOR)
     keys = stems(color, IMAGE_SUFFIXES) | stems(depth, (".png",))
-    return RgbdFolder(path, sorted_keys(path, keys, f"images in {color.name}/ and depth/"), color)
+    ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
+    return RgbdFolder(path, ordered, color, read_times(path, ordered))
 
 
 def _depth_m(path: Path, described: RgbdCamera) -> np.ndarray:

@@ -1,0 +1,165 @@
+"""Frames into a folder that `open_recording` reads, one at a time; the folder is a recording after every frame.
+
+Frames with registered depth become an RGB-D folder, colour as JPEG and depth in whole millimetres:
+
+    color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json  timestamps.csv
+
+All others become a folder of clouds in the camera's frame, each as it is:
+
+    color/KEY.jpg  clouds/KEY.npz  camera_intrinsic.json  gravity.json  timestamps.csv
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from annotator.geometry.projection import camera_key
+from annotator.recordings import frame_times
+from annotator.recordings.rgbd_camera import FILE_NAME as CAMERA_FILE
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import RecordingError
+
+JPEG_QUALITY = 95
+# Fast; the files are some percent larger.
+PNG_COMPRESSION = 1
+MM_PER_M, MOST_MM = 1000.0, 2**16 - 1
+COLOR, DEPTH, CLOUDS, GRAVITY = "color", "depth", "clouds", "gravity.json"
+# What is still being written; no reader looks at such names.
+UNFINISHED = ".part"
+# A folder has one direction of gravity: frames that differ by more have none in common.
+SAME_UP_RAD = np.deg2rad(2.0)
+
+
+class FrameWriter:
+    """Writes the frames of one camera into a folder. A frame's picture comes last: without it there is no frame.
+
+    Attributes:
+        folder: into which it writes; exists.
+        frames: that were written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.frames = 0
+        self._camera: Camera | None = None
+        self._has_depth = False
+        self._up: Float64[np.ndarray, "3"] | None = None
+
+    def add(self, frame: Frame, timestamp_ns: int) -> str:
+        """Writes a frame; its key.
+
+        Raises:
+            RecordingError: the camera is another one than that of the first frame, or nothing can be written.
+        """
+        key = f"{self.frames:06d}"
+        try:
+            if self._camera is None:
+                self._begin(frame)
+            self._require_same(frame)
+            self._follow_gravity(frame.up)
+            if self._has_depth:
+                assert frame.depth_m is not None  # as the first
+                _put(self.folder / DEPTH / f"{key}.png", _png(frame.depth_m))
+            else:
+                _put(self.folder / CLOUDS / f"{key}.npz", _npz(frame.cloud))
+            with (self.folder / frame_times.FILE_NAME).open("a", encoding="utf-8") as times:
+                times.write(frame_times.line(key, timestamp_ns))
+            _put(self.folder / COLOR / f"{key}.jpg", _jpeg(frame.rgb))
+        except OSError as error:
+            raise RecordingError(
+                f"{self.folder}: frame {key} cannot be written ({error.strerror or error}); "
+                "make room, or record to another disk"
+            ) from error
+        self.frames += 1
+        return key
+
+    def _begin(self, frame: Frame) -> None:
+        self._camera, self._has_depth, self._up = frame.camera, frame.depth_m is not None, frame.up
+        for name in (COLOR, DEPTH if self._has_depth else CLOUDS):
+            (self.folder / name).mkdir()
+        described = {
+            "width": frame.camera.width_px,
+            "height": frame.camera.height_px,
+            "intrinsic_matrix": frame.camera.matrix.T.ravel().tolist(),
+            "distortion": list(frame.camera.distortion),
+        }
+        (self.folder / CAMERA_FILE).write_text(json.dumps(described) + "\n", encoding="utf-8")
+        (self.folder / frame_times.FILE_NAME).write_text(frame_times.HEADER + "\n", encoding="utf-8")
+        if frame.up is not None:
+            (self.folder / GRAVITY).write_text(json.dumps({"up": frame.up.tolist()}) + "\n", encoding="utf-8")
+
+    def _require_same(self, frame: Frame) -> None:
+        assert self._camera is not None
+        if camera_key(frame.camera) != camera_key(self._camera) or (frame.depth_m is not None) != self._has_depth:
+            raise RecordingError(
+                f"{self.folder}: frame {frame.key} is of another camera than the first one, and a folder has one; "
+                "record without it, or stop where the camera changes"
+            )
+
+    def _follow_gravity(self, up: Float64[np.ndarray, "3"] | None) -> None:
+        """Takes the folder's gravity away once a frame has another, or none."""
+        if self._up is None:
+            return
+        if up is None or float(up @ self._up) < np.cos(SAME_UP_RAD):
+            self._up = None
+            (self.folder / GRAVITY).unlink(missing_ok=True)
+
+
+def trim(folder: Path) -> int:
+    """Takes away what a killed writer has left of its last frame, so that the folder is a recording; its frames.
+
+    Raises:
+        OSError: it cannot be read or changed.
+    """
+    pictures = {path.stem for path in (folder / COLOR).glob("*.jpg")} if (folder / COLOR).is_dir() else set()
+    parts = [*folder.glob(f"{DEPTH}/*"), *folder.glob(f"{CLOUDS}/*"), *folder.glob(f"{COLOR}/*")]
+    for path in parts:
+        if path.stem not in pictures or path.suffix == UNFINISHED:
+            path.unlink()
+    times = folder / frame_times.FILE_NAME
+    if times.is_file():
+        lines = times.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+        kept = [text for text in lines[1:] if text.endswith("\n") and text.rpartition(",")[0] in pictures]
+        times.write_text("".join([frame_times.HEADER + "\n", *kept]), encoding="utf-8")
+    return len(pictures)
+
+
+def _put(path: Path, content: bytes) -> None:
+    """All of it or nothing: a killed process leaves no half file under its name."""
+    unfinished = path.with_suffix(UNFINISHED)
+    unfinished.write_bytes(content)
+    unfinished.replace(path)
+
+
+def _jpeg(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    import cv2
+
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return bytes(data)
+
+
+def _png(depth_m: np.ndarray) -> bytes:
+    """Whole millimetres; what is further away than they reach is none."""
+    import cv2
+
+    depth_mm = np.rint(depth_m * np.float32(MM_PER_M))
+    depth_mm[depth_mm > MOST_MM] = 0
+    _, data = cv2.imencode(".png", depth_mm.astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
+    return bytes(data)
+
+
+def _npz(cloud: PointCloud) -> bytes:
+    columns = [cloud.xyz_m] if cloud.reflectance is None else [cloud.xyz_m, cloud.reflectance[:, None]]
+    points = np.concatenate(columns, axis=1).astype(np.float32)
+    stream = io.BytesIO()
+    if cloud.rgb is None:
+        np.savez(stream, points=points)
+    else:
+        np.savez(stream, points=points, colors=cloud.rgb)
+    return stream.getvalue()

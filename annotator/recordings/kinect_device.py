@@ -1,0 +1,315 @@
+"""A connected Azure Kinect, by pyk4a (the extra `kinect`), which brings Microsoft's Sensor SDK 1.4.
+
+Both cameras and the accelerometer run; a frame is a colour and a depth image of the same moment, put together as those
+of a recording are (`kinect_cloud`). Interface: pyk4a 1.5.0 (github.com/etiennedub/pyk4a, MIT).
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8, UInt16
+
+from annotator.recordings.kinect_calibration import KinectCalibration, Size, parse_calibration
+from annotator.recordings.kinect_cloud import seen_points
+from annotator.recordings.kinect_imu import SAMPLE, WITHIN_NS, up_at_rest
+from annotator.types import Frame, PointCloud
+from annotator.types.errors import DeviceError
+
+LOG = logging.getLogger("annotator.kinect")
+
+NAME = "Azure Kinect"
+# The cameras need a second or two to begin.
+FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
+# How long one call waits in which nobody can be told to stop, milliseconds.
+WAIT_MS = 200
+# More waiting samples than the accelerometer gives in a second (1.6 kHz) are not those of a device.
+MOST_SAMPLES_AT_ONCE = 4096
+# A device's serial number has twelve digits; fewer are its place in the list of devices.
+INDEX = re.compile(r"\d{1,2}")
+COLOR_SIZE: Size = (1280, 720)
+NS_PER_US = 1000
+BUNDLE = "its package brings the Azure Kinect SDK, for 64-bit Linux with glibc 2.38 or newer and for Windows"
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode of the depth camera, by its names in pyk4a.
+
+    Attributes:
+        depth: member of `DepthMode`.
+        fps: member of `FPS`: the fastest that the mode allows.
+        size: of its images, pixels.
+    """
+
+    depth: str
+    fps: str
+    size: Size
+
+
+# Azure Kinect hardware specification: "Depth camera supported operating modes".
+MODES: dict[str, Mode] = {
+    "nfov": Mode("NFOV_UNBINNED", "FPS_30", (640, 576)),
+    "nfov_binned": Mode("NFOV_2X2BINNED", "FPS_30", (320, 288)),
+    "wfov_binned": Mode("WFOV_2X2BINNED", "FPS_30", (512, 512)),
+    "wfov": Mode("WFOV_UNBINNED", "FPS_15", (1024, 1024)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceFrame:
+    """A frame of the device.
+
+    Attributes:
+        arrived_s: when the computer had the colour image, `time.perf_counter`.
+    """
+
+    frame: Frame
+    arrived_s: float
+
+
+class KinectDevice:
+    """An open device whose cameras run. One thread uses it.
+
+    Attributes:
+        name: with its serial number.
+        calibration: of both cameras.
+    """
+
+    def __init__(self, which: str | None = None, mode: str = "nfov") -> None:
+        """Opens a device and starts its cameras.
+
+        Args:
+            which: its serial number, or its place in the list of devices from 0; None = the only one, or the first.
+            mode: of the depth camera, one of `MODES`.
+
+        Raises:
+            DeviceError: pyk4a or the SDK is missing; no such device; it is used by another program; or it does not
+                start.
+        """
+        self._k4a = _pyk4a()
+        self._mode = MODES[mode]
+        self._config = self._k4a.Config(
+            color_resolution=self._k4a.ColorResolution.RES_720P,
+            color_format=self._k4a.ImageFormat.COLOR_BGRA32,
+            depth_mode=self._k4a.DepthMode[self._mode.depth],
+            camera_fps=self._k4a.FPS[self._mode.fps],
+            synchronized_images_only=True,
+        )
+        self._device, serial = self._open(which)
+        self.name = f"{NAME} {serial}"
+        try:
+            self.calibration = self._calibrated()
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+        self._felt: deque[tuple[int, tuple[float, float, float]]] = deque()
+        self._frames = 0
+
+    def next_frame(self, stop: threading.Event) -> DeviceFrame | None:
+        """Waits for the next frame; None once `stop` is set.
+
+        Raises:
+            DeviceError: nothing has come for some seconds, or the device is gone.
+        """
+        within_s = NEXT_FRAME_WITHIN_S if self._frames else FIRST_FRAME_WITHIN_S
+        end_s = time.monotonic() + within_s
+        while not stop.is_set():
+            capture = self._capture(WAIT_MS)
+            if capture is not None and capture.color is not None and capture.depth is not None:
+                return self._frame(capture)
+            if time.monotonic() > end_s:
+                raise DeviceError(
+                    f"{self.name}: has given no frame for {within_s:g} s; plug it in anew, with its own power supply, "
+                    "at a USB 3 port of its own"
+                )
+        return None
+
+    def skip_old(self) -> None:
+        """Leaves out the frames that wait already."""
+        while self._capture(0) is not None:
+            pass
+
+    def close(self) -> None:
+        """Stops the cameras and gives the device back, as far as it is still there; once is enough."""
+        if not self._device.opened:
+            return
+        end = self._device.stop if self._device.is_running else self._device.close
+        try:
+            end()
+        except self._k4a.K4AException as error:
+            # unplugged: there is nothing left to stop
+            LOG.warning("%s could not be closed: %s", self.name, error or type(error).__name__)
+
+    # --- opening -----------------------------------------------------------------------------------------------------
+
+    # thread_safe=False in what follows: with it, pyk4a would keep Python's lock while it waits for a picture, and every
+    # other thread would wait, too. One thread uses the device anyway.
+
+    def _open(self, which: str | None) -> tuple[Any, str]:
+        """The opened device that is meant, and its serial number."""
+        count = self._k4a.connected_device_count()
+        if not count:
+            raise DeviceError(
+                f"no {NAME} is connected; check its power supply and its USB 3 cable. On Linux the user needs the "
+                "SDK's udev rules (99-k4a.rules), too"
+            )
+        if which is not None and not INDEX.fullmatch(which):
+            return self._open_serial(which, count)
+        index = int(which or 0)
+        if index >= count:
+            raise DeviceError(f"there is no {NAME} number {index}: {count} connected, counted from 0")
+        device = self._k4a.PyK4A(self._config, index, thread_safe=False)
+        try:
+            device.open()
+            return device, str(device.serial)
+        except self._k4a.K4AException as error:
+            _close_quietly(device)
+            raise DeviceError(
+                f"{NAME} number {index} cannot be opened: another program uses it, or this user may not (on Linux the "
+                "SDK's udev rules, 99-k4a.rules, allow it); close the other program, or plug the device in anew"
+            ) from error
+
+    def _open_serial(self, serial: str, count: int) -> tuple[Any, str]:
+        found = []
+        for index in range(count):
+            device = self._k4a.PyK4A(self._config, index, thread_safe=False)
+            with suppress(self._k4a.K4AException):  # used by somebody else: it is told among those that were found
+                device.open()
+                if str(device.serial) == serial:
+                    return device, serial
+                found.append(str(device.serial))
+            _close_quietly(device)
+        hidden = f" and {count - len(found)} that cannot be opened" if len(found) < count else ""
+        raise DeviceError(
+            f"no {NAME} with the serial number {serial} can be opened; there are {', '.join(found) or 'none'}{hidden}"
+        )
+
+    def _calibrated(self) -> KinectCalibration:
+        try:
+            raw = self._device.calibration_raw
+            return parse_calibration(str(raw).encode(), self._mode.size, COLOR_SIZE)
+        except (self._k4a.K4AException, ValueError) as error:
+            raise DeviceError(
+                f"{self.name}: its calibration cannot be used ({error or 'it could not be read'}); plug it in anew, or "
+                "update its firmware"
+            ) from error
+
+    def _start(self) -> None:
+        try:
+            self._device.start()
+        except self._k4a.K4AException as error:
+            raise DeviceError(
+                f"{self.name}: its cameras do not start. Its firmware may be too old for the SDK (update it with "
+                "AzureKinectFirmwareTool), its USB port may be no USB 3 port or shared with other devices, or the "
+                "depth engine finds no OpenGL (on Linux it needs a display); the SDK's own words are on standard error"
+            ) from error
+
+    # --- frames ------------------------------------------------------------------------------------------------------
+
+    def _capture(self, timeout_ms: int) -> Any | None:
+        """The next capture; None where none comes within the time."""
+        try:
+            return self._device.get_capture(timeout=timeout_ms)
+        except self._k4a.K4ATimeoutException:
+            return None
+        except self._k4a.K4AException as error:
+            raise DeviceError(
+                f"{self.name}: is gone; it was unplugged, or lost its power. Plug it in and start again"
+            ) from error
+
+    def _frame(self, capture: Any) -> DeviceFrame:
+        arrived_s = _arrived_s(capture.color_system_timestamp_nsec)
+        time_ns = int(capture.color_timestamp_usec) * NS_PER_US
+        self._feel(time_ns)
+        rgb = _rgb(self.name, capture.color)
+        xyz_m, pixel = seen_points(self.calibration, _depth_mm(self.name, capture.depth, self._mode.size))
+        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0))
+        key, self._frames = f"{self._frames:06d}", self._frames + 1
+        frame = Frame(
+            key, self._frames - 1, self.calibration.color, rgb, cloud, up=self._up(time_ns), timestamp_ns=time_ns
+        )
+        return DeviceFrame(frame, arrived_s)
+
+    def _feel(self, time_ns: int) -> None:
+        """Takes what the accelerometer has measured since, and forgets what is long ago."""
+        for _ in range(MOST_SAMPLES_AT_ONCE):
+            try:
+                sample = self._device.get_imu_sample(timeout=0)
+            except self._k4a.K4ATimeoutException:
+                break
+            except self._k4a.K4AException as error:
+                raise DeviceError(f"{self.name}: its accelerometer is gone; plug it in and start again") from error
+            self._felt.append((int(sample["acc_timestamp"]) * NS_PER_US, sample["acc_sample"]))
+        while self._felt and self._felt[0][0] < time_ns - WITHIN_NS:
+            self._felt.popleft()
+
+    def _up(self, time_ns: int) -> Float64[np.ndarray, "3"] | None:
+        """Against gravity in the colour camera's frame; None where the device moves or the sensor is not described."""
+        turn = self.calibration.color_from_accelerometer
+        if turn is None or not self._felt:
+            return None
+        samples = np.zeros(len(self._felt), SAMPLE)
+        samples["time_ns"] = [at for at, _ in self._felt]
+        samples["acceleration_mps2"] = [felt for _, felt in self._felt]
+        up = up_at_rest(samples, time_ns)
+        return None if up is None else np.asarray(turn.apply(up))
+
+
+def _pyk4a() -> ModuleType:
+    """The library.
+
+    Raises:
+        DeviceError: it is not installed, or cannot be loaded.
+    """
+    install = 'pip install "annotator[kinect]" (scripts/setup kinect in a clone)'
+    try:
+        import pyk4a
+    except ImportError as error:
+        if find_spec("pyk4a") is None:
+            raise DeviceError(f"an {NAME} needs pyk4a, which is not installed: {install}; {BUNDLE}") from error
+        raise DeviceError(
+            f"pyk4a is installed, but its SDK cannot be loaded ({error}); install it anew: {install}; {BUNDLE}"
+        ) from error
+    module: ModuleType = pyk4a
+    return module
+
+
+def _close_quietly(device: Any) -> None:
+    if device.opened:
+        device.close()
+
+
+def _arrived_s(system_ns: int) -> float:
+    """The SDK stamps a picture by the clock of `perf_counter` when it arrives; now where that cannot be."""
+    now = time.perf_counter()
+    age_s = now - 1e-9 * system_ns
+    return now - age_s if 0 <= age_s < FIRST_FRAME_WITHIN_S else now
+
+
+def _rgb(name: str, bgra: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
+    import cv2
+
+    width, height = COLOR_SIZE
+    if bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
+        raise DeviceError(f"{name}: gives colour images of {bgra.shape} {bgra.dtype}, not {height} x {width} BGRA")
+    return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGB))
+
+
+def _depth_mm(name: str, depth: np.ndarray, size: Size) -> UInt16[np.ndarray, "h w"]:
+    if depth.shape != size[::-1] or depth.dtype != np.uint16:
+        raise DeviceError(
+            f"{name}: gives depth images of {depth.shape} {depth.dtype}, not {size[1]} x {size[0]} uint16"
+        )
+    return depth

@@ -1,0 +1,190 @@
+"""A stand-in for pyk4a 1.5.0, with its names, signatures, units and exceptions; what it does is written in a script.
+
+As in the real one `K4AException` has no words, `thread_safe=True` is the default, and images are None where a capture
+has none.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+
+class FPS(IntEnum):
+    FPS_5 = 0
+    FPS_15 = 1
+    FPS_30 = 2
+
+
+class ImageFormat(IntEnum):
+    COLOR_MJPG = 0
+    COLOR_NV12 = 1
+    COLOR_YUY2 = 2
+    COLOR_BGRA32 = 3
+
+
+class DepthMode(IntEnum):
+    OFF = 0
+    NFOV_2X2BINNED = 1
+    NFOV_UNBINNED = 2
+    WFOV_2X2BINNED = 3
+    WFOV_UNBINNED = 4
+
+
+class ColorResolution(IntEnum):
+    OFF = 0
+    RES_720P = 1
+    RES_1080P = 2
+
+
+class K4AException(Exception):  # noqa: N818 - its name
+    pass
+
+
+class K4ATimeoutException(K4AException):
+    pass
+
+
+class Config:
+    def __init__(
+        self,
+        color_resolution: ColorResolution = ColorResolution.RES_720P,
+        color_format: ImageFormat = ImageFormat.COLOR_BGRA32,
+        depth_mode: DepthMode = DepthMode.NFOV_UNBINNED,
+        camera_fps: FPS = FPS.FPS_30,
+        synchronized_images_only: bool = True,
+    ) -> None:
+        self.color_resolution, self.color_format = color_resolution, color_format
+        self.depth_mode, self.camera_fps = depth_mode, camera_fps
+        self.synchronized_images_only = synchronized_images_only
+
+
+@dataclass
+class Capture:
+    """One capture; `color` and `depth` may be None."""
+
+    color: np.ndarray | None
+    depth: np.ndarray | None
+    color_timestamp_usec: int
+    color_system_timestamp_nsec: int
+
+
+@dataclass
+class Script:
+    """What the connected devices do.
+
+    Attributes:
+        serials: of the connected devices.
+        busy: places of those that another program uses.
+        starts: whether the cameras start.
+        calibration: what `calibration_raw` says.
+        captures: what `get_capture` gives, one after the other: a capture, "timeout" or "gone"; then timeouts.
+        felt: accelerations that wait, (device time in microseconds, m/s^2).
+        opened, closed: how often that happened.
+        configs: of the devices that were made.
+        locked: whether a device was made that keeps Python's lock while it waits.
+    """
+
+    serials: tuple[str, ...] = ("000123456712",)
+    busy: tuple[int, ...] = ()
+    starts: bool = True
+    calibration: str = ""
+    captures: list[Capture | str] = field(default_factory=list)
+    felt: list[tuple[int, Sequence[float]]] = field(default_factory=list)
+    opened: int = 0
+    closed: int = 0
+    configs: list[Config] = field(default_factory=list)
+    locked: bool = False
+
+
+def install(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
+    """Puts the stand-in where `import pyk4a` finds it."""
+
+    class PyK4A:
+        TIMEOUT_WAIT_INFINITE = -1
+
+        def __init__(self, config: Config | None = None, device_id: int = 0, thread_safe: bool = True) -> None:
+            self._config, self._id = config or Config(), device_id
+            self._open, self.is_running = False, False
+            script.configs.append(self._config)
+            script.locked = script.locked or thread_safe
+
+        @property
+        def opened(self) -> bool:
+            return self._open
+
+        def open(self) -> None:
+            if self._id in script.busy or self._id >= len(script.serials):
+                raise K4AException()
+            self._open = True
+            script.opened += 1
+
+        def close(self) -> None:
+            self._require_open()
+            self._open = False
+            script.closed += 1
+
+        def start(self) -> None:
+            if not self._open:
+                self.open()
+            if not script.starts:
+                raise K4AException()
+            self.is_running = True
+
+        def stop(self) -> None:
+            self.is_running = False
+            self.close()
+
+        @property
+        def serial(self) -> str:
+            self._require_open()
+            return script.serials[self._id]
+
+        @property
+        def calibration_raw(self) -> str:
+            self._require_open()
+            return script.calibration
+
+        def get_capture(self, timeout: int = TIMEOUT_WAIT_INFINITE) -> Capture:
+            self._require_open()
+            assert timeout >= 0, "nobody could be told to stop"
+            next_one = script.captures.pop(0) if script.captures else "timeout"
+            if next_one == "gone":
+                raise K4AException()
+            if isinstance(next_one, str):
+                time.sleep(min(timeout, 20) / 1000)
+                raise K4ATimeoutException()
+            return next_one
+
+        def get_imu_sample(self, timeout: int = TIMEOUT_WAIT_INFINITE) -> dict[str, Any] | None:
+            self._require_open()
+            assert timeout == 0, "a frame must not wait for the accelerometer"
+            if not script.felt:
+                raise K4ATimeoutException()
+            time_us, felt = script.felt.pop(0)
+            return {
+                "temperature": 30.0,
+                "acc_sample": tuple(felt),
+                "acc_timestamp": time_us,
+                "gyro_sample": (0.0, 0.0, 0.0),
+                "gyro_timestamp": time_us,
+            }
+
+        def _require_open(self) -> None:
+            if not self._open:
+                raise K4AException("Device is not opened")
+
+    module = ModuleType("pyk4a")
+    members = (FPS, ImageFormat, DepthMode, ColorResolution, K4AException, K4ATimeoutException, Config, PyK4A)
+    for member in members:
+        setattr(module, member.__name__, member)
+    setattr(module, "connected_device_count", lambda: len(script.serials))  # noqa: B010 - a module has no such attribute
+    monkeypatch.setitem(sys.modules, "pyk4a", module)
