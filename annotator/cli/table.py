@@ -26,10 +26,15 @@ COMMANDS: dict[str, Command] = {
     "views": Command("annotator.cli.views:run", "write pseudo-views as pictures, to be labelled elsewhere"),
     "train": Command("annotator.cli.train:run", "train the two 2D detectors"),
     "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
+    "track": Command("annotator.cli.track:run", "link the boxes of each object over a recording"),
+    "interpolate": Command("annotator.cli.interpolate:run", "fill the frames between a track's reviewed boxes"),
     "export": Command("annotator.cli.export:run", "write a dataset"),
     "evaluate": Command("annotator.cli.evaluate:run", "measure boxes against truth, by the rules of a benchmark"),
     "stats": Command("annotator.cli.stats:run", "say how far a project is"),
     "serve": Command("annotator.cli.serve:run", "open the workbench in the browser"),
+    "live": Command(
+        "annotator.cli.live:run", "show boxes on what a camera sees now, or on a recording as it is played"
+    ),
     "check": Command("annotator.cli.check:run", "find what is wrong with a dataset, or with a project's labels"),
     "generate": Command("annotator.cli.generate:run", "make a recording of a generated room, with its truth"),
     "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),

@@ -12,7 +12,7 @@ lie in `training/`, those of a part called `test`, too: their labels are known.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from annotator.formats.numbered import CLASS_NAMES, ClassWords
 from annotator.formats.writing import encoded_image, writing
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.straighten import straightened
-from annotator.types import Camera, Frame, PointCloud
+from annotator.types import Camera, Frame, Label, PointCloud
 from annotator.types.errors import ConfigError, FormatError
 
 PARTS = ("image_2", "velodyne", "calib", "label_2")
@@ -105,9 +105,19 @@ def _is_dataset(folder: Path) -> bool:
 
 
 def _rows(item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses) -> str:
-    """The label file of a frame. Everything in a row follows from its own rounded 3D box, so that it reads back so."""
+    """The label file of a frame."""
     count_lost(losses, item, NOT_HELD)
-    sight, lines = Sight(item.frame.cloud.xyz_m), []
+    return "".join(f"{dump_label_line(row)}\n" for _, row in item_rows(item, words, counts, losses))
+
+
+def item_rows(
+    item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses
+) -> Iterator[tuple[Label, KittiLabel]]:
+    """The rows of a frame's labels, those left out that are not in the picture; what is lost or written is counted.
+
+    Everything in a row follows from its own rounded 3D box, so that it reads back so.
+    """
+    sight = Sight(item.frame.cloud.xyz_m)
     for label in item.labels:
         upright, tilt_rad = upright_box(label.box, item.frame)
         row = upright_row(words[label.label], rounded_box(upright), None, item.frame, sight)
@@ -118,8 +128,7 @@ def _rows(item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Lo
         if words.is_changed(label.label):
             losses.add(Lost.NAME)
         counts[label.label] += 1
-        lines.append(dump_label_line(row) + "\n")
-    return "".join(lines)
+        yield label, row
 
 
 def _write_frame(training: Path, frame_id: str, frame: Frame, rows: str) -> None:

@@ -99,7 +99,9 @@ def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> Non
     Raises:
         ProjectError: the label is gone, or its box would change although somebody has reviewed it.
     """
-    values: dict[str, Any] = {"track_id": linked.track_id, "track_linked": True, "event_id": event.id}
+    values: dict[str, Any] = {"event_id": event.id}
+    if linked.track_id is not None:
+        values |= {"track_id": linked.track_id, "track_linked": True}
     chosen = (labels.c.uid == linked.uid) & (labels.c.frame_id == event.frame_id)
     if linked.box is not None:
         # a box that somebody has looked at is never changed

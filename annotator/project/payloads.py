@@ -223,13 +223,14 @@ class LinkedLabel(BaseModel):
     """One label that was linked.
 
     Attributes:
+        track_id: found by linking; None leaves the label's own, which somebody gave it.
         box: smoothed over its track; None leaves the label's box, as it must for a reviewed one.
     """
 
     model_config = EXACT
 
     uid: Uid
-    track_id: TrackId
+    track_id: TrackId | None = None
     box: BoxRecord | None = None
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import uuid
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from sqlalchemy import select
@@ -14,10 +16,10 @@ from annotator.project.events import Event, event_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_labels
 from annotator.project.payloads import LabelProposed, ProposalsReplaced, ProposedObject
-from annotator.project.records import ProposalRecord, storable
-from annotator.project.schema import events, labels
+from annotator.project.records import BoxRecord, ProposalRecord, storable
+from annotator.project.schema import events, frames, labels
 from annotator.project.writing import Change, Receipt, Writer, require_writable
-from annotator.types import Label, LostObject, Proposal, ReviewState
+from annotator.types import Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 
 SAME_OBJECT_IOU = 0.5
@@ -153,6 +155,18 @@ class Proposals:
             return event.payload.proposal.proposal()
         return next(entry.proposal.proposal() for entry in _payload(event).objects if entry.uid == uid)
 
+    def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
+        """The boxes of a recording's open proposals as they were proposed, by uid; no other part of a trace is read."""
+        open_ones = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
+        own = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(open_ones)
+        found: dict[str, OrientedBox] = {}
+        with self.writer.store.read() as connection:
+            for (content,) in connection.execute(select(events.c.payload).where(events.c.id.in_(own))):
+                payload = json.loads(content)
+                for entry in payload.get("objects", [payload]):
+                    found[entry["uid"]] = BoxRecord.model_validate(entry["proposal"]["box"]).box()
+        return found
+
     def latest(self, frame_id: int) -> Pass | None:
         """The latest automatic pass over a frame, or None."""
         query = (
@@ -166,7 +180,20 @@ class Proposals:
         return None if row is None else _pass(event_of(row))
 
 
-def covered_by(proposals: Sequence[Proposal], reviewed: Iterable[Label]) -> list[str | None]:
+@runtime_checkable
+class Boxed(Protocol):
+    """What has a class and a 3D box, such as a `Proposal` or a `Label`."""
+
+    @property
+    def label(self) -> str:
+        """Class name."""
+
+    @property
+    def box(self) -> OrientedBox:
+        """Camera frame."""
+
+
+def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Label]) -> list[str | None]:
     """For each proposal the uid of the reviewed label of its class that overlaps it most, if by 0.5 or more."""
     found: list[str | None] = [None] * len(proposals)
     known = list(reviewed)

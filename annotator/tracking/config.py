@@ -16,6 +16,9 @@ class TrackingConfig(BaseModel):
         max_size_ratio: by how much two boxes of one object may differ along a side.
         motion_boxes: the last boxes of an object that its motion follows from.
         window: boxes so many frames before and after one smooth its rotation.
+        change_ratio: a side changes in time where its lengths' successive differences, squared, are on average below so
+            many variances (2 for independent values); it then has no single length.
+        least_for_change: boxes that it takes to say so.
         reviewed_weight: how many proposals a reviewed box counts for.
         least_motion: path of an object, in longest sides, from which on its motion says where its front is.
         least_along: mean cosine between motion and length axis from which on an object moves forward or backward.
@@ -30,6 +33,8 @@ class TrackingConfig(BaseModel):
     max_size_ratio: float = Field(2.5, gt=1)
     motion_boxes: int = Field(4, ge=2)
     window: float = Field(2.0, ge=0)
+    change_ratio: float = Field(0.7, ge=0, le=2)
+    least_for_change: int = Field(5, ge=3)
     reviewed_weight: float = Field(4.0, ge=1)
     least_motion: float = Field(0.5, gt=0)
     least_along: float = Field(0.7, gt=0, le=1)

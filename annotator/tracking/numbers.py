@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 
-def numbered(
-    given: Sequence[int | None], before: Sequence[Sequence[int]], taken: Collection[int], first: int = 1
-) -> list[int]:
+def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first: int = 1) -> list[int]:
     """A number for each track, unique but for given ones.
 
     Args:
         given: what somebody has said of each track.
         before: the numbers that an earlier linking gave to each track's boxes; the most frequent one is kept, and goes
             to the track that has most of it.
-        taken: numbers that no track may have that was not given them.
         first: the lowest number to give out.
     """
-    used = set(taken) | {number for number in given if number is not None}
+    used = {number for number in given if number is not None}
     wishes = [
         (count, -place, number)
         for place, numbers in enumerate(before)

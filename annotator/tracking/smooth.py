@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 from scipy.spatial.transform import Rotation
 
 from annotator.tracking.config import TrackingConfig
@@ -20,6 +20,8 @@ from annotator.types import OrientedBox
 
 # A turn by half about z: front and back change places.
 FLIP = np.diag([-1.0, -1.0, 1.0])
+# Logarithms of lengths that differ by less are the same length.
+SAME_LENGTH = 1e-6
 # Rotations that differ by more have no sensible mean, radians.
 ANOTHER_RAD = float(np.deg2rad(60))
 
@@ -51,11 +53,13 @@ def smoothed(track: Sequence[TrackBox], config: TrackingConfig) -> list[Oriented
         A box for each; fixed ones are the same objects.
     """
     named = _named_alike(track, config)
-    size_m = _usual_size(track, named, config)
-    rotations = _smooth_rotations(track, named, config)
+    times = np.array([each.time for each in track])
+    weights = np.array([each.weight * (config.reviewed_weight if each.is_fixed else 1.0) for each in track])
+    sizes_m = _smooth_sizes(times, weights, np.array([box.size_m for box in named]), config)
+    rotations = _smooth_rotations(times, weights, named, config)
     return [
         each.box if each.is_fixed else OrientedBox.from_parts(each.box.center_m, rotation.as_matrix(), size_m)
-        for each, rotation in zip(track, rotations, strict=True)
+        for each, rotation, size_m in zip(track, rotations, sizes_m, strict=True)
     ]
 
 
@@ -106,31 +110,53 @@ def _moves_backward(boxes: Sequence[OrientedBox], config: TrackingConfig) -> boo
     return bool(along < -config.least_along)
 
 
-def _usual_size(
-    track: Sequence[TrackBox], named: Sequence[OrientedBox], config: TrackingConfig
-) -> Float64[np.ndarray, "3"]:
-    """The weighted median of each side."""
-    weights = np.array([each.weight * (config.reviewed_weight if each.is_fixed else 1.0) for each in track])
-    sizes = np.array([box.size_m for box in named])
-    return np.quantile(sizes, 0.5, axis=0, method="inverted_cdf", weights=weights)
+def _smooth_sizes(
+    times: Float64[np.ndarray, "n"],
+    weights: Float64[np.ndarray, "n"],
+    sizes_m: Float64[np.ndarray, "n 3"],
+    config: TrackingConfig,
+) -> Float64[np.ndarray, "n 3"]:
+    """The weighted median of each side: over the track, or (a side that changes in time) over the boxes around each."""
+    smooth = np.empty_like(sizes_m)
+    for side in range(3):
+        changes = _changes_in_time(sizes_m[:, side], config)
+        for place in range(len(times)):
+            near = _around(times, place, config) if changes else np.arange(len(times))
+            smooth[place, side] = np.quantile(sizes_m[near, side], 0.5, method="inverted_cdf", weights=weights[near])
+    return smooth
+
+
+def _changes_in_time(lengths_m: Float64[np.ndarray, "n"], config: TrackingConfig) -> bool:
+    """True for a side that grows and shrinks, as that of a walking person, and false for one that is measured anew.
+
+    Measured lengths differ from one to the next as much as any two do; lengths that change over time differ less (the
+    ratio of von Neumann: mean squared successive difference to variance, 2 for independent values).
+    """
+    logs = np.log(lengths_m)
+    if len(logs) < config.least_for_change or np.ptp(logs) < SAME_LENGTH:
+        return False
+    return bool(np.mean(np.diff(logs) ** 2) < config.change_ratio * np.var(logs))
 
 
 def _smooth_rotations(
-    track: Sequence[TrackBox], named: Sequence[OrientedBox], config: TrackingConfig
+    times: Float64[np.ndarray, "n"],
+    weights: Float64[np.ndarray, "n"],
+    named: Sequence[OrientedBox],
+    config: TrackingConfig,
 ) -> list[Rotation]:
-    """Of each box the mean rotation of those around it in time, the near ones counting most.
-
-    As many before it as behind it count, so that an even turn stays as it is, at the ends of the track, too.
-    """
+    """Of each box the mean rotation of those around it in time, the near ones counting most."""
     rotations = Rotation.from_matrix(np.array([box.rotation for box in named]))
-    times = np.array([each.time for each in track])
-    weights = np.array([each.weight * (config.reviewed_weight if each.is_fixed else 1.0) for each in track])
     found = []
     for place, time in enumerate(times):
-        reach = min(config.window, time - times[0], times[-1] - time)
-        near = np.flatnonzero(np.abs(times - time) <= reach + 1e-9)
+        near = _around(times, place, config)
         # between boxes that people have named differently there is no middle
         near = near[(rotations[near] * rotations[place].inv()).magnitude() < ANOTHER_RAD]
         fading = np.exp(-0.5 * (2 * (times[near] - time) / max(config.window, 1e-9)) ** 2)
         found.append(rotations[near].mean(weights[near] * fading) if len(near) > 1 else rotations[place])
     return found
+
+
+def _around(times: Float64[np.ndarray, "n"], place: int, config: TrackingConfig) -> Int[np.ndarray, "k"]:
+    """The boxes around one in time: as far before as behind, also at the ends, so that an even change stays as it is."""
+    reach = min(config.window, times[place] - times[0], times[-1] - times[place])
+    return np.flatnonzero(np.abs(times - times[place]) <= reach + 1e-9)

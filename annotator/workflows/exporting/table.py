@@ -20,6 +20,7 @@ class ExportFormat(StrEnum):
 
     RCV = "rcv"
     KITTI = "kitti"
+    KITTI_TRACKING = "kitti-tracking"
     SUNRGBD = "sunrgbd"
     COCO = "coco"
     YOLO = "yolo"
@@ -56,6 +57,9 @@ class Writer:
 WRITERS: dict[ExportFormat, Writer] = {
     ExportFormat.RCV: Writer("images, coloured PLY clouds and fully oriented boxes", NOT_REJECTED, "rcv"),
     ExportFormat.KITTI: Writer("a KITTI object folder: training, ImageSets; upright boxes", REVIEWED, "kitti"),
+    ExportFormat.KITTI_TRACKING: Writer(
+        "KITTI tracking sequences, one a recording; upright boxes with track ids", REVIEWED, "kitti_tracking"
+    ),
     ExportFormat.SUNRGBD: Writer("SUN RGB-D as VoteNet reads it, and the data set's own table", REVIEWED, "sunrgbd"),
     ExportFormat.COCO: Writer("2D boxes on camera images and pseudo-views", REVIEWED, "coco", flat=True),
     ExportFormat.YOLO: Writer("the same as Ultralytics trains on it", REVIEWED, "yolo", flat=True),

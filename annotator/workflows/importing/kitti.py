@@ -46,7 +46,11 @@ class KittiLabels:
 
 def read(path: Path) -> KittiLabels:
     """Raises FormatError as `read_kitti_labels` and `read_kitti_shifts`."""
-    found, shifts = read_kitti_labels(path), read_kitti_shifts(path)
+    return labels_of(path, read_kitti_labels(path), read_kitti_shifts(path))
+
+
+def labels_of(path: Path, found: Frames, shifts: Mapping[str, Float64[np.ndarray, "3"]]) -> KittiLabels:
+    """What was read from `path`; scores that are no confidences stay behind."""
     if are_confidences(truth.score for truths in found.values() for truth in truths):
         return KittiLabels(path, found, {}, shifts)
     lost = {name: sum(truth.score is not None for truth in truths) for name, truths in found.items()}

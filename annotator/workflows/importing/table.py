@@ -15,6 +15,7 @@ class BoxFormat(StrEnum):
 
     RCV = "rcv"
     KITTI = "kitti"
+    KITTI_TRACKING = "kitti-tracking"
     SUNRGBD = "sunrgbd"
     OPENLABEL = "openlabel"
     LABELCLOUD = "labelcloud"
@@ -25,6 +26,7 @@ class BoxFormat(StrEnum):
 READERS: dict[BoxFormat, str] = {
     BoxFormat.RCV: "rcv",
     BoxFormat.KITTI: "kitti",
+    BoxFormat.KITTI_TRACKING: "kitti_tracking",
     BoxFormat.SUNRGBD: "sunrgbd",
     BoxFormat.OPENLABEL: "openlabel",
     BoxFormat.LABELCLOUD: "labelcloud",

@@ -1,0 +1,39 @@
+"""When the frames of a recording were, as far as that is known without reading them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.project import StoredFrame
+from annotator.recordings import Recording
+from annotator.recordings.azure_kinect import AzureKinect
+from annotator.recordings.kitti_folder import KittiFolder
+from annotator.tracking.motion import frame_times
+
+
+def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
+    """The times of some frames of a recording, in frames (`frame_times`), so that dropped ones are gaps.
+
+    Args:
+        frames: in the order of the recording. Of recordings without times of their own the frames' places count.
+
+    Raises:
+        FrameError: the recording's own times are broken.
+    """
+    times_ns = _times_ns(recording, frames)
+    if times_ns is None:
+        return np.array([float(frame.index or 0) for frame in frames])
+    return frame_times(times_ns)
+
+
+def _times_ns(recording: Recording, frames: Sequence[StoredFrame]) -> list[int | None] | None:
+    if isinstance(recording, KittiFolder) and all(frame.key.isascii() and frame.key.isdigit() for frame in frames):
+        return [recording.time_ns(int(frame.key)) for frame in frames]
+    if isinstance(recording, AzureKinect):
+        captures = dict(zip(recording.keys, recording.captures, strict=True))
+        found = [captures.get(frame.key) for frame in frames]
+        return [None if capture is None else capture.color.time_ns for capture in found]
+    return None
