@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
@@ -39,7 +38,7 @@ def span_box(frame: Float64[np.ndarray, "3 3"], spans_m: Float64[np.ndarray, "3 
     rotation = frame.T
     center = rotation @ spans_m.mean(axis=1)
     size = np.maximum(spans_m[:, 1] - spans_m[:, 0], 1e-4)
-    return OrientedBox(RigidTransform.from_components(center, Rotation.from_matrix(rotation)), size)
+    return OrientedBox.from_parts(center, rotation, size)
 
 
 def make_pair(

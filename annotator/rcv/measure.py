@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv import cross_view
@@ -88,7 +87,7 @@ def measure_consensus(
     if fit is None:
         pairs = _pairs(frames, views, boxes, used)
         return _least_volume(pairs, used, intervals, ("consensus: the measured intervals fix no box",))
-    box = OrientedBox(RigidTransform.from_components(fit.center_m, Rotation.from_matrix(fit.rotation)), fit.size_m)
+    box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
     score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
     return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used, config))

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from annotator.types.checks import as_array, require_finite
 
 # What is larger or further away is no object, and its volume no number.
 FARTHEST_M = 1e9
+# A matrix this near to a rotation is taken as it is.
+ORTHONORMAL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,14 @@ class OrientedBox:
         center = as_array("center_m", center_m, np.float64, (3,))
         matrix = as_array("rotation", rotation, np.float64, (3, 3))
         # the first question keeps what would overflow from the others
-        no_rotation = not (np.abs(matrix) < 2).all() or np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3
-        if no_rotation or np.linalg.det(matrix) < 0:
+        error = np.abs(matrix.T @ matrix - np.eye(3)).max() if (np.abs(matrix) < 2).all() else np.inf
+        if not error <= 1e-3 or np.linalg.det(matrix) < 0:
             raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
-        return cls(RigidTransform.from_components(center, Rotation.from_matrix(matrix)), np.asarray(size_m, np.float64))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = matrix, center
+        # what is orthonormal but for rounding need not be made so: that costs three times the rest
+        transform = RigidTransform(pose, normalize=bool(error > ORTHONORMAL), copy=False)
+        return cls(transform, np.asarray(size_m, np.float64))
 
     @property
     def center_m(self) -> Float64[np.ndarray, "3"]:
@@ -101,7 +107,8 @@ class OrientedBox:
     @property
     def rotation(self) -> Float64[np.ndarray, "3 3"]:
         """Columns are the box axes in the camera frame."""
-        return self.T_camera_box.rotation.as_matrix()
+        # the matrix as it is stored: a `Rotation` made of it would be checked for being one, each time
+        return self.T_camera_box.as_matrix()[:3, :3]
 
     @property
     def volume_m3(self) -> float:
