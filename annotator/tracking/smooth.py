@@ -3,6 +3,7 @@
 Detectors cannot tell a box's front from its back, and free boxes have 24 names for their axes. So the axes of each box
 are first renamed to be like those of its neighbours in time. What the names of the whole track are is then said by the
 boxes that a person has reviewed, else by the motion of upright boxes, which mostly move forward, else by the majority.
+What a camera that moves by itself sees of an object's motion says nothing about the object's front.
 """
 
 from __future__ import annotations
@@ -43,16 +44,17 @@ class TrackBox:
     is_fixed: bool = False
 
 
-def smoothed(track: Sequence[TrackBox], config: TrackingConfig) -> list[OrientedBox]:
+def smoothed(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool = True) -> list[OrientedBox]:
     """The boxes of one object with the size of all and smooth rotations, their centres as they were.
 
     Args:
         track: in the order of time, at least one.
+        is_still: the camera stands still, so that what moves is the object.
 
     Returns:
         A box for each; fixed ones are the same objects.
     """
-    named = _named_alike(track, config)
+    named = _named_alike(track, config, is_still)
     times = np.array([each.time for each in track])
     weights = np.array([each.weight * (config.reviewed_weight if each.is_fixed else 1.0) for each in track])
     sizes_m = _smooth_sizes(times, weights, np.array([box.size_m for box in named]), config)
@@ -63,7 +65,7 @@ def smoothed(track: Sequence[TrackBox], config: TrackingConfig) -> list[Oriented
     ]
 
 
-def _named_alike(track: Sequence[TrackBox], config: TrackingConfig) -> list[OrientedBox]:
+def _named_alike(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool) -> list[OrientedBox]:
     """All boxes with axes named as nearly alike as they can be, by the names that the track goes by."""
     boxes = [each.box for each in track]
     is_upright = are_upright(boxes)
@@ -81,7 +83,7 @@ def _named_alike(track: Sequence[TrackBox], config: TrackingConfig) -> list[Orie
         return alike
     common = _common_change(track, [own[place] for place in range(len(track))], changes)
     alike = [relabelled(box, common) for box in alike]
-    if is_upright and _moves_backward(alike, config):
+    if is_upright and is_still and _moves_backward(alike, config):
         alike = [relabelled(box, FLIP) for box in alike]
     return alike
 
@@ -157,6 +159,6 @@ def _smooth_rotations(
 
 
 def _around(times: Float64[np.ndarray, "n"], place: int, config: TrackingConfig) -> Int[np.ndarray, "k"]:
-    """The boxes around one in time: as far before as behind, also at the ends, so that an even change stays as it is."""
+    """The boxes around one in time: as far before as behind, so that an even change stays as it is, at the ends too."""
     reach = min(config.window, times[place] - times[0], times[-1] - times[place])
     return np.flatnonzero(np.abs(times - times[place]) <= reach + 1e-9)

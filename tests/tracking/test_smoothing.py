@@ -46,6 +46,8 @@ def test_a_detector_that_turns_cars_about_is_set_right_by_their_motion() -> None
     better = smoothed([TrackBox(float(n), box) for n, box in enumerate(noisy)], CONFIG)
     assert all(heading(box) @ heading(own) > 0.99 for box, own in zip(better, true, strict=True))
     assert len({tuple(box.size_m) for box in better}) == 1
+    driven = smoothed([TrackBox(float(n), box) for n, box in enumerate(noisy)], CONFIG, is_still=False)
+    assert all(heading(box) @ heading(own) < -0.99 for box, own in zip(driven, true, strict=True)), "the majority"
     before, after = (np.mean([iou_3d(b, t) for b, t in zip(boxes, true, strict=True)]) for boxes in (noisy, better))
     assert after > before + 0.02
 

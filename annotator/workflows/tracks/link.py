@@ -16,6 +16,7 @@ import numpy as np
 from annotator.project import REVIEWED, Change, Project, StoredFrame, StoredLabel
 from annotator.project.payloads import LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
+from annotator.recordings.kitti_folder import KittiFolder
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, Track, link
 from annotator.tracking.numbers import numbered
@@ -123,7 +124,10 @@ class _Recording:
             for stored in labels
         )
         self._proposed = project.proposals.boxes(recording_id)
-        every = times_of(FrameSource(project).recording(recording_id), present)
+        recording = FrameSource(project).recording(recording_id)
+        every = times_of(recording, present)
+        # KITTI's cameras drive
+        self._is_still = not isinstance(recording, KittiFolder)
         times = dict(zip((frame.id for frame in present), every.tolist(), strict=True))
         self._times = [times[frame.id] for frame in self.frames]
         seen = [
@@ -182,7 +186,7 @@ class _Recording:
                 TrackBox(self._times[place], self._box(each), _weight(each), self._is_fixed(each, self.frames[place]))
                 for (place, _), each in zip(track.members, members, strict=True)
             ]
-            smooth = zip(members, boxes, smoothed(boxes, config), strict=True)
+            smooth = zip(members, boxes, smoothed(boxes, config, self._is_still), strict=True)
             found |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
         return found
 

@@ -1,0 +1,172 @@
+"""How well boxes are linked into tracks, against the true ones.
+
+python -m benchmarks.tracks RECORDING [--json]
+
+The true boxes of a recording are linked without their ids: as they are, and with every centre, side and angle off by a
+Gaussian (`JITTER` of the side, and that angle in radians), with a share of them missing. IDF1 and the switches of ids
+are as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks that is best for it (Ristani
+et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016); a switch is where a true
+object has another id than when it was seen last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.iou import iou_3d_pairs
+from annotator.recordings import open_recording
+from annotator.recordings.kitti_folder import KittiFolder
+from annotator.tracking.config import TrackingConfig
+from annotator.tracking.link import Seen, link
+from annotator.tracking.motion import frame_times
+from annotator.tracking.relabel import relabelled
+from annotator.tracking.smooth import FLIP, TrackBox, smoothed
+from annotator.types import OrientedBox, Truth
+from annotator.types.errors import ConfigError
+from annotator.workflows.truth import load_truth
+from benchmarks.report import Table, finish, guarded
+
+# Cases: what every measure is off by, and the share of boxes that is missing.
+CASES = {
+    "true boxes": (0.0, 0.0),
+    "2 % off": (0.02, 0.0),
+    "10 % off": (0.1, 0.0),
+    "2 % off, a fifth missing": (0.02, 0.2),
+}
+# Share of boxes, of those that are off, whose front is behind.
+FLIPPED = 0.3
+
+
+@dataclass
+class Arguments:
+    """Links the true boxes of a recording and compares the tracks with the true ones."""
+
+    recording: tyro.conf.Positional[Path]
+    """A recording whose labels have track ids."""
+    seed: int = 0
+    """Of what is off."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One case.
+
+    Attributes:
+        boxes, tracks, found: how many true boxes and tracks there are, and how many tracks were found.
+        idf1: in 0..1.
+        switches: of ids.
+        iou, smoothed_iou: mean exact 3D IoU of the boxes with the true ones, before and after smoothing.
+        flipped, smoothed_flipped: boxes whose front points backward, before and after.
+    """
+
+    boxes: int
+    tracks: int
+    found: int
+    idf1: float
+    switches: int
+    iou: float
+    smoothed_iou: float
+    flipped: int
+    smoothed_flipped: int
+
+
+def measure(
+    frames: Sequence[Sequence[Truth]], times: Sequence[float], is_still: bool, noise: float, missing: float, seed: int
+) -> Measured:
+    """One case of one recording; every true box needs a track id. `is_still`: as of `smoothed`."""
+    rng = np.random.default_rng(seed)
+    kept = [[truth for truth in frame if rng.random() >= missing] for frame in frames]
+    seen = [[Seen(truth.label, put_off(truth.box, noise, rng)) for truth in frame] for frame in kept]
+    tracks = link(seen, times, TrackingConfig())
+    ids = {member: number for number, track in enumerate(tracks) for member in track.members}
+    true = {(p, n): truth.track_id or 0 for p, frame in enumerate(kept) for n, truth in enumerate(frame)}
+    better: dict[tuple[int, int], OrientedBox] = {}
+    for track in tracks:
+        boxes = [TrackBox(time, box) for time, box in zip(track.times, track.boxes, strict=True)]
+        better |= dict(zip(track.members, smoothed(boxes, TrackingConfig(), is_still), strict=True))
+    members = sorted(true)
+    truths = [kept[place][number].box for place, number in members]
+    before, after = [seen[place][number].box for place, number in members], [better[member] for member in members]
+    return Measured(
+        len(true),
+        len(set(true.values())),
+        len(tracks),
+        idf1([true[member] for member in members], [ids[member] for member in members]),
+        switches(members, true, ids),
+        float(iou_3d_pairs(before, truths).mean()),
+        float(iou_3d_pairs(after, truths).mean()),
+        _flipped(before, truths),
+        _flipped(after, truths),
+    )
+
+
+def put_off(box: OrientedBox, noise: float, rng: np.random.Generator) -> OrientedBox:
+    """A box as a detector might find it."""
+    if noise == 0:
+        return box
+    center = box.center_m + box.rotation @ (noise * box.size_m * rng.standard_normal(3))
+    turn = Rotation.from_rotvec([0.0, 0.0, noise * rng.standard_normal()]).as_matrix()
+    size = box.size_m * np.exp(noise * rng.standard_normal(3))
+    found = OrientedBox.from_parts(center, box.rotation @ turn, size)
+    return relabelled(found, FLIP) if rng.random() < FLIPPED else found
+
+
+def idf1(true: Sequence[int], found: Sequence[int]) -> float:
+    """IDF1 of boxes that are all there and all right: the ids of each, true and found."""
+    rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, found))
+    together = np.zeros((rows.max() + 1, columns.max() + 1))
+    np.add.at(together, (rows, columns), 1)
+    chosen = linear_sum_assignment(-together)
+    return float(2 * together[chosen].sum() / (len(true) + len(found)))
+
+
+def switches(
+    members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
+) -> int:
+    """How often a true object has another id than when it was seen last; `members` in the order of time."""
+    last: dict[int, int] = {}
+    count = 0
+    for member in members:
+        count += last.get(true[member], found[member]) != found[member]
+        last[true[member]] = found[member]
+    return count
+
+
+def _flipped(boxes: Sequence[OrientedBox], truths: Sequence[OrientedBox]) -> int:
+    return sum(bool(a.rotation[:, 0] @ b.rotation[:, 0] < 0) for a, b in zip(boxes, truths, strict=True))
+
+
+def main() -> None:
+    arguments = tyro.cli(Arguments, description=__doc__)
+    recording = open_recording(arguments.recording)
+    frames, times_ns = list[list[Truth]](), list[int | None]()
+    for index in range(len(recording)):
+        frame = recording.frame(index)
+        frames.append(load_truth(recording, index, frame))
+        times_ns.append(frame.timestamp_ns)
+    if any(truth.track_id is None for objects in frames for truth in objects):
+        raise ConfigError(f"{arguments.recording}: its labels have no track ids")
+    times = frame_times(times_ns).tolist()
+    is_still = not isinstance(recording, KittiFolder)
+    table = Table("case", "boxes", "tracks", "found", "IDF1", "switches", "IoU", "smoothed", "flipped", "then")
+    figures = {}
+    for name, (noise, missing) in CASES.items():
+        got = measure(frames, times, is_still, noise, missing, arguments.seed)
+        figures[name] = vars(got)
+        shares = (f"{got.idf1:.3f}", got.switches, f"{got.iou:.3f}", f"{got.smoothed_iou:.3f}")
+        table.add(name, got.boxes, got.tracks, got.found, *shares, got.flipped, got.smoothed_flipped)
+    finish(figures, arguments.json, table)
+
+
+if __name__ == "__main__":
+    guarded(main)
