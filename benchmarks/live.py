@@ -22,8 +22,8 @@ from annotator.project import Project, Role
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.seeds import is_warm
 from annotator.recordings import Recording, open_recording
-from annotator.types import Detector
 from annotator.types.errors import ConfigError
+from annotator.web.live.run import backend_of
 from annotator.web.live.view import LiveView
 from annotator.workflows.detectors import Detectors, load_detector
 from annotator.workflows.live.detection import Detected, LiveDetection
@@ -137,7 +137,8 @@ class _Once:
         """
         pipeline = Pipeline(self._source, self._detection, self._show, most_frames=frames)
         pipeline.meter.window_s = math.inf
-        self._view = LiveView(self._source.name, {}, pipeline.figures)
+        self._view = LiveView(self._source.name, {})
+        self._view.follow(pipeline)
         pipeline.start()
         try:
             is_over = pipeline.wait(None if frames is not None else seconds)
@@ -157,17 +158,12 @@ class _Once:
 
 def _conditions(detectors: Detectors, config: RcvConfig, args: Arguments) -> dict[str, object]:
     return {
-        "backend": _backend(detectors.view, args.backend),
+        "backend": backend_of(detectors.view, args.backend),
         "warm_start": args.warm_start,
         "image_size_px": args.image_size,
         "view_size_px": args.view_size,
         "max_steps": config.max_steps,
     }
-
-
-def _backend(detector: Detector, asked: Backend) -> str:
-    """What runs a detector, as it says itself."""
-    return str(getattr(detector, "backend", asked))
 
 
 def main() -> None:

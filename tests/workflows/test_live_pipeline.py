@@ -212,14 +212,14 @@ def test_frames_come_through_and_the_end_of_the_source_ends_all(hands: Recording
     shown: list[Detected] = []
     detectors: Detectors = knowing("hands")
     detection = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=False)
-    made = Pipeline(Playback(hands, rate=2.0), detection, shown.append, most_frames=2)
+    made = Pipeline(Playback(hands, rate=2.0), detection, shown.append, most_frames=3)
     ends: list[str] = []
     made.at_end(lambda: ends.append("end"))
     run(made)
     figures = made.figures()
-    assert (figures.read, figures.detected, figures.shown) == (2, 2, 2)
-    assert [len(each.found.proposals) for each in shown] == [2, 2]
-    assert [each.seeded for each in shown] == [0, 0]
+    assert (figures.read, figures.detected, figures.shown) == (3, 3, 3)
+    assert [len(each.found.proposals) for each in shown] == [2, 2, 2]
+    assert [each.seeded for each in shown] == [0, 0, 0]
     assert list(figures.stages_ms) == ["read", "image", "views", "geometry", "show"]
     assert all(took >= 0 for took in figures.stages_ms.values())
     assert figures.latency_ms is not None
@@ -337,7 +337,7 @@ def test_the_last_boxes_are_seeds_as_long_as_they_are_new(hands: Recording, know
 
 def test_figures_look_back_over_their_window_only() -> None:
     meter = Meter(window_s=0.3)
-    assert told(meter.figures(Drops())) == "no frame yet; 0 shown"
+    assert told(meter.figures(Drops())) == "too few frames for a rate; 0 shown"
     meter.shown(time.perf_counter() - 5, {"show": 1.0})
     time.sleep(0.35)
     for _ in range(3):

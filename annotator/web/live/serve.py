@@ -49,7 +49,7 @@ def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline) -> 
     def stop_serving() -> None:
         server.should_exit = True
 
-    view.on_pause(pipeline.pause)
+    view.follow(pipeline)
     pipeline.at_end(stop_serving)
     sys.stdout.write(f"live at {link(server.address, settings.token)}\nstop it with Ctrl-C\n")
     sys.stdout.flush()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from annotator.types import ReviewState
@@ -15,15 +15,20 @@ from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.server import HOST, silence, start_viser
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.figures import Figures
+from annotator.workflows.live.pipeline import Pipeline
 
 if TYPE_CHECKING:
     import viser
 
 # Of a live cloud: a browser has to take them many times a second.
 MOST_POINTS = 40_000
+# Thinned points are drawn larger; of things near to a camera less would do.
+POINT_SIZE = 0.7
 JPEG_QUALITY = 75
 # Nobody reads figures that change faster, seconds.
 FIGURES_EVERY_S = 0.5
+# Wide enough for the image, and for lines of figures.
+PANEL_PX = 440
 PLACE = ("live", 0)
 
 
@@ -35,27 +40,27 @@ class LiveView:
         port, origin: as `proxy.Viewport` has them.
     """
 
-    def __init__(self, source: str, facts: Mapping[str, str], figures: Callable[[], Figures]) -> None:
+    def __init__(self, source: str, facts: Mapping[str, str]) -> None:
         """Starts the server.
 
         Args:
             source: what is seen, for people.
             facts: what stays as it is, such as the backend.
-            figures: asked for what is written beside the image.
         """
         self.id = "live"
         self.origin = f"annotator://{secrets.token_hex(16)}"
         with silence():
             self._server = start_viser(HOST, self.origin)
         self.port = self._server.get_port()
-        self._facts, self._figures, self._figures_at_s = facts, figures, 0.0
+        self._facts, self._figures_at_s = facts, 0.0
+        self._pipeline: Pipeline | None = None
         self._scene = Scene(self._server, _ignored)
         self._look_again = threading.Event()
         gui = self._server.gui
-        gui.configure_theme(
-            control_layout="fixed", control_width="large", dark_mode=True, show_logo=False, show_share_button=False
-        )
-        self._server.gui.set_panel_label(f"annotator live: {source}")
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_PX)
+        gui.set_panel_label(f"annotator live: {source}")
         self._image: viser.GuiImageHandle | None = None
         self._text = gui.add_markdown("waiting for the first frame", order=2.0)
         self._pause = gui.add_button("Pause", order=3.0)
@@ -65,21 +70,23 @@ class LiveView:
         def _(_: object) -> None:
             self._look_again.set()
 
-    def on_pause(self, call: Callable[[bool], None]) -> None:
-        """Has `call` told when somebody presses Pause (True) or Resume (False)."""
+    def follow(self, pipeline: Pipeline) -> None:
+        """Writes a pipeline's figures beside the image, and pauses it where somebody asks for that."""
+        self._pipeline = pipeline
 
         @self._pause.on_click
         def _(_: object) -> None:
-            paused = self._pause.label == "Pause"
-            self._pause.label = "Resume" if paused else "Pause"
-            call(paused)
+            pipeline.pause(not pipeline.is_paused)
+            self._pause.label = "Resume" if pipeline.is_paused else "Pause"
 
     def show(self, detected: Detected) -> None:
         """One frame; what no browser has taken yet is replaced."""
         boxes = tuple(ShownBox(None, found.box, ReviewState.PROPOSED) for found in detected.found.proposals)
         look_again = self._look_again.is_set()
         self._look_again.clear()
-        content = SceneContent(PLACE, detected.frame, boxes, most_points=MOST_POINTS, reset_view=look_again)
+        content = SceneContent(
+            PLACE, detected.frame, boxes, most_points=MOST_POINTS, point_size=POINT_SIZE, reset_view=look_again
+        )
         self._scene.show(content)
         image = picture(detected.frame, detected.found)
         if self._image is None:
@@ -87,9 +94,9 @@ class LiveView:
         else:
             self._image.image = image
         now = time.monotonic()
-        if now - self._figures_at_s >= FIGURES_EVERY_S:
+        if self._pipeline is not None and now - self._figures_at_s >= FIGURES_EVERY_S:
             self._figures_at_s = now
-            self._text.content = table(detected, self._figures(), self._facts)
+            self._text.content = table(detected, self._pipeline.figures(), self._facts)
 
     def close(self) -> None:
         """Ends the server."""

@@ -28,6 +28,7 @@ class Detected:
         taken_s: as of `Taken`.
         stages_s: what reading, both detectors and the geometry between them took, seconds.
         seeded: boxes of the last frame that were at hand.
+        is_first: whether the detectors got ready on it, which takes longer.
     """
 
     frame: Frame
@@ -35,6 +36,7 @@ class Detected:
     taken_s: float
     stages_s: Mapping[str, float]
     seeded: int = 0
+    is_first: bool = False
 
     @property
     def detect_s(self) -> float:
@@ -58,6 +60,7 @@ class LiveDetection:
         self._warm_start = warm_start
         self._seeds: tuple[Seed, ...] = ()
         self._seeds_of_s = 0.0
+        self._is_first = True
 
     def detect(self, taken: Taken) -> Detected:
         """The boxes of a frame."""
@@ -74,7 +77,8 @@ class LiveDetection:
         in_all = time.perf_counter() - begin
         image, view = self._image.seconds, self._view.seconds
         stages = {"read": taken.read_s, "image": image, "views": view, "geometry": in_all - image - view}
-        return Detected(taken.frame, found, taken.taken_s, stages, len(seeds))
+        is_first, self._is_first = self._is_first, False
+        return Detected(taken.frame, found, taken.taken_s, stages, len(seeds), is_first)
 
 
 class _Timed:

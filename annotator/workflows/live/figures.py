@@ -76,23 +76,21 @@ class Meter:
     _recent: deque[_Shown] = field(default_factory=deque)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def shown(self, taken_s: float, stages_s: Mapping[str, float]) -> None:
+    def shown(self, taken_s: float, stages_s: Mapping[str, float], *, is_first: bool = False) -> None:
         """A frame is on the display now.
 
         Args:
             taken_s: when it was taken, `time.perf_counter`.
             stages_s: what each stage took of it.
+            is_first: it is counted, and its times are those of getting ready.
         """
         now = time.perf_counter()
         with self._lock:
             self._shown += 1
+            if is_first:
+                return
             self._recent.append(_Shown(now, now - taken_s, stages_s))
             self._forget(now)
-
-    def restart(self) -> None:
-        """Forgets what was measured so far, as after warming up; the counts stay."""
-        with self._lock:
-            self._recent.clear()
 
     def figures(self, drops: Drops) -> Figures:
         """What there is to say now."""
@@ -128,7 +126,7 @@ def _rate(at_s: list[float]) -> float | None:
 
 def told(figures: Figures) -> str:
     """The figures in one line."""
-    rate = "no frame yet" if figures.fps is None else f"{figures.fps:.1f} frames/s"
+    rate = "too few frames for a rate" if figures.fps is None else f"{figures.fps:.1f} frames/s"
     late = (
         "" if figures.latency_ms is None else f", {figures.latency_ms:.0f} ms late (95 %: {figures.latency_p95_ms:.0f})"
     )

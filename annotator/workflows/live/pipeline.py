@@ -3,7 +3,8 @@
     source -> [slot] -> detection -> [slot] -> display
                             \\-> record
 
-Each stage is a thread. Whatever ends one of them (the end of the source, an error, `stop`) ends all.
+Each stage is a thread. Whatever ends one of them (the end of the source, an error, `stop`) ends all. Detectors get
+ready on the first frame, which takes long: no other one is taken meanwhile, and it is not measured.
 """
 
 from __future__ import annotations
@@ -87,6 +88,7 @@ class Pipeline:
         self._stop = threading.Event()
         self._running = threading.Event()
         self._running.set()
+        self._ready = threading.Event()
         self._error: BaseException | None = None
         self._lock = threading.Lock()
         self._at_end: list[Callable[[], None]] = []
@@ -103,8 +105,8 @@ class Pipeline:
 
     def stop(self) -> None:
         """Asks all stages to end; what waits between them is given up."""
-        self._stop.set()
-        self._running.set()
+        for event in (self._stop, self._running, self._ready):
+            event.set()
         for slot in (self._taken, self._detected):
             slot.close(empty=True)
 
@@ -177,6 +179,9 @@ class Pipeline:
                     break
                 self.meter.read += 1
                 self._taken.put(taken)
+                if not self._ready.is_set():
+                    self._ready.wait()
+                    self.source.resume()
         finally:
             self.source.close()
             self._taken.close()
@@ -189,6 +194,7 @@ class Pipeline:
                 if self._keep is not None:
                     self._keep.put(detected)
                 self._detected.put(detected)
+                self._ready.set()
         finally:
             self._detected.close()
 
@@ -196,7 +202,8 @@ class Pipeline:
         while (detected := self._detected.take()) is not None:
             begin = time.perf_counter()
             self._show(detected)
-            self.meter.shown(detected.taken_s, {**detected.stages_s, "show": time.perf_counter() - begin})
+            stages_s = {**detected.stages_s, "show": time.perf_counter() - begin}
+            self.meter.shown(detected.taken_s, stages_s, is_first=detected.is_first)
 
     def _guarded(self, stage: Callable[[], None]) -> None:
         """Runs a stage; its failure ends the others, and is kept for who waits."""

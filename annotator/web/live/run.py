@@ -1,0 +1,122 @@
+"""A whole live session: from the source to the page and, where asked, into the project."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.detection.config import Backend
+from annotator.project import Project
+from annotator.types import Detector
+from annotator.web.live.serve import serve_live
+from annotator.web.live.view import LiveView
+from annotator.web.security import check_settings
+from annotator.web.serve import with_token
+from annotator.web.settings import ServerSettings
+from annotator.workflows.detectors import active_detectors
+from annotator.workflows.live.detection import LiveDetection
+from annotator.workflows.live.figures import Figures
+from annotator.workflows.live.keep import Stored, store
+from annotator.workflows.live.pipeline import Pipeline
+from annotator.workflows.live.recorder import Recorder
+from annotator.workflows.live.sources import open_source
+from annotator.workflows.rcv_settings import rcv_config
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What is seen, and how.
+
+    Attributes:
+        source: as of `open_source`.
+        rate, loop: of a recording.
+        backend: what runs the detectors.
+        warm_start: begin each recursion with the boxes of the frame before.
+        frames: end after so many of the source; None = with it.
+        record: keep what was seen here, and in the project.
+    """
+
+    source: str
+    rate: float | None = None
+    loop: bool = False
+    backend: Backend = "auto"
+    warm_start: bool = True
+    frames: int | None = None
+    record: Path | None = None
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """How it went: the figures at the end, and what the project got, where it was recorded."""
+
+    figures: Figures
+    stored: Stored | None
+
+
+def run_live(
+    project: Project,
+    options: LiveOptions,
+    settings: ServerSettings,
+    *,
+    tell: Callable[[str], None],
+) -> LiveResult:
+    """Detects and shows until the source ends, or until interrupted.
+
+    What was recorded is kept whatever has ended it.
+
+    Args:
+        tell: gets a line on what is told while it runs.
+
+    Raises:
+        AnnotatorError: of the source, the detectors, the recording or the address; nothing has begun where they cannot
+            be used.
+    """
+    settings = with_token(settings)
+    check_settings(settings)
+    config = rcv_config(project)
+    detectors = active_detectors(project, backend=options.backend)
+    config = config.model_copy(update={"box_kind": detectors.box_kind})
+    rotation = project.config.settings.rotation
+    detection = LiveDetection(detectors, config, rotation, warm_start=options.warm_start)
+    backend = backend_of(detectors.view, options.backend)
+    if options.record is None:
+        return LiveResult(_show(options, settings, detection, None, backend, tell), None)
+    with Recorder(options.record, tell) as recorder:
+        stored = None
+        try:
+            figures = _show(options, settings, detection, recorder, backend, tell)
+        finally:
+            if frames := recorder.finish():
+                tell(f"storing what was found on the {frames} frames of {recorder.out}")
+                stored = store(project, recorder, detectors, config, rotation, warm_start=options.warm_start)
+        return LiveResult(figures, stored)
+
+
+def backend_of(detector: Detector, asked: Backend) -> str:
+    """What runs a detector, as it says itself."""
+    return str(getattr(detector, "backend", asked))
+
+
+def _show(
+    options: LiveOptions,
+    settings: ServerSettings,
+    detection: LiveDetection,
+    recorder: Recorder | None,
+    backend: str,
+    tell: Callable[[str], None],
+) -> Figures:
+    source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=recorder is not None)
+    view: LiveView | None = None
+    try:
+        facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
+        if recorder is not None:
+            facts["recorded to"] = recorder.out.name
+        view = LiveView(source.name, facts)
+        pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=tell)
+        serve_live(settings, view, pipeline)
+        return pipeline.figures()
+    finally:
+        source.close()
+        if view is not None:
+            view.close()

@@ -1,0 +1,121 @@
+"""`annotator live`: from a recording to the page and into the project; how it refuses, how it ends."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annotator.cli.main import main
+from annotator.project import create_project, open_project
+from annotator.recordings import open_recording
+from annotator.web.live import run as live_run
+from annotator.web.live import serve as live_serve
+from annotator.web.serve import Running
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def live(tmp_path: Path, generated: Path, knowing: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """`live("--frames", 3)`: the command on the generated hands, with detectors that know them."""
+    with create_project(tmp_path / "projects", "room", ("hand",)):
+        pass
+    monkeypatch.setattr(live_run, "active_detectors", lambda project, backend: knowing("hands"))
+
+    def run(*words: object, source: str | Path = generated / "hands") -> int:
+        options = ["--root", tmp_path / "projects", "--port", 0, *words]
+        return main(["live", "room", str(source), *map(str, options)])
+
+    return run
+
+
+def test_a_recording_is_shown_and_what_was_seen_is_in_the_project(
+    live: Callable[..., int], tmp_path: Path, capsys: Capture
+) -> None:
+    assert live("--frames", 3, "--rate", 2, "--record", tmp_path / "seen") == 0
+    said = capsys.readouterr()
+    assert "live at http://127.0.0.1:" in said.out
+    assert "3 shown" in said.out
+    assert "3 frames, 6 proposals; in room as seen, ready for review" in said.out
+    assert "storing what was found on the 3 frames" in said.err
+    assert len(open_recording(tmp_path / "seen")) == 3
+    with open_project(tmp_path / "projects" / "room") as project:
+        frames = project.frames.of([project.recordings.find("seen").id])
+        assert [len(project.frame_state(frame.id).labels) for frame in frames] == [2, 2, 2]
+
+
+def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
+    live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = threading.Event()
+
+    class Interrupted(Running):
+        def serve_until_stopped(self) -> None:
+            assert shown.wait(60)
+            self.socket.close()
+            raise KeyboardInterrupt
+
+    show = live_run.LiveView.show
+
+    def showing(view: Any, detected: Any) -> None:
+        show(view, detected)
+        shown.set()
+
+    monkeypatch.setattr(live_serve, "Running", Interrupted)
+    monkeypatch.setattr(live_run.LiveView, "show", showing)
+    assert live("--loop", "--record", tmp_path / "seen") == 0
+    assert "ready for review" in capsys.readouterr().out
+    assert len(open_recording(tmp_path / "seen")) >= 1
+    assert not {thread.name for thread in threading.enumerate()} & {"capture", "detect", "display", "record"}
+
+
+def test_an_error_of_the_source_is_told_and_what_was_recorded_is_kept(
+    live: Callable[..., int], tmp_path: Path, own_copy: Callable[[str], Path], capsys: Capture
+) -> None:
+    folder = own_copy("hands")
+    for path in sorted((folder / "depth").iterdir())[1:]:
+        path.write_bytes(b"no picture")
+    assert live("--record", tmp_path / "seen", "--rate", 20, source=folder) == 0
+    said = capsys.readouterr()
+    assert said.err.count("000001.png") == 1
+    assert "4 unreadable" in said.out
+    assert "1 frames, 2 proposals" in said.out
+
+
+@pytest.mark.parametrize(
+    ("words", "source", "said"),
+    [
+        ((), "/no/such", "no such file or folder"),
+        (("--rate", 0), None, "shows nothing; give more than 0"),
+        (("--frames", 0), None, "0 frames show nothing"),
+        (("--host", "0.0.0.0", "--token", "short"), None, "a token has 16"),
+        (("--port", 99999), None, "cannot listen on 127.0.0.1 port 99999"),
+        (("--record", "."), None, "exists already"),
+        ((), "kinect", "an Azure Kinect needs pyk4a, which is not installed"),
+        (("--loop",), "kinect:0", "a device has its own rate"),
+    ],
+)
+def test_how_it_refuses(
+    live: Callable[..., int],
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[object, ...],
+    source: str | None,
+    said: str,
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setattr("annotator.recordings.kinect_device.find_spec", lambda name: None)
+    assert live(*words, **({} if source is None else {"source": source})) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_project_without_detectors_says_how_to_train_them(tmp_path: Path, generated: Path, capsys: Capture) -> None:
+    with create_project(tmp_path, "room", ("hand",)):
+        pass
+    assert main(["live", "room", str(generated / "hands"), "--root", str(tmp_path)]) == 2
+    assert "annotator train room" in capsys.readouterr().err

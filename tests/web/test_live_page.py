@@ -1,0 +1,190 @@
+"""The live page: who gets in, what is drawn on the image, what stands beside it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from live_server import wait_until
+from scipy.spatial.transform import RigidTransform
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.projection import project
+from annotator.rcv.finish import FrameProposals
+from annotator.recordings import open_recording
+from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox, Proposal, Quality
+from annotator.web.live.picture import BOX_COLOR, LOST_COLOR, edges_px, picture
+from annotator.web.live.serve import live_app
+from annotator.web.live.view import LiveView, table
+from annotator.web.serve import Running
+from annotator.web.settings import ServerSettings
+from annotator.workflows.live.detection import Detected
+from annotator.workflows.live.figures import Drops, Meter
+from annotator.workflows.live.pipeline import Pipeline
+from annotator.workflows.live.playback import Playback, Repeat
+from annotator.workflows.live.source import Taken
+from annotator.workflows.truth import load_truth
+
+TOKEN = "0123456789abcdef-live"
+
+
+@pytest.fixture(scope="module")
+def frame(generated: Path) -> Frame:
+    return open_recording(generated / "hands").frame(0)
+
+
+def found(frame: Frame, *boxes: OrientedBox) -> FrameProposals:
+    quality = Quality(0.0, 1.0, 0.0)
+    proposals = [Proposal("hand", 0.8, box, Box2D("hand", 40.0, 60.0, 120.0, 150.0, 0.9), (), quality) for box in boxes]
+    return FrameProposals(frame.key, tuple(proposals), ())
+
+
+class Knows:
+    """A detection that takes the truth for what it has found."""
+
+    def __init__(self, folder: Path) -> None:
+        self.recording = open_recording(folder)
+
+    def detect(self, taken: Taken) -> Detected:
+        truths = load_truth(self.recording, taken.frame.index, taken.frame)
+        answer = found(taken.frame, *(truth.box for truth in truths))
+        return Detected(taken.frame, answer, taken.taken_s, {"read": taken.read_s, "views": 0.001})
+
+
+@contextmanager
+def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LiveView]]:
+    """A live page that goes on for ever."""
+    view = LiveView("hands", {"backend": "truth"})
+    pipeline = Pipeline(Playback(open_recording(folder), rate=10.0, repeat=Repeat.BACK), Knows(folder), view.show)
+    view.follow(pipeline)
+    server = Running(settings, live_app(settings, view))
+    thread = threading.Thread(target=server.serve_until_stopped)
+    thread.start()
+    pipeline.start()
+    try:
+        wait_until(lambda: server.started and pipeline.figures().shown, 60)
+        yield f"http://127.0.0.1:{server.port}", pipeline, view
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        pipeline.end()
+        view.close()
+
+
+def test_only_a_page_of_this_server_gets_in(generated: Path, tmp_path: Path) -> None:
+    with served(ServerSettings(tmp_path, port=0), generated / "hands") as (url, _, view):
+        answer = httpx.get(url, timeout=30)
+        assert answer.status_code == 200
+        assert "<html" in answer.text
+        assert "frame-ancestors 'self'" in answer.headers["content-security-policy"]
+        assert httpx.get(url, headers={"Host": "evil.example"}, timeout=30).status_code == 403
+        socket = url.replace("http", "ws")
+        for origin in ("http://evil.example", None):
+            with pytest.raises(InvalidStatus, match="403"):
+                connect(socket, origin=None if origin is None else Origin(origin)).close()
+        with pytest.raises(InvalidStatus):  # past the guard
+            connect(f"ws://127.0.0.1:{view.port}", origin=Origin(url)).close()
+        with connect(socket, origin=Origin(url), subprotocols=[viser_protocol()], max_size=None) as browser:
+            received = b"".join(part for part in (browser.recv(20) for _ in range(3)) if isinstance(part, bytes))
+            assert received
+
+
+def viser_protocol() -> Subprotocol:
+    import viser
+
+    return Subprotocol(f"viser-v{viser.__version__}")
+
+
+def test_elsewhere_the_token_is_asked_for(generated: Path, tmp_path: Path) -> None:
+    settings = ServerSettings(tmp_path, host="0.0.0.0", port=0, token=TOKEN)
+    with served(settings, generated / "hands") as (url, _, _), httpx.Client(timeout=30) as browser:
+        assert browser.get(url).status_code == 401
+        assert browser.get(url, params={"token": "x" * 20}).status_code == 401
+        assert browser.get(url, params={"token": TOKEN}).status_code == 200
+        assert "<html" in browser.get(url).text
+
+
+def test_the_view_shows_each_frame_and_its_button_pauses(generated: Path, tmp_path: Path, frame: Frame) -> None:
+    view = LiveView("hands", {"backend": "none"})
+    pipeline = Pipeline(Playback(open_recording(generated / "hands")), Knows(generated / "hands"), view.show)
+    view.follow(pipeline)
+    try:
+        box = load_truth(open_recording(generated / "hands"), 0, frame)[0].box
+        view.show(Detected(frame, found(frame, box), time.perf_counter(), {}))
+        scene = view._server.scene
+        assert len(scene.get_handle_by_name("/cloud").points) == 40_000
+        assert len(scene.get_handle_by_name("/boxes").points) == 13
+        assert view._image is not None
+        assert view._image.image.shape == (240, 320, 3)
+        assert "| backend | none |" in view._text.content
+        view.show(Detected(frame, found(frame), time.perf_counter(), {}))
+        assert scene.get_handle_by_name("/boxes") is None
+        for label, paused in (("Resume", True), ("Pause", False)):
+            for press in view._pause._impl.update_cb:
+                press(None)  # type: ignore[arg-type]
+            assert (view._pause.label, pipeline.is_paused) == (label, paused)
+    finally:
+        view.close()
+
+
+def test_boxes_are_drawn_where_they_are(frame: Frame) -> None:
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.array([0.2, 0.2, 0.2]))
+    answer = found(frame, box)
+    lost = LostObject("hand", Box2D("hand", 200.0, 100.0, 300.0, 200.0), ())
+    drawn = picture(frame, replace_lost(answer, lost))
+    assert drawn.shape == frame.rgb.shape
+    changed = (drawn != frame.rgb).any(axis=2)
+    for corner in project(frame.camera, box_corners(box)):
+        u, v = np.round(corner).astype(int)
+        assert changed[v - 1 : v + 2, u - 1 : u + 2].any()
+    assert np.abs(drawn[105, 40].astype(int) - BOX_COLOR).max() < 40, "the left edge of the image box"
+    assert np.abs(drawn[150, 300].astype(int) - LOST_COLOR).max() < 40, "the right edge of the lost one's"
+    assert changed.mean() < 0.1
+    small = picture(frame, answer, width_px=160)
+    assert small.shape == (120, 160, 3)
+    assert np.abs(small[52, 20].astype(int) - BOX_COLOR).max() < 80
+
+
+def replace_lost(answer: FrameProposals, lost: LostObject) -> FrameProposals:
+    return FrameProposals(answer.key, answer.proposals, (lost,))
+
+
+def test_edges_bend_with_the_lens_and_end_before_the_camera() -> None:
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    bent = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.2, 0.05, 0.0, 0.0))
+    box = OrientedBox.from_parts(np.array([0.3, 0.2, 1.2]), np.eye(3), np.array([0.4, 0.3, 0.4]))
+    assert [line.shape for line in edges_px(camera, box)] == [(2, 2)] * 12
+    lines = edges_px(bent, box)
+    assert len(lines) == 12
+    middle = project(bent, box_corners(box)[[0, 1]].mean(axis=0)[None])[0]
+    assert np.abs(lines[0] - middle).min(axis=0).max() < 0.5
+    around = OrientedBox(RigidTransform.from_translation([0.0, 0.0, 0.1]), np.array([1.0, 1.0, 1.0]))
+    assert len(edges_px(camera, around)) == 4, "those of the far side"
+
+
+def test_the_table_says_what_is_known(frame: Frame) -> None:
+    detected = Detected(frame, found(frame), 0.0, {})
+    meter = Meter()
+    before = table(detected, meter.figures(Drops()), {})
+    assert "| frames/s | - |" in before
+    assert "| dropped | none |" in before
+    for _ in range(3):
+        meter.shown(time.perf_counter() - 0.05, {"read": 0.012, "views": 0.03})
+        time.sleep(0.01)
+    meter.broken = 2
+    after = table(detected, meter.figures(Drops(detect=7)), {"backend": "torch"})
+    assert "read 12 · views 30" in after
+    assert "| dropped | detect 7 |" in after
+    assert "| unreadable | 2 |" in after
+    assert "| backend | torch |" in after
+    assert not math.isnan(meter.figures(Drops()).latency_ms or math.nan)
