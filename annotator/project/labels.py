@@ -78,7 +78,7 @@ class LabelSignals:
 
     Attributes:
         frame_id, quality: as of `StoredLabel`.
-        uid, label, score: as of `Label`.
+        uid, label, score, track_id: as of `Label`.
     """
 
     frame_id: int
@@ -86,6 +86,7 @@ class LabelSignals:
     label: str
     score: float | None
     quality: Quality | None
+    track_id: int | None = None
 
 
 @dataclass(frozen=True)
@@ -130,9 +131,11 @@ class Labels:
         states: Collection[ReviewState] | None = None,
         recordings: Collection[int] | None = None,
         classes: Collection[str] | None = None,
+        tracks: Collection[int] | None = None,
     ) -> tuple[StoredLabel, ...]:
         """Labels of the whole project, frame by frame; None = no condition. `REVIEWED` names the trustworthy states."""
-        ordered = _in_order(_chosen(select(labels), states, recordings, classes))
+        chosen = _chosen(select(labels), states, recordings, classes)
+        ordered = _in_order(chosen if tracks is None else chosen.where(labels.c.track_id.in_(tracks)))
         with self.writer.store.read() as connection:
             return tuple(map(stored_label, connection.execute(ordered)))
 
@@ -144,11 +147,11 @@ class Labels:
         classes: Collection[str] | None = None,
     ) -> tuple[LabelSignals, ...]:
         """The same labels as `select` gives, in the same order, without their boxes."""
-        names = ("frame_id", "uid", "label", "score", "proposal_event_id", *QUALITY)
+        names = ("frame_id", "uid", "label", "score", "track_id", "proposal_event_id", *QUALITY)
         ordered = _in_order(_chosen(select(*(labels.c[name] for name in names)), states, recordings, classes))
         with self.writer.store.read() as connection:
             return tuple(
-                LabelSignals(row.frame_id, row.uid, row.label, row.score, _quality(row))
+                LabelSignals(row.frame_id, row.uid, row.label, row.score, _quality(row), row.track_id)
                 for row in connection.execute(ordered)
             )
 

@@ -25,6 +25,7 @@ ROUTES: tuple[str, ...] = (
     "frames",
     "label",
     "review",
+    "tracks",
     "history",
     "queue",
     "checks",

@@ -17,6 +17,8 @@ from annotator.workflows.doubt import doubt
 class Order(StrEnum):
     """WORST: most doubtful proposal first. TIME: frame by frame. CLASS: class by class, worst first within each.
 
+    TRACK: object by object over each recording; those without a track last, frame by frame.
+
     TEACH: frames to draw on, those first whose boxes would teach the detectors most: no label and no proposal yet,
     farthest from the labelled ones of the recording; then the most doubtful proposals.
     """
@@ -24,6 +26,7 @@ class Order(StrEnum):
     WORST = "worst"
     TIME = "time"
     CLASS = "class"
+    TRACK = "track"
     TEACH = "teach"
 
 
@@ -36,12 +39,14 @@ class QueueItem:
         uid: of the proposal, or None for a whole frame.
         label: its class, or None.
         doubt: in 0..1, where it was measured.
+        track_id: of the proposal's object, where known.
     """
 
     frame: StoredFrame
     uid: str | None
     label: str | None
     doubt: float | None
+    track_id: int | None = None
 
 
 def queue(
@@ -70,11 +75,14 @@ def queue(
         items.sort(key=_least_doubt)
     elif order is Order.CLASS:
         items.sort(key=lambda item: (item.label or "", _least_doubt(item)))
+    elif order is Order.TRACK:
+        # the sort keeps the frames' order within a track
+        items.sort(key=lambda item: (item.frame.recording_id, item.track_id is None, item.track_id or 0))
     return tuple(items)
 
 
 def _item(frame: StoredFrame, signals: LabelSignals) -> QueueItem:
-    return QueueItem(frame, signals.uid, signals.label, doubt(signals.quality, signals.score))
+    return QueueItem(frame, signals.uid, signals.label, doubt(signals.quality, signals.score), signals.track_id)
 
 
 def _least_doubt(item: QueueItem) -> float:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
 from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.project.payloads import LinkedLabel, TracksLinked
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import NotFoundError
 from annotator.workflows.checks import Kind, check, check_project
@@ -79,6 +80,11 @@ def test_proposals_in_order(people: Project) -> None:
     assert shown(Order.WORST) == [(0, "dog"), (1, "person"), (0, "person")]
     assert shown(Order.TIME) == [(0, "person"), (0, "dog"), (1, "person")]
     assert shown(Order.CLASS) == [(0, "dog"), (1, "person"), (0, "person")]
+    assert shown(Order.TRACK) == shown(Order.TIME), "boxes without a track come frame by frame"
+    late = people.labels.of_frame(people.frames.of()[1].id)[0]
+    edit = TracksLinked(labels=(LinkedLabel(uid=late.uid, track_id=4),))
+    people.log.append(people.frames.of()[1].id, [edit], Change(people.frames.of()[1].revision, "tracks", Source.AUTO))
+    assert shown(Order.TRACK) == [(1, "person"), (0, "person"), (0, "dog")]
     assert shown(Order.WORST, label="person") == [(1, "person"), (0, "person")]
     assert shown(Order.WORST, recording=1) == shown(Order.WORST)
     with pytest.raises(NotFoundError, match="no recording with id 9"):
@@ -165,6 +171,27 @@ def test_odd_sizes(people: Project) -> None:
     assert warned(people) == [(Kind.SIZE, 1)]
     (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
     assert message == "person of 1.80 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+
+
+def test_odd_sizes_and_boxes_within_a_track(people: Project) -> None:
+    people.configure(classes=["person", "dog"])
+    frames = people.frames.of()
+    for number, frame in enumerate(frames):
+        # within the class sizes differ by themselves; those of one track do not
+        size = (1.2, 0.5, 1.7) if number == 4 else (0.8, 0.5, 1.7)
+        others = [label(box_at(9.0 + n, size=(0.6 + 0.2 * n, 0.5, 1.7)), track=10 + n) for n in (0, 4)]
+        people.labels.create(frame.id, [label(box_at(0.0, size=size), track=1), *others], Change(0, "ann"))
+    assert warned(people) == [(Kind.SIZE, 4)]
+    (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
+    assert message == "track 1: person of 1.20 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+    more = [label(box_at(5.0), track=1), label(box_at(20.0), "dog", track=10)]
+    people.labels.create(frames[2].id, more, Change(people.frames.get(frames[2].id).revision, "ann"))
+    told = [(w.kind, w.message) for w in check(people, lambda frame, boxes: None, frames[2].id)]
+    assert told == [
+        (Kind.TRACK, "track 1 has two boxes in this frame"),
+        (Kind.TRACK, "track 10 has two boxes in this frame"),
+        (Kind.TRACK, "track 10 is person elsewhere, and dog here"),
+    ]
 
 
 def test_heading_jumps_in_sequences(people: Project) -> None:

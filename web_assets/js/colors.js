@@ -7,3 +7,8 @@ export function classColor(classes, label) {
   const index = classes.indexOf(label);
   return index < 0 ? "#c3c9d4" : PALETTE[index % PALETTE.length];
 }
+
+/** The colour of a track by its id; neighbours differ. Grey for a box without one. */
+export function trackColor(track_id) {
+  return track_id === null ? "#c3c9d4" : PALETTE[Math.abs(track_id) % PALETTE.length];
+}

@@ -56,7 +56,8 @@ def _step(
             raise
         state = frame_state(ctx, name, error.frame_id, who).model_dump(mode="json")
         return error_response("HistoryError", str(error), 409, frame=error.frame_id, state=state)
-    ctx.hub.frame_changed(name, done.frame_id, done.receipt.revision, who)
+    for frame_id, receipt in ((done.frame_id, done.receipt), *done.others):
+        ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
     return StepOut.model_construct(
         frame=done.frame_id, state=frame_state(ctx, name, done.frame_id, who), done=done.words
     )

@@ -17,6 +17,8 @@ from annotator.types import Label, Truth
 
 # How far a side may be from the median of its class, and how many typical deviations where a class varies by itself.
 SIZE_FACTOR = 1.6
+# The same within one object's track.
+TRACK_SIZE_FACTOR = 1.35
 SIZE_DEVIATIONS = 5.0
 # Median absolute deviation to standard deviation, of a normal distribution.
 DEVIATION_OF_MAD = 1.4826
@@ -46,21 +48,27 @@ class UsualSize:
         return bool((np.abs(np.log(_sides(size_m) / self.median_m)) > np.log(self.factor)).any())
 
 
-def usual_sizes(sizes: Iterable[tuple[str, Float64[np.ndarray, "3"]]]) -> dict[str, UsualSize]:
-    """The usual size of each class of which there are at least `LEAST_FOR_MEDIAN` boxes.
+def usual_sizes(
+    sizes: Iterable[tuple[str, Float64[np.ndarray, "3"]]], least_factor: float = SIZE_FACTOR
+) -> dict[str, UsualSize]:
+    """The usual size of each class (or object) of which there are at least `LEAST_FOR_MEDIAN` boxes.
 
-    A class whose sizes vary by themselves, such as tables, is allowed `SIZE_DEVIATIONS` of its own deviations.
+    One whose sizes vary by themselves, such as tables, is allowed `SIZE_DEVIATIONS` of its own deviations.
+
+    Args:
+        least_factor: what every side may differ by in any case.
     """
     by_class: dict[str, list[np.ndarray]] = defaultdict(list)
     for name, size_m in sizes:
         by_class[name].append(_sides(size_m))
-    return {name: _usual(np.array(sides)) for name, sides in by_class.items() if len(sides) >= LEAST_FOR_MEDIAN}
+    enough = {name: np.array(sides) for name, sides in by_class.items() if len(sides) >= LEAST_FOR_MEDIAN}
+    return {name: _usual(sides, least_factor) for name, sides in enough.items()}
 
 
-def _usual(sides: Float64[np.ndarray, "n 3"]) -> UsualSize:
+def _usual(sides: Float64[np.ndarray, "n 3"], least_factor: float) -> UsualSize:
     median = np.median(sides, axis=0)
     deviation = DEVIATION_OF_MAD * np.median(np.abs(np.log(sides / median)), axis=0)
-    return UsualSize(median, np.maximum(SIZE_FACTOR, np.exp(SIZE_DEVIATIONS * deviation)))
+    return UsualSize(median, np.maximum(least_factor, np.exp(SIZE_DEVIATIONS * deviation)))
 
 
 def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[Place]:

@@ -196,8 +196,10 @@ def _moved(project: Project, step: _Step, stored: StoredLabel) -> OrientedBox:
     here, config = places[step.frame.id], TrackingConfig()
     earlier = {
         places[other.frame_id]: other.label.box
-        for other in project.labels.select(states=REVIEWED, recordings=[step.frame.recording_id])
-        if other.label.track_id == label.track_id and here - config.max_gap <= places.get(other.frame_id, here) < here
+        for other in project.labels.select(
+            states=REVIEWED, recordings=[step.frame.recording_id], tracks=[label.track_id]
+        )
+        if here - config.max_gap <= places.get(other.frame_id, here) < here
     }
     known = sorted(earlier)[1 - config.motion_boxes :]
     times = times_of(FrameSource(project).recording(step.frame.recording_id), frames)

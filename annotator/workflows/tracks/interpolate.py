@@ -150,8 +150,8 @@ def _keys(project: Project, frames: Sequence[StoredFrame], recording_id: int, tr
     """
     places = {frame.id: place for place, frame in enumerate(frames)}
     found: dict[int, _Key] = {}
-    for stored in project.labels.select(states=REVIEWED, recordings=[recording_id]):
-        if stored.label.track_id != track_id or stored.frame_id not in places:
+    for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
+        if stored.frame_id not in places:
             continue
         place = places[stored.frame_id]
         if place in found:

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
 
 from annotator.project import StoredFrame
 from annotator.recordings import Recording
-from annotator.recordings.azure_kinect import AzureKinect
 from annotator.recordings.kitti_folder import KittiFolder
 from annotator.tracking.motion import frame_times
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A recording that knows all times."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The frames' names."""
+
+    @property
+    def times_ns(self) -> tuple[int | None, ...] | None:
+        """When each frame was taken, nanoseconds on any one clock; None where nobody has written it down."""
 
 
 def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
@@ -32,8 +45,7 @@ def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.
 def _times_ns(recording: Recording, frames: Sequence[StoredFrame]) -> list[int | None] | None:
     if isinstance(recording, KittiFolder) and all(frame.key.isascii() and frame.key.isdigit() for frame in frames):
         return [recording.time_ns(int(frame.key)) for frame in frames]
-    if isinstance(recording, AzureKinect):
-        captures = dict(zip(recording.keys, recording.captures, strict=True))
-        found = [captures.get(frame.key) for frame in frames]
-        return [None if capture is None else capture.color.time_ns for capture in found]
+    if isinstance(recording, Timed) and recording.times_ns is not None:
+        known = dict(zip(recording.keys, recording.times_ns, strict=True))
+        return [known.get(frame.key) for frame in frames]
     return None

@@ -8,6 +8,7 @@ const KINDS = [
   ["empty", "Hardly any points inside", "the box may be in the wrong place"],
   ["size", "Unusual size", "far from the median of the class"],
   ["heading", "Heading jumps", "turned far against the neighbouring frame"],
+  ["track", "Tracks", "two boxes of one object in a frame, or of two classes"],
   ["duplicate", "Overlapping boxes", "two boxes may stand for one object"],
 ];
 /** More than this in one group are counted, not listed. */

@@ -8,7 +8,8 @@ export function createActions(host, act) {
   const reject = button("reject", "Reject", "X");
   const refit = button("refit", "Fit again", "G");
   const flip = button("flip", "Turn 90°", "F");
-  const copy = button("copy", "Copy from previous", "C");
+  const copy = button("copy", "Copy previous", "C");
+  const next = button("next", "Propose next", "V");
   const draw = button("draw", "New box", "B");
   const remove = iconButton("trash", "Delete the box (Del)", () => act.remove(), { "data-testid": "act-delete" });
   const finalise = h("button", { type: "button", "data-testid": "act-finalise", onclick: () => act.finalise() });
@@ -19,13 +20,15 @@ export function createActions(host, act) {
       h("button", { type: "button", "data-mode": mode, title: `Gizmo: ${text.toLowerCase()} (${key})`, "data-testid": `gizmo-${mode}`, onclick: () => act.gizmo(mode) }, text, h("kbd", {}, key)),
     ),
   );
-  host.replaceChildren(accept, reject, remove, h("span", { class: "divider" }), refit, flip, h("span", { class: "divider" }), gizmo, h("span", { class: "grow" }), draw, copy, finalise);
+  host.replaceChildren(accept, reject, remove, h("span", { class: "divider" }), refit, flip, h("span", { class: "divider" }), gizmo, h("span", { class: "grow" }), draw, copy, next, finalise);
 
   return {
     show({ label, frame, gizmo_mode, busy, is_drawing }) {
       for (const one of [accept, reject, refit, flip, remove]) one.disabled = !label || busy;
       accept.firstChild.textContent = label && label.state !== "proposed" && label.state !== "rejected" ? "Next" : "Accept";
       copy.disabled = !frame || frame.frame.previous === null || busy;
+      next.disabled = !frame || frame.frame.next === null || busy;
+      next.title = "Propose boxes in the next frame, starting from this frame's reviewed ones, and go there (V)";
       draw.disabled = !frame || busy || frame.frame.finalised;
       draw.setAttribute("aria-pressed", String(is_drawing));
       finalise.disabled = !frame || busy;

@@ -12,9 +12,8 @@ export function shortName(label) {
   return `${label.label} ${id}`;
 }
 
-/** Lines of a label on the camera image; `box` is given where it is not the stored one. */
-export function imageOverlays(camera, label, { selected, box }) {
-  const color = STATE_COLORS[label.state];
+/** Lines of a label on the camera image; `box` is given where it is not the stored one, `color` where not the state's. */
+export function imageOverlays(camera, label, { selected, box, color = STATE_COLORS[label.state] }) {
   const segments = box ? outline(camera, box) : label.outline;
   const tag = selected && !label.is_new ? `${shortName(label)} · ${label.state}` : shortName(label);
   const body = { id: label.uid, segments, color, dash: label.state === "rejected", strong: selected, tag };

@@ -1,5 +1,6 @@
 /** The camera image with all boxes of the frame: a click selects, the selected one follows every drag, a new one is drawn. */
 
+import { trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { imageOverlays } from "./drawing.js";
@@ -9,8 +10,10 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
   const title = h("h2", { class: "ellipsis" }, "Image");
   const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
   const with_rejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
+  const by_track = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
+  by_track.checked = localStorage.getItem("color-by-track") === "true";
   const body = h("div", { class: "view-body", "data-testid": "review-image" });
-  host.append(h("header", {}, title, note, h("span", { class: "grow" }), h("label", { class: "row" }, with_rejected, "rejected")), body);
+  host.append(h("header", {}, title, note, h("span", { class: "grow" }), h("label", { class: "row", title: "One colour an object, not one a state" }, by_track, "tracks"), h("label", { class: "row" }, with_rejected, "rejected")), body);
   /** The class of the box that will be drawn; null where none will be. */
   let wanted = null;
   let is_fitting = false;
@@ -34,6 +37,13 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
     return known.camera;
   }
 
+  function colorAnew() {
+    localStorage.setItem("color-by-track", String(by_track.checked));
+    show();
+  }
+
+  const colorOf = (label) => (by_track.checked ? { color: trackColor(label.track_id) } : {});
+
   function show() {
     const frame = app.state.frame;
     if (!frame) {
@@ -48,8 +58,8 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
     note.textContent = noteOf(frame);
     const selected = desk.shown;
     const others = desk.labels().filter((label) => label.uid !== selected?.uid && (with_rejected.checked || label.state !== "rejected"));
-    const overlays = others.flatMap((label) => imageOverlays(camera, label, { selected: false, box: label.is_new || desk.isDraft(label.uid) ? desk.seen(label).box : null }));
-    if (selected) overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box }));
+    const overlays = others.flatMap((label) => imageOverlays(camera, label, { selected: false, box: label.is_new || desk.isDraft(label.uid) ? desk.seen(label).box : null, ...colorOf(label) }));
+    if (selected) overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box, ...colorOf(selected) }));
     editor.setOverlays(overlays);
   }
 

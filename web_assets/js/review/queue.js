@@ -4,6 +4,7 @@ export const ORDERS = [
   ["worst", "Worst first"],
   ["time", "In time order"],
   ["class", "By class"],
+  ["track", "By track"],
 ];
 
 /** Another operator's work is read in after this pause, milliseconds. */

@@ -18,6 +18,7 @@ import { createOrthoViews } from "./ortho_views.js";
 import { createQueue } from "./queue.js";
 import { createScene } from "./scene.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
+import { createTracks } from "./tracks.js";
 
 /** A picture that is wider than this, as a share of its height, gets more of the room. */
 const WIDE_ASPECT = 1.9;
@@ -35,6 +36,7 @@ export function mount(root, app) {
   const queue = createQueue(app, showQueue);
   const queue_list = createQueueList(parts.queue, app, queue, { open: (item) => go(item) });
   const box_list = createBoxList(parts.boxes, desk);
+  const tracks = createTracks(parts.boxes, app, desk, { open: (item) => go(item) });
   const image = createImagePanel(parts.image, app, desk, { onDrawn: fitDrawn, onMode: () => showActions() });
   const scene = createScene(parts.scene, app, desk);
   const ortho = createOrthoViews(parts.ortho, app, desk);
@@ -58,6 +60,7 @@ export function mount(root, app) {
       showActions();
     },
     copy,
+    next: () => whenCalm(() => tracks.follow("detect")),
     draw: () => image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null),
     finalise,
   };
@@ -91,6 +94,7 @@ export function mount(root, app) {
     image.show();
     box_list.show();
     fields.show();
+    void tracks.show();
     showActions();
     showQueue();
     // not the old frame once more while the next one is on its way
@@ -261,6 +265,9 @@ export function mount(root, app) {
     }
   }
 
+  /** While a frame is on its way nothing is asked of it. */
+  const whenCalm = (fn) => (loading ? undefined : void fn());
+
   const canDraw = () => Boolean(app.state.frame) && !loading && !app.state.frame.frame.finalised;
 
   /** A box was drawn on the image. What is not found in it is drawn on in Label, of which this is the first drag. */
@@ -324,6 +331,12 @@ export function mount(root, app) {
       cancel,
       finalise: once(finalise),
       "copy-previous": once(copy),
+      "propose-next": once(act.next),
+      "copy-next": once(() => whenCalm(() => desk.stored() && !desk.shown.is_new && tracks.follow("copy", desk.uid))),
+      interpolate: once(() => whenCalm(() => tracks.interpolate())),
+      "interpolate-refit": once(() => whenCalm(() => tracks.interpolate(true))),
+      "next-of-track": once(() => whenCalm(() => tracks.step(1))),
+      "previous-of-track": once(() => whenCalm(() => tracks.step(-1))),
       "next-box": () => stepBox(1),
       "previous-box": () => stepBox(-1),
       "next-frame": () => step("next"),

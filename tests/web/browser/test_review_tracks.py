@@ -1,0 +1,87 @@
+"""Review in a real browser: an object over the recording, carried on, filled in, and found again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from review_desk import Desk
+
+from annotator.project import Change, NewLabel
+from annotator.types import Label, ReviewState
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+def of_track(desk: Desk, frame: int, track_id: int = 7) -> list[Label]:
+    return [label for label in desk.project.labels.of_frame(frame) if label.track_id == track_id]
+
+
+def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    frames = [stored.id for stored in project.frames.of()]
+    page.goto(f"/#/{desk.name}/review/{frames[0]}")
+    expect(page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    desk.settled()
+    uid = desk.uid
+    expect(page.get_by_test_id("track-strip")).to_be_hidden()
+    page.get_by_test_id("field-track").fill("7")
+    page.get_by_test_id("field-track").press("Enter")
+    wait_for(lambda: desk.label.track_id == 7, 5)
+    desk.settled()
+    expect(page.get_by_test_id("track-tick")).to_have_count(1)
+    page.locator("body").click(position={"x": 2, "y": 2})
+
+    # there are no detectors: the reviewed box is copied, and the page goes there
+    desk.press("v")
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    (copied,) = of_track(desk, frames[1])
+    assert copied.state is ReviewState.PROPOSED
+    page.locator(f'[data-testid="frame-box"][data-uid="{copied.uid}"]').click()
+    desk.settled()
+    expect(page.get_by_test_id("track-tick")).to_have_count(2)
+    desk.press("Shift+P")
+    expect(page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    assert desk.uid == uid
+    desk.press("Shift+N")
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    assert desk.uid == copied.uid
+    desk.press("Control+z")
+    wait_for(lambda: not of_track(desk, frames[1]), 5)
+
+    # somebody reviews the object in frame 4; what lies between is filled from there
+    first = project.labels.get(uid).label
+    change = Change(project.frames.get(frames[3]).revision, "bob")
+    project.labels.create(frames[3], [NewLabel(first.label, first.box, track_id=7)], change)
+    page.goto(f"/#/{desk.name}/review/{frames[3]}")
+    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
+    expect(page.get_by_test_id("track-tick")).to_have_count(2)
+    desk.settled()
+    desk.press("i")
+    expect(page.get_by_test_id("track-tick")).to_have_count(4)
+    for frame in frames[1:3]:
+        (filled,) = of_track(desk, frame)
+        assert filled.state is ReviewState.PROPOSED
+        np.testing.assert_allclose(filled.box.center_m, first.box.center_m, atol=1e-9)
+    expect(page.get_by_test_id("act-fill")).to_be_enabled()
+    page.get_by_test_id("color-by-track").check()
+    page.locator('[data-testid="track-tick"].state-proposed').first.click()
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]), 5)
+    page.get_by_test_id("color-by-track").uncheck()
+    desk.press("?")
+    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's reviewed box before")
+    desk.press("Escape")
+
+
+def test_what_cannot_be_carried_on_is_said(desk: Desk) -> None:
+    frames = [stored.id for stored in desk.project.frames.of()]
+    desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    desk.settled()
+    desk.press("v")
+    expect(desk.page.get_by_text("has no reviewed box to start from")).to_be_visible()
+    expect(desk.page.get_by_test_id("act-fill")).to_be_hidden()
+    desk.press("Shift+N")
+    expect(desk.page.get_by_text("belongs to no track")).to_be_visible()
