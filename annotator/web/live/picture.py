@@ -16,6 +16,7 @@ WIDTH_PX = 640
 BOX_COLOR, SOLID_COLOR, LOST_COLOR = (255, 214, 10), (240, 120, 40), (154, 161, 173)
 # Straight edges are bent on a distorted image; each is followed in so many steps.
 STEPS_DISTORTED = 6
+FONT, FONT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 # cv2 draws at fractions of a pixel: so many bits of them.
 SHIFT = 4
 
@@ -56,11 +57,16 @@ def _draw_flat(
     edges = np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]])
     first, last = (tuple(map(int, corner)) for corner in _fixed(_scaled(edges, share)))
     cv2.rectangle(image, first, last, color, 1, cv2.LINE_AA, SHIFT)
-    # above the box, or inside where the picture ends there
-    left, top = first[0] >> SHIFT, first[1] >> SHIFT
-    place = (max(left, 2), top - 5 if top > 18 else top + 16)
-    cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, 1, cv2.LINE_AA)
+    _write(image, text, (first[0] >> SHIFT, first[1] >> SHIFT), color)
+
+
+def _write(image: UInt8[np.ndarray, "h w 3"], text: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
+    """A line above a box's upper left corner, or inside where the picture ends there."""
+    (width, height), below = cv2.getTextSize(text, FONT, FONT_SIZE, 1)
+    left, line = max(corner[0], 0), height + below + 2
+    bottom = corner[1] if corner[1] >= line else corner[1] + line
+    cv2.rectangle(image, (left, bottom - line), (left + width + 2, bottom), (20, 20, 20), cv2.FILLED)
+    cv2.putText(image, text, (left + 1, bottom - below), FONT, FONT_SIZE, color, 1, cv2.LINE_AA)
 
 
 def _scaled(px: Float64[np.ndarray, "k 2"], share: float) -> Float64[np.ndarray, "k 2"]:

@@ -111,7 +111,7 @@ def _show(
     try:
         facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
         if recorder is not None:
-            facts["recorded to"] = recorder.out.name
+            facts["recording"] = recorder.out.name
         view = LiveView(source.name, facts)
         pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=tell)
         serve_live(settings, view, pipeline)
