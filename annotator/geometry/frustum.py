@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -20,6 +22,13 @@ def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> B
     Returns:
         (n,) mask; points behind the camera (z <= 0) and NaN points are outside.
     """
+    return in_frustums(camera, xyz_m, [box])[0]
+
+
+def in_frustums(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], boxes: Sequence[Box2D]) -> list[Bool[np.ndarray, "n"]]:
+    """The same for several boxes on one image, for which the points are projected once."""
+    if not boxes:
+        return []
     u, v = project(camera, xyz_m).T
     # comparisons with NaN are false, so what cannot be projected drops out
-    return (u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max)
+    return [(u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max) for box in boxes]

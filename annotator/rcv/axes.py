@@ -54,8 +54,18 @@ def match_frame(
     symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
 ) -> Float64[np.ndarray, "3 3"]:
     """The relabelling of a frame's axes that is nearest to a reference, so that a quarter turn is no rotation."""
-    candidates = symmetries @ frame
-    return candidates[np.argmax(np.einsum("kij,ij->k", candidates, reference))]
+    return match_frames(frame[None], reference, symmetries)[0]
+
+
+def match_frames(
+    frames: Float64[np.ndarray, "n 3 3"],
+    reference: Float64[np.ndarray, "3 3"],
+    symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
+) -> Float64[np.ndarray, "n 3 3"]:
+    """`match_frame` of several frames."""
+    candidates = symmetries @ frames[:, None]
+    best = np.argmax(np.einsum("nkij,ij->nk", candidates, reference), axis=1)
+    return candidates[np.arange(len(frames)), best]
 
 
 def frame_angle(a: Float64[np.ndarray, "3 3"], b: Float64[np.ndarray, "3 3"]) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
-from annotator.rcv.axes import UPRIGHT_SYMMETRIES, camera_frame, match_frame
+from annotator.rcv.axes import UPRIGHT_SYMMETRIES, camera_frame, match_frames
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.rotation_grid import spread_rotations
+from annotator.rcv.rotation_grid import spread_rotations, turns
 
 DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
 
@@ -17,11 +17,11 @@ def wide_frames(up: Float64[np.ndarray, "3"] | None, config: RcvConfig) -> list[
     """Frames spread over all orientations that a box can have: yaws of a quarter turn, or over SO(3)."""
     base = camera_frame(up)
     if up is not None:
-        turns = np.arange(config.consensus.upright_hypotheses) * (np.pi / 2 / config.consensus.upright_hypotheses)
-        rotations = Rotation.from_rotvec(turns[:, None] * up).as_matrix()
+        yaws = np.arange(config.consensus.upright_hypotheses) * (np.pi / 2 / config.consensus.upright_hypotheses)
+        rotations = Rotation.from_rotvec(yaws[:, None] * up).as_matrix()
     else:
         rotations = spread_rotations(config.consensus.free_hypotheses)
-    return [look_from_camera(base @ turn.T, up) for turn in rotations]
+    return _all_from_camera(base @ rotations.swapaxes(1, 2), up)
 
 
 def near_frames(
@@ -38,8 +38,7 @@ def near_frames(
     else:
         directions = _fibonacci_directions(max(count - 1, 1))
         offsets = np.concatenate([np.zeros((1, 3)), spread * directions])[:count]
-    turns = Rotation.from_rotvec(offsets).as_matrix()
-    return [look_from_camera(rotation.T @ turn.T, up) for turn in turns]
+    return _all_from_camera((Rotation.from_rotvec(offsets).as_matrix() @ rotation).swapaxes(1, 2), up)
 
 
 def beside_frames(
@@ -58,8 +57,7 @@ def beside_frames(
         return near_frames(rotation, up, config)
     count, spread = config.consensus.refine_hypotheses, config.warm.spread_rad
     side = 1.0 if step % 2 == 0 else -1.0
-    turns = Rotation.from_rotvec(side * spread * _diagonals(count)).as_matrix()
-    return [look_from_camera((rotation @ turn).T, up) for turn in turns]
+    return _all_from_camera((rotation @ turns(side * spread * _diagonals(count))).swapaxes(1, 2), up)
 
 
 def _diagonals(count: int) -> Float64[np.ndarray, "k 3"]:
@@ -76,9 +74,15 @@ def look_from_camera(
 
     Every object is then seen from the side that the sensor saw, and right way up, whatever its own axes are called.
     """
+    return _all_from_camera(frame[None], up)[0]
+
+
+def _all_from_camera(
+    frames: Float64[np.ndarray, "k 3 3"], up: Float64[np.ndarray, "3"] | None
+) -> list[Float64[np.ndarray, "3 3"]]:
     reference = camera_frame(up)
-    matched = match_frame(frame, reference)
-    return matched if up is None else match_frame(matched, reference, UPRIGHT_SYMMETRIES)
+    matched = match_frames(frames, reference)
+    return list(matched if up is None else match_frames(matched, reference, UPRIGHT_SYMMETRIES))
 
 
 def _fibonacci_directions(count: int) -> Float64[np.ndarray, "k 3"]:

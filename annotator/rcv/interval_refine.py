@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from annotator.rcv.config import FitConfig
+from annotator.rcv.rotation_grid import turns
 
 # How long it refines: steps of a computation, which decide nothing about an object.
 ROUNDS = 12
@@ -151,19 +152,6 @@ class Edges:
         """(k, 9 or 7) change of centre, size and rotation (about the box's own axes, or its z axis)."""
         by_reach = _by_size_and_turn(state.along, size, held)
         return _solve(self.direction, by_reach, state.weight, state.residual, damping)
-
-
-def turns(vectors: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 3 3"]:
-    """Rotation matrices of rotation vectors, radians (Rodrigues); a few at once cost less here than in scipy."""
-    angle = np.sqrt((vectors**2).sum(axis=1))
-    half = 0.5 * angle
-    # sin(x) / x and (1 - cos(x)) / x**2 in forms that are exact near zero
-    by_cross, by_square = np.sinc(angle / np.pi), 0.5 * np.sinc(half / np.pi) ** 2
-    cross = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-    cross -= cross.swapaxes(1, 2)
-    return np.eye(3) + by_cross[:, None, None] * cross + by_square[:, None, None] * (cross @ cross)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool
 
-from annotator.geometry.frustum import in_frustum
+from annotator.geometry.frustum import in_frustums
 from annotator.geometry.normals import normals_from_depth, normals_knn
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, PointCloud
@@ -43,5 +43,5 @@ def frame_with_normals(frame: Frame, image_boxes: Sequence[Box2D], config: RcvCo
     """The frame whose cloud has normals in the frustums of these boxes, for who looks at one object after another."""
     if not image_boxes or frame.cloud.normals is not None:
         return frame
-    wanted = np.logical_or.reduce([in_frustum(frame.camera, frame.cloud.xyz_m, box) for box in image_boxes])
+    wanted = np.logical_or.reduce(in_frustums(frame.camera, frame.cloud.xyz_m, image_boxes))
     return replace(frame, cloud=with_normals(frame, wanted, config))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from annotator.geometry.frustum import in_frustum
+from annotator.geometry.frustum import in_frustums
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
@@ -77,7 +77,7 @@ def _frustums(
     index: int, frame: Frame, boxes: Sequence[Box2D], seeds: Sequence[Seed], config: RcvConfig
 ) -> list[ObjectState]:
     boxes = [box for box in boxes if box.score >= config.min_image_score]
-    masks = [in_frustum(frame.camera, frame.cloud.xyz_m, box) for box in boxes]
+    masks = in_frustums(frame.camera, frame.cloud.xyz_m, boxes)
     cloud = frame.cloud
     if boxes and needs_normals(config):
         cloud = with_normals(frame, np.logical_or.reduce(masks), config)

@@ -48,9 +48,16 @@ class PointCloud:
     def select(self, keep: np.ndarray) -> PointCloud:
         """The points that a boolean mask (N,) or an index array keeps, with all that is known of them."""
 
+        # rows by their numbers are gathered several times as fast as rows by a mask
+        index = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
+
         def pick(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else values[keep]
+            return None if values is None else values.take(index, axis=0)
 
         return PointCloud(
-            self.xyz_m[keep], pick(self.rgb), pick(self.reflectance), pick(self.pixel_index), pick(self.normals)
+            self.xyz_m.take(index, axis=0),
+            pick(self.rgb),
+            pick(self.reflectance),
+            pick(self.pixel_index),
+            pick(self.normals),
         )

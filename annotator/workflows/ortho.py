@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
-from annotator.rcv.pseudo_view import BACKGROUND, Window, draw, pack_colors, point_colors
+from annotator.rcv.drawing import BACKGROUND, Window, draw, pack_colors
+from annotator.rcv.pseudo_view import point_colors
 from annotator.types import OrientedBox, PointCloud, PseudoView
 from annotator.workflows.open_frame import OpenFrame
 

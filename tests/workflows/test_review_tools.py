@@ -14,7 +14,7 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.project import Change, NewLabel, Origin, Project
 from annotator.project.payloads import LabelRejected
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.pseudo_view import BACKGROUND
+from annotator.rcv.drawing import BACKGROUND
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
