@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
-from live_server import wait_until
+from live_pages import Knows, found, served
 from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -22,17 +19,14 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
-from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox, Proposal, Quality
+from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox
 from annotator.web.live.picture import BOX_COLOR, LOST_COLOR, edges_px, picture
-from annotator.web.live.serve import live_app
 from annotator.web.live.view import LiveView, table
-from annotator.web.serve import Running
 from annotator.web.settings import ServerSettings
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.figures import Drops, Meter
 from annotator.workflows.live.pipeline import Pipeline
-from annotator.workflows.live.playback import Playback, Repeat
-from annotator.workflows.live.source import Taken
+from annotator.workflows.live.playback import Playback
 from annotator.workflows.truth import load_truth
 
 TOKEN = "0123456789abcdef-live"
@@ -41,44 +35,6 @@ TOKEN = "0123456789abcdef-live"
 @pytest.fixture(scope="module")
 def frame(generated: Path) -> Frame:
     return open_recording(generated / "hands").frame(0)
-
-
-def found(frame: Frame, *boxes: OrientedBox) -> FrameProposals:
-    quality = Quality(0.0, 1.0, 0.0)
-    proposals = [Proposal("hand", 0.8, box, Box2D("hand", 40.0, 60.0, 120.0, 150.0, 0.9), (), quality) for box in boxes]
-    return FrameProposals(frame.key, tuple(proposals), ())
-
-
-class Knows:
-    """A detection that takes the truth for what it has found."""
-
-    def __init__(self, folder: Path) -> None:
-        self.recording = open_recording(folder)
-
-    def detect(self, taken: Taken) -> Detected:
-        truths = load_truth(self.recording, taken.frame.index, taken.frame)
-        answer = found(taken.frame, *(truth.box for truth in truths))
-        return Detected(taken.frame, answer, taken.taken_s, {"read": taken.read_s, "views": 0.001})
-
-
-@contextmanager
-def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LiveView]]:
-    """A live page that goes on for ever."""
-    view = LiveView("hands", {"backend": "truth"})
-    pipeline = Pipeline(Playback(open_recording(folder), rate=10.0, repeat=Repeat.BACK), Knows(folder), view.show)
-    view.follow(pipeline)
-    server = Running(settings, live_app(settings, view))
-    thread = threading.Thread(target=server.serve_until_stopped)
-    thread.start()
-    pipeline.start()
-    try:
-        wait_until(lambda: server.started and pipeline.figures().shown, 60)
-        yield f"http://127.0.0.1:{server.port}", pipeline, view
-    finally:
-        server.should_exit = True
-        thread.join(20)
-        pipeline.end()
-        view.close()
 
 
 def test_only_a_page_of_this_server_gets_in(generated: Path, tmp_path: Path) -> None:
