@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from pydantic import JsonValue
@@ -9,10 +10,14 @@ from pydantic import JsonValue
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import Root, open_named
+from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
-from annotator.workflows.annotate import AnnotateSummary, annotate
-from annotator.workflows.detectors import active_detectors
+from annotator.workflows.annotate import annotate_with, require_limit
+from annotator.workflows.batch_book import AnnotateSummary
+from annotator.workflows.engines.choose import EngineName, make_engine
+from annotator.workflows.engines.sources import trained_detectors
+from annotator.workflows.engines.storage import CACHE_MB, Storage, parse_elsewhere
 from annotator.workflows.rcv_settings import editable, rcv_config
 
 SHOWN_FAILURES = 10
@@ -29,6 +34,14 @@ def run(
     config: Path | None = None,
     show_config: bool = False,
     limit: int | None = None,
+    from_reviewed: bool = False,
+    engine: EngineName = EngineName.AUTO,
+    workers: int | None = None,
+    threads: int | None = None,
+    backend: Backend = "auto",
+    address: str | None = None,
+    elsewhere: tuple[str, ...] = (),
+    cache_mb: int = CACHE_MB,
     root: Root = None,
 ) -> int:
     """Propose oriented 3D boxes for every frame that these detectors and settings have not done yet.
@@ -48,6 +61,17 @@ def run(
         show_config: print all settings as they would be used, with units in their names, and do nothing; what is
             printed can be edited and given to --config.
         limit: at most so many frames.
+        from_reviewed: start from the reviewed boxes of the frame before, where there are any; a setting of its own,
+            with which all frames are done anew.
+        engine: inline works in this process, local in worker processes, ray on a cluster (docs/cluster.md), all with
+            the same results; auto takes local where there are several cores and enough frames.
+        workers: of the engine; default: one a GPU, or else one a core.
+        threads: of the processor for each worker; default: its share of the cores, with ray one.
+        backend: what runs the detectors; auto takes the fastest that is installed.
+        address: of a Ray cluster, HOST:PORT or auto; default: one on this machine, for as long as this takes.
+        elsewhere: FOLDER=PLACE where workers find the recordings below FOLDER, a path or a storage's URL, such as
+            /data=s3://bucket/data.
+        cache_mb: so much of recordings in a storage a worker keeps on its disk, megabytes.
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     with open_named(project, root) as opened:
@@ -56,16 +80,38 @@ def run(
         if show_config:
             print_line(editable(settings))
             return 0
-        detectors = active_detectors(opened)
-        settings = settings.model_copy(update={"box_kind": detectors.box_kind})
+        require_limit(limit)
+        source = trained_detectors(opened, backend)
+        settings = settings.model_copy(update={"box_kind": source.box_kind})
         chosen = [opened.recordings.find(name).id for name in recordings] or None
-        with counted("annotate") as progress:
-            done = annotate(
-                opened, detectors, settings, recordings=chosen, rotation=rotation, limit=limit, progress=progress
+        present = opened.frames.count_present(chosen)
+        with (
+            closing(
+                make_engine(
+                    engine,
+                    source,
+                    frames=present if limit is None else min(present, limit),
+                    workers=workers,
+                    threads=threads,
+                    address=address,
+                    storage=Storage(parse_elsewhere(elsewhere), cache_mb),
+                )
+            ) as made,
+            counted("annotate") as progress,
+        ):
+            done = annotate_with(
+                opened,
+                made,
+                settings,
+                recordings=chosen,
+                rotation=rotation,
+                limit=limit,
+                from_reviewed=from_reviewed,
+                progress=progress,
             )
     for line in told(done):
         print_line(line)
-    return 1 if done.failed else 0
+    return 1 if done.failures else 0
 
 
 def told(done: AnnotateSummary) -> list[str]:
@@ -73,9 +119,9 @@ def told(done: AnnotateSummary) -> list[str]:
     rate = f", {done.seconds / done.done:.2f} s a frame" if done.done else ""
     lines = [
         f"{done.done} frames done, {done.proposals} proposals ({done.without} frames without), "
-        f"{done.skipped} skipped, {len(done.failed)} failed; {done.seconds:.1f} s{rate}"
+        f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}"
     ]
     lines += [f"  failed {key}: {reason}" for key, reason in done.failed[:SHOWN_FAILURES]]
-    if len(done.failed) > SHOWN_FAILURES:
-        lines.append(f"  and {len(done.failed) - SHOWN_FAILURES} more")
+    if done.failures > SHOWN_FAILURES:
+        lines.append(f"  and {done.failures - SHOWN_FAILURES} more")
     return lines

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, func, select
 
 from annotator.project.payloads import FrameFinalised, FrameReopened
 from annotator.project.schema import AnyRow, frames
@@ -69,6 +69,14 @@ class Frames:
             query = query.where(frames.c.recording_id.in_(recordings))
         with self.writer.store.read() as connection:
             return tuple(map(frame_of, connection.execute(query)))
+
+    def count_present(self, recordings: Sequence[int] | None = None) -> int:
+        """How many frames of some recordings (all by default) the latest scan found."""
+        query = select(func.count()).where(frames.c.position.is_not(None))
+        if recordings is not None:
+            query = query.where(frames.c.recording_id.in_(recordings))
+        with self.writer.store.read() as connection:
+            return int(connection.execute(query).scalar_one())
 
     def finalise(self, frame_id: int, change: Change) -> Receipt:
         """Close a frame to automatic passes.

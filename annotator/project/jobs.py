@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
+from sqlalchemy import Connection, Select, delete, func, insert, literal, select, tuple_, update
 
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.schema import AnyRow, frame_results, frames, runs
@@ -137,25 +137,47 @@ class Jobs:
         with self.store.read() as connection:
             return tuple(map(_result, connection.execute(query)))
 
-    def pending(self, key: str, recordings: Collection[int] | None = None) -> tuple[StoredFrame, ...]:
+    def pending(
+        self,
+        key: str,
+        recordings: Collection[int] | None = None,
+        *,
+        after: StoredFrame | None = None,
+        limit: int | None = None,
+    ) -> tuple[StoredFrame, ...]:
         """The frames that a run with this key has to do, in order.
 
         Left out are finalised frames, frames that the latest scan no longer found, and frames whose latest pass had
         this key and succeeded. (After a pass with other settings the frame shows their proposals: it is done anew.)
+
+        Args:
+            after: only those behind this one, which has an index.
+            limit: at most so many.
         """
-        done = select(frame_results.c.frame_id).where(
-            frame_results.c.id.in_(latest_results()),
-            frame_results.c.key == key,
-            frame_results.c.status == Status.DONE.value,
-        )
-        query = select(frames).where(
-            frames.c.finalised.is_(False), frames.c.position.is_not(None), frames.c.id.not_in(done)
-        )
-        if recordings is not None:
-            query = query.where(frames.c.recording_id.in_(recordings))
+        query = _pending(key, recordings).order_by(frames.c.recording_id, frames.c.position)
+        if after is not None:
+            place = tuple_(literal(after.recording_id), literal(after.index))
+            query = query.where(tuple_(frames.c.recording_id, frames.c.position) > place)
         with self.store.read() as connection:
-            ordered = query.order_by(frames.c.recording_id, frames.c.position)
-            return tuple(map(frame_of, connection.execute(ordered)))
+            return tuple(map(frame_of, connection.execute(query.limit(limit))))
+
+    def count_pending(self, key: str, recordings: Collection[int] | None = None) -> int:
+        """How many these are."""
+        with self.store.read() as connection:
+            query = select(func.count()).select_from(_pending(key, recordings).subquery())
+            return int(connection.execute(query).scalar_one())
+
+
+def _pending(key: str, recordings: Collection[int] | None) -> Select[Any]:
+    done = select(frame_results.c.frame_id).where(
+        frame_results.c.id.in_(latest_results()),
+        frame_results.c.key == key,
+        frame_results.c.status == Status.DONE.value,
+    )
+    query = select(frames).where(
+        frames.c.finalised.is_(False), frames.c.position.is_not(None), frames.c.id.not_in(done)
+    )
+    return query if recordings is None else query.where(frames.c.recording_id.in_(recordings))
 
 
 def latest_results() -> Select[tuple[int]]:

@@ -1,55 +1,39 @@
-"""Proposals for whole recordings: a batch that goes on after a bad frame, and starts where it was stopped."""
+"""Proposals for whole recordings: a batch that goes on after a bad frame, and starts where it was stopped.
+
+An engine does the work (`workflows/engines`); here frames are handed out, and what comes back is stored in their order.
+No more tasks are out, or back and not stored, than the engine's window: a recording of any length needs as much memory.
+"""
 
 from __future__ import annotations
 
 import json
 import time
-import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
 
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.project import Project
-from annotator.project.proposals import RunShare
-from annotator.project.writing import Change
-from annotator.rcv.config import REVISION, Orientation, RcvConfig
-from annotator.rcv.finish import FrameProposals
-from annotator.rcv.propose import propose
-from annotator.types import Frame, Source
-from annotator.types.errors import AnnotatorError, ConfigError, FinalisedFrameError, StaleRevisionError
+from annotator.rcv.config import REVISION, RcvConfig
+from annotator.types.errors import ConfigError
+from annotator.workflows.batch_book import AnnotateSummary, Batch
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.frames import FrameSource, orientation_for
+from annotator.workflows.engines.engine import Engine
+from annotator.workflows.engines.exact import pickle_exactly
+from annotator.workflows.engines.inline import InlineEngine
+from annotator.workflows.engines.sources import GivenDetectors
+from annotator.workflows.engines.tasks import FrameAnswer, FrameSpec, Identity, Task
+from annotator.workflows.tracks.seeds import seeds_of
 
-AUTHOR = "rcv"
 # Frames that advance through the recursion together: enough for full detector batches, few enough for the memory.
 BATCH_FRAMES = 4
-# How often a write is tried anew because somebody else has changed the frame meanwhile.
-WRITE_ATTEMPTS = 5
+# Whoever watches the progress is told again after so long, so that a stop need not wait for a task's end.
+HEARTBEAT_S = 0.5
 
-
-@dataclass
-class AnnotateSummary:
-    """What a batch did.
-
-    Attributes:
-        frames: that were to be done.
-        skipped: done before with the same detectors and settings, or finalised.
-        done: frames whose proposals are stored.
-        proposals: found in all.
-        without: frames done that gave no proposal.
-        failed: key and reason of each frame that could not be done.
-        seconds: in all.
-    """
-
-    frames: int = 0
-    skipped: int = 0
-    done: int = 0
-    proposals: int = 0
-    without: int = 0
-    failed: list[tuple[str, str]] = field(default_factory=list)
-    seconds: float = 0.0
+Progress = Callable[[int, int], None]
+"""Told (frames done, frames to do); what it raises ends the batch."""
 
 
 def annotate(
@@ -60,122 +44,136 @@ def annotate(
     recordings: Sequence[int] | None = None,
     rotation: BoxRotation | None = None,
     limit: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> AnnotateSummary:
-    """Proposes boxes for every frame that these detectors and settings have not done yet.
+    """`annotate_with` an engine that does everything in this process."""
+    engine = InlineEngine(GivenDetectors(detectors))
+    return annotate_with(
+        project, engine, config, recordings=recordings, rotation=rotation, limit=limit, progress=progress
+    )
 
-    A frame that cannot be read, or whose recursion fails, is stored with its reason, and the batch goes on. What is
-    stored is stored: a killed batch goes on where it was.
+
+def annotate_with(
+    project: Project,
+    engine: Engine,
+    config: RcvConfig,
+    *,
+    recordings: Sequence[int] | None = None,
+    rotation: BoxRotation | None = None,
+    limit: int | None = None,
+    from_reviewed: bool = False,
+    progress: Progress | None = None,
+) -> AnnotateSummary:
+    """Proposes boxes for every frame that has not been done with these detectors and settings yet.
+
+    A frame that cannot be done is stored with its reason; the rest goes on, and the next call tries it again. Every
+    frame is committed at once, so a call that is interrupted loses only what the engine holds.
 
     Args:
-        config: its orientation is set frame by frame from `rotation`.
+        engine: does the work; closed where something ends the batch early, and ready for more otherwise.
+        config: the recursion's settings; `box_kind` is taken from it as it is, orientation is set frame by frame from
+            `rotation`.
         recordings: ids; None = all.
         rotation: None takes the project's setting.
         limit: at most so many frames.
-        progress: called with (frames done, frames to do).
+        from_reviewed: where the frame before was reviewed when this one's turn came, its boxes are what the recursion
+            starts from. Part of the settings that decide whether a frame has been done.
+        progress: told of frames that are stored, and again while nothing happens.
 
     Raises:
         ConfigError: a limit below 1.
         ProjectError: the store refuses even to note that a frame failed.
+        WorkerError: the engine's workers cannot be kept alive.
+    """
+    require_limit(limit)
+    begin = time.perf_counter()
+    pickle_exactly()  # seeds
+    rotation = rotation or project.config.settings.rotation
+    try:
+        run = project.jobs.start(**_described(engine.start(), config, rotation, from_reviewed))
+        present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
+        frames = pending if limit is None else min(pending, limit)
+        batch = Batch(project, run, frames, recordings, AnnotateSummary(frames=frames, skipped=present - pending))
+        tasks = _tasks(batch, config, rotation, from_reviewed)
+        _through(engine, tasks, batch, progress)
+    except BaseException:
+        engine.close()
+        raise
+    project.jobs.finish(run.id)
+    batch.summary.seconds = time.perf_counter() - begin
+    return batch.summary
+
+
+def require_limit(limit: int | None) -> None:
+    """Refuses a limit that leaves nothing to do.
+
+    Raises:
+        ConfigError: it is below 1.
     """
     if limit is not None and limit < 1:
         raise ConfigError(f"a limit of {limit} frames leaves nothing to do; give 1 or more")
-    begin = time.perf_counter()
-    rotation = rotation or project.config.settings.rotation
-    settings = json.dumps(
-        {**config.model_dump(mode="json", exclude={"orientation"}), "rotation": rotation.value, "method": REVISION}
-    )
-    run = project.jobs.start(
-        image_detector=detectors.image.fingerprint, view_detector=detectors.view.fingerprint, config_json=settings
-    )
-    pending = project.jobs.pending(run.key, recordings)
-    present = sum(frame.index is not None for frame in project.frames.of(recordings))
-    summary = AnnotateSummary(skipped=present - len(pending))
-    pending = pending[:limit]
-    summary.frames = len(pending)
-    batch = _Batch(project, detectors, config, rotation, run.id, summary)
-    for first in range(0, len(pending), BATCH_FRAMES):
-        batch.do(pending[first : first + BATCH_FRAMES])
-        if progress is not None:
-            progress(min(first + BATCH_FRAMES, len(pending)), len(pending))
-    project.jobs.finish(run.id)
-    summary.seconds = time.perf_counter() - begin
-    return summary
+
+
+def _described(identity: Identity, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> dict[str, str]:
+    """A run's detectors and settings. Where the work is done is no part of them: it changes nothing."""
+    settings = {
+        **config.model_dump(mode="json", exclude={"orientation"}),
+        "rotation": rotation.value,
+        "method": REVISION,
+        # absent where it is not asked for, so that frames that were done before there was this setting stay done
+        **({"from_reviewed": True} if from_reviewed else {}),
+    }
+    return {
+        "image_detector": identity.image,
+        "view_detector": identity.view,
+        "config_json": json.dumps(settings),
+    }
 
 
 @dataclass(frozen=True, eq=False)
-class _Batch:
-    project: Project
-    detectors: Detectors
-    config: RcvConfig
-    rotation: BoxRotation
-    run_id: int
-    summary: AnnotateSummary
-    source: FrameSource = field(init=False)
+class _Out:
+    """A task that is out, and the frames that it is about."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "source", FrameSource(self.project))
+    task: Task
+    frames: tuple[StoredFrame, ...]
 
-    def do(self, frames: Sequence[StoredFrame]) -> None:
-        read: list[tuple[StoredFrame, Frame]] = []
-        for stored in frames:
-            begin = time.perf_counter()
-            try:
-                read.append((stored, self.source.read(stored)))
-            except Exception as error:
-                self._fail(stored, error, time.perf_counter() - begin)
-        for orientation in Orientation:
-            same = [pair for pair in read if orientation_for(self.rotation, pair[1]) is orientation]
-            if same:
-                self._propose(same, self.config.model_copy(update={"orientation": orientation}))
 
-    def _propose(self, frames: Sequence[tuple[StoredFrame, Frame]], config: RcvConfig) -> None:
-        begin = time.perf_counter()
-        try:
-            results = propose([frame for _, frame in frames], self.detectors.image, self.detectors.view, config)
-        except Exception as error:
-            if len(frames) == 1:
-                self._fail(frames[0][0], error, time.perf_counter() - begin)
-            else:  # find out whose fault it is
-                for pair in frames:
-                    self._propose([pair], config)
-            return
-        seconds = (time.perf_counter() - begin) / len(frames)
-        for (stored, _), result in zip(frames, results, strict=True):
-            self._store(stored, result, seconds)
+def _tasks(batch: Batch, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> Iterator[_Out]:
+    """The tasks of a batch, made as they are asked for."""
+    project, number = batch.project, 0
+    frames = batch.pending()
+    while together := tuple(islice(frames, BATCH_FRAMES)):
+        specs = tuple(
+            FrameSpec(batch.spec(frame.recording_id), frame.key, seeds_of(project, frame) if from_reviewed else ())
+            for frame in together
+        )
+        yield _Out(Task(number, specs, config, rotation), together)
+        number += 1
 
-    def _store(self, stored: StoredFrame, result: FrameProposals, seconds: float) -> None:
-        share = RunShare(self.run_id, seconds)
-        try:
-            self._replace(stored.id, result, share)
-        except FinalisedFrameError:  # since the batch began
-            self.summary.skipped += 1
-            self.summary.frames -= 1
-            return
-        except Exception as error:
-            self._fail(stored, error, seconds)
-            return
-        self.summary.done += 1
-        self.summary.proposals += len(result.proposals)
-        self.summary.without += not result.proposals
 
-    def _replace(self, frame_id: int, result: FrameProposals, share: RunShare) -> None:
-        for attempt in range(1, WRITE_ATTEMPTS + 1):
-            change = Change(self.project.frames.get(frame_id).revision, AUTHOR, Source.AUTO)
-            try:
-                self.project.proposals.replace(frame_id, result.proposals, change, lost=result.lost, run=share)
-                return
-            except StaleRevisionError:
-                # An operator was faster. Proposals replace only what nobody has reviewed: the new state is as good.
-                if attempt == WRITE_ATTEMPTS:
-                    raise
-
-    def _fail(self, stored: StoredFrame, error: Exception, seconds: float) -> None:
-        """Stores the frame with its reason. A bug in one frame must not cost a night's batch either, so every
-        exception ends here; one that is not meant for users brings the place where it happened along."""
-        reason = str(error)
-        if not isinstance(error, AnnotatorError):
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            reason = f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
-        self.project.jobs.record_failure(self.run_id, stored.id, reason, seconds)
-        self.summary.failed.append((stored.key, reason))
+def _through(engine: Engine, tasks: Iterator[_Out], batch: Batch, progress: Progress | None) -> None:
+    """Sends tasks through an engine, and stores their answers in the order of the tasks."""
+    out: deque[_Out] = deque()
+    back: dict[int, tuple[FrameAnswer, ...]] = {}
+    stored, is_over = 0, False
+    while out or not is_over:
+        while not is_over and len(out) < engine.window:
+            task = next(tasks, None)
+            is_over = task is None
+            if task is not None:
+                engine.submit(task.task)
+                out.append(task)
+        if not out:
+            break
+        answer = engine.wait(HEARTBEAT_S)
+        if answer is not None:
+            back[answer.number] = answer.frames
+        elif progress is not None:
+            progress(stored, batch.frames)
+        while out and out[0].task.number in back:
+            oldest = out.popleft()
+            for frame, result in zip(oldest.frames, back.pop(oldest.task.number), strict=True):
+                batch.store(frame, result)
+            stored += len(oldest.frames)
+            if progress is not None:
+                progress(stored, batch.frames)

@@ -13,7 +13,8 @@ from annotator.recordings import open_recording
 from annotator.recordings.generated import write_generated
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.annotate import AnnotateSummary, annotate
+from annotator.workflows.annotate import annotate
+from annotator.workflows.batch_book import AnnotateSummary
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.rcv_settings import rcv_config

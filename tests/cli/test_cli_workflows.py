@@ -18,7 +18,8 @@ from annotator.formats.rcv import read_rcv
 from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import ConfigError
-from annotator.workflows.annotate import AnnotateSummary
+from annotator.workflows.batch_book import AnnotateSummary
+from annotator.workflows.engines.sources import GivenDetectors
 
 Capture = pytest.CaptureFixture[str]
 
@@ -44,7 +45,7 @@ def project(root: Path, generated: Path, capsys: Capture) -> str:
 @pytest.fixture
 def trained(project: str, knowing: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> str:
     """The same with detectors that know everything."""
-    monkeypatch.setattr(annotate_command, "active_detectors", lambda _: knowing("people"))
+    monkeypatch.setattr(annotate_command, "trained_detectors", lambda *_: GivenDetectors(knowing("people")))
     return project
 
 
@@ -168,7 +169,7 @@ def test_annotate_with_a_bad_frame_ends_with_1(
     folder = own_copy("people")
     depth = folder / "depth" / "000002.png"
     depth.write_bytes(depth.read_bytes()[:700])
-    monkeypatch.setattr(annotate_command, "active_detectors", lambda _: knowing("people"))
+    monkeypatch.setattr(annotate_command, "trained_detectors", lambda *_: GivenDetectors(knowing("people")))
     run(capsys, "new", "room", "--classes", "person")
     run(capsys, "add", "room", folder, "--no-labels")
     said = run(capsys, "annotate", "room", "--axes", "camera", code=1)

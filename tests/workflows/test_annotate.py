@@ -14,7 +14,8 @@ from annotator.rcv.config import RcvConfig, Strategy
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
-from annotator.workflows.annotate import BATCH_FRAMES, WRITE_ATTEMPTS, annotate
+from annotator.workflows.annotate import BATCH_FRAMES, annotate
+from annotator.workflows.batch_book import WRITE_ATTEMPTS
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recordings import add_recordings, register_recording
 from annotator.workflows.truth import load_truth
