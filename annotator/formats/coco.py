@@ -15,6 +15,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.formats.faults import Tell, give_up
 from annotator.formats.json_file import read_model, write_text
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
@@ -73,10 +74,13 @@ class _File(_Part):
     categories: tuple[_Category, ...]
 
 
-def read_coco(path: Path) -> list[CocoImage]:
+def read_coco(path: Path, tell: Tell = give_up) -> list[CocoImage]:
     """All images of a COCO detection file in file order, those without a box too.
 
     A box that sticks out of its image is clipped to it.
+
+    Args:
+        tell: what becomes of an annotation's fault.
 
     Raises:
         FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
@@ -96,7 +100,10 @@ def read_coco(path: Path) -> list[CocoImage]:
     names = {category.id: category.name for category in file.categories}
     boxes: dict[int, list[Box2D]] = {image.id: [] for image in file.images}
     for annotation in file.annotations:
-        boxes.setdefault(annotation.image_id, []).append(_box(path, annotation, images, names))
+        try:
+            boxes.setdefault(annotation.image_id, []).append(_box(path, annotation, images, names))
+        except FormatError as fault:
+            tell(fault)
     return [CocoImage(i.file_name, i.width, i.height, tuple(boxes[i.id])) for i in file.images]
 
 

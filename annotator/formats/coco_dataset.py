@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.formats.faults import Tell, give_up
 from annotator.formats.labelled_picture import LabelledPicture
 from annotator.types.errors import FormatError
 
@@ -95,10 +96,13 @@ def is_coco_dataset(folder: Path) -> bool:
     return any(_FILE.fullmatch(file.name) for file in (folder / ANNOTATIONS).glob("*.json"))
 
 
-def read_coco_dataset(path: Path) -> list[tuple[Path, list[CocoImage]]]:
+def read_coco_dataset(path: Path, tell: Tell = give_up) -> list[tuple[Path, list[CocoImage]]]:
     """The images of each annotation file with the folder of their pictures.
+
+    Args:
+        tell: what becomes of an annotation's fault.
 
     Raises:
         FormatError: as `coco_files` and `read_coco`.
     """
-    return [(pictures, read_coco(file)) for file, pictures in coco_files(path)]
+    return [(pictures, read_coco(file, tell)) for file, pictures in coco_files(path)]

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.formats.faults import Tell, give_up
 from annotator.geometry.image_shares import cut_to_picture, edges_of, shares_of
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
@@ -58,12 +59,13 @@ def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int
     return "".join(lines)
 
 
-def parse_boxes(path: Path, text: str, names: Mapping[int, str]) -> tuple[YoloBox, ...]:
+def parse_boxes(path: Path, text: str, names: Mapping[int, str], tell: Tell = give_up) -> tuple[YoloBox, ...]:
     """The boxes of a label file in its order.
 
     Args:
         path: for messages.
         names: of the classes, by number.
+        tell: what becomes of a row's fault.
 
     Raises:
         FormatError: with the line: not five or six fields (a polygon, keypoints), no number, a class that has no name,
@@ -73,9 +75,13 @@ def parse_boxes(path: Path, text: str, names: Mapping[int, str]) -> tuple[YoloBo
     for line, row in enumerate(text.splitlines(), 1):
         if not row.strip():
             continue
-        box = _box(path, line, row.split(), names)
+        try:
+            box = _box(path, line, row.split(), names)
+        except FormatError as fault:
+            tell(fault)
+            continue
         if box in boxes:
-            raise FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line)
+            tell(FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line))
         boxes[box] = line
     return tuple(boxes)
 

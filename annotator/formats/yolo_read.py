@@ -17,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.files import is_within, why_missing
+from annotator.formats.faults import Tell, give_up
 from annotator.formats.json_file import first_problem
 from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import YoloBox, parse_boxes
@@ -63,18 +64,19 @@ class _DataYaml(BaseModel):
     names: dict[int, str] | list[str]
 
 
-def read_yolo(path: Path) -> list[YoloPicture]:
+def read_yolo(path: Path, tell: Tell = give_up) -> list[YoloPicture]:
     """All pictures of a dataset, each once, those without a box too.
 
     Args:
         path: `data.yaml`; the folder that it lies in; or a folder of label files with `classes.txt` in it or above it.
+        tell: what becomes of a fault in a label file, and of a picture of another kind.
 
     Raises:
         FormatError: none of these, a damaged `data.yaml`, a part that is not there or leads out of the folder, a
             label file that does not follow the format, or a picture that is there and neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
-        return list(_with_classes(path))
+        return list(_with_classes(path, tell))
     file = _inside(path / DATA_YAML, path) if path.is_dir() else path
     data = _read_yaml(file)
     names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
@@ -84,7 +86,7 @@ def read_yolo(path: Path) -> list[YoloPicture]:
     for part in PARTS:
         value = getattr(data, part)
         for entry in [value] if isinstance(value, str) else value or []:
-            for picture in _of_part(_placed(file, part, data.path, entry), root, names):
+            for picture in _of_part(_placed(file, part, data.path, entry), root, names, tell):
                 found.setdefault(picture.label_file, picture)
     if not found:
         raise FormatError(file, "names no picture: train, val and test are empty")
@@ -143,18 +145,18 @@ def _labels_of(path: Path, root: Path) -> Path:
     return root.resolve().joinpath(*parts)
 
 
-def _of_part(place: Path, root: Path, names: Mapping[int, str]) -> Iterator[YoloPicture]:
+def _of_part(place: Path, root: Path, names: Mapping[int, str], tell: Tell) -> Iterator[YoloPicture]:
     if place.is_file():
-        yield from (_read(picture, root, names) for picture in _listed(place, root))
+        yield from (_read(picture, root, names, tell) for picture in _listed(place, root))
         return
     pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
     for picture in pictures:
-        yield _read(_inside(picture, root), root, names)
+        yield _read(_inside(picture, root), root, names, tell)
     seen = {_labels_of(picture, root).with_suffix(".txt") for picture in pictures}
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_alone(_inside(label_file, root), place, names)
+            yield _labels_alone(_inside(label_file, root), place, names, tell)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -168,25 +170,33 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
         yield picture
 
 
-def _read(picture: Path, root: Path, names: Mapping[int, str]) -> YoloPicture:
+def _read(picture: Path, root: Path, names: Mapping[int, str], tell: Tell) -> YoloPicture:
     if picture.is_file():
-        _require_readable(picture)
+        _require_readable(picture, tell)
     label_file = _inside(_labels_of(picture, root).with_suffix(".txt"), root)
-    boxes = parse_boxes(label_file, read_text(label_file), names) if label_file.is_file() else ()
+    boxes = _boxes(label_file, names, tell) if label_file.is_file() else ()
     return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
 
 
-def _require_readable(picture: Path) -> None:
+def _require_readable(picture: Path, tell: Tell) -> None:
     if picture.suffix.lower() in OTHERS:
-        raise FormatError(picture, "only PNG and JPEG pictures are read; save it as one of them, beside its labels")
+        tell(FormatError(picture, "only PNG and JPEG pictures are read; save it as one of them, beside its labels"))
 
 
-def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str]) -> YoloPicture:
-    boxes = parse_boxes(label_file, read_text(label_file), names)
-    return YoloPicture(label_file.name, folder, None, label_file, boxes)
+def _boxes(label_file: Path, names: Mapping[int, str], tell: Tell) -> tuple[YoloBox, ...]:
+    try:
+        text = read_text(label_file)
+    except FormatError as fault:
+        tell(fault)
+        return ()
+    return parse_boxes(label_file, text, names, tell)
 
 
-def _with_classes(folder: Path) -> Iterator[YoloPicture]:
+def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str], tell: Tell) -> YoloPicture:
+    return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, tell))
+
+
+def _with_classes(folder: Path, tell: Tell) -> Iterator[YoloPicture]:
     """Label files with their class names in `classes.txt`, one a line."""
     # a link to the folder is its user's choice, one within it is not
     folder = folder.resolve()
@@ -210,7 +220,7 @@ def _with_classes(folder: Path) -> Iterator[YoloPicture]:
             (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
         )
         if picture is not None:
-            _require_readable(picture)
-        boxes = parse_boxes(label_file, read_text(_inside(label_file, root)), names)
+            _require_readable(picture, tell)
+        boxes = _boxes(_inside(label_file, root), names, tell)
         place = folders[-1] if picture is None else picture.parent
         yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)

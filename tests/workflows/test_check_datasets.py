@@ -350,6 +350,46 @@ def test_labels_of_other_software_are_read(tmp_path: Path, name: str, files: dic
     assert [(f.rule, f.file, f.line) for f in report.findings] == [("broken-label", str(tmp_path / last), 1)]
 
 
+FLAT_BOX = BOX | {"dimensions": {"length": 1.0, "width": 1.0, "height": 0.0}}
+NOWHERE = [{"id": n, "image_id": 9, "category_id": 1, "bbox": [1, 2, 3, 4 + n]} for n in (2, 3)]
+SEVERAL = [
+    (
+        {
+            "labels/_classes.json": '{"classes": []}',
+            "labels/a.json": json.dumps({"objects": [BOX, FLAT_BOX]}),
+            "labels/b.json": "{",
+        },
+        [("b.json", 1, "is not valid JSON"), ("a.json", None, "objects.1.dimensions.height: ")],
+    ),
+    (
+        {"annotations/instances_all.json": json.dumps(COCO | {"annotations": COCO["annotations"] + NOWHERE})},
+        [("instances_all.json", None, f"annotation {n}: image_id 9 is not in images") for n in (2, 3)],
+    ),
+    (
+        {
+            "classes.txt": "cup\n",
+            "labels/a.txt": "0 0.5\n7 0.5 0.5 0.1 0.1\n",
+            "labels/b.txt": "x\n",
+            "labels/c.txt": "",
+        },
+        [("a.txt", 1, "has 2 fields"), ("a.txt", 2, "class 7 has no name"), ("b.txt", 1, "has 1 fields")],
+    ),
+]
+
+
+@pytest.mark.parametrize(("files", "faults"), SEVERAL, ids=["labelcloud", "coco", "yolo"])
+def test_all_faults_of_other_software_are_told(
+    tmp_path: Path, files: dict[str, str], faults: list[tuple[str, int | None, str]]
+) -> None:
+    for file, text in files.items():
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text)
+    told = check_datasets(tmp_path).findings
+    assert len(told) == len(faults)
+    for file, line, message in faults:
+        assert any((Path(f.file).name, f.line) == (file, line) and f.message.startswith(message) for f in told), told
+
+
 def test_openlabel_whole_and_in_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     document = {
         "metadata": {"schema_version": "1.0.0"},

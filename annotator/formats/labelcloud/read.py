@@ -8,6 +8,7 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.faults import Tell, give_up
 from annotator.formats.frames_csv import read_frames
 from annotator.formats.json_file import read_model
 from annotator.formats.labelcloud.boxes import box_of, in_degrees
@@ -31,10 +32,13 @@ class LabelCloudFrame:
     T_camera_cloud: RigidTransform | None
 
 
-def read_labelcloud(path: Path) -> dict[str, LabelCloudFrame]:
+def read_labelcloud(path: Path, tell: Tell = give_up) -> dict[str, LabelCloudFrame]:
     """The labels of a project folder (all of its parts, if it is divided), or of a folder of label files, by name.
 
     Names are "RECORDING/KEY" where the dataset's frames.csv says so, else the stem of the label file.
+
+    Args:
+        tell: what becomes of a fault in a label file or a calibration.
 
     Raises:
         FormatError: no labels, files that are no labels of labelCloud, or angles whose unit nothing tells.
@@ -42,7 +46,7 @@ def read_labelcloud(path: Path) -> dict[str, LabelCloudFrame]:
     found: dict[str, LabelCloudFrame] = {}
     for folder in _label_folders(path):
         origins = read_frames(folder.parent) or read_frames(folder.parent.parent)
-        for stem, frame in _read_folder(folder):
+        for stem, frame in _read_folder(folder, tell):
             name = origins[stem].name if stem in origins else stem
             if name in found:
                 raise FormatError(folder / f"{stem}.json", f"the frame {name} has labels in two folders; import one")
@@ -62,8 +66,13 @@ def _label_files(folder: Path) -> Iterator[Path]:
     return (file for file in sorted(folder.glob("*.json")) if file.name != CLASSES_FILE)
 
 
-def _read_folder(folder: Path) -> Iterator[tuple[str, LabelCloudFrame]]:
-    files = {file: read_model(file, LabelFile) for file in _label_files(folder)}
+def _read_folder(folder: Path, tell: Tell) -> Iterator[tuple[str, LabelCloudFrame]]:
+    files: dict[Path, LabelFile] = {}
+    for file in _label_files(folder):
+        try:
+            files[file] = read_model(file, LabelFile)
+        except FormatError as fault:
+            tell(fault)
     degrees = _degrees(folder, files)
     for file, content in files.items():
         boxes = []
@@ -71,9 +80,14 @@ def _read_folder(folder: Path) -> Iterator[tuple[str, LabelCloudFrame]]:
             try:
                 boxes.append((entry.name, box_of(entry, degrees)))
             except ValueError as error:
-                raise FormatError(file, f"objects.{number}: {error}") from error
+                tell(FormatError(file, f"objects.{number}: {error}"))
         pose = folder.parent / CALIBRATIONS / f"{file.stem}.txt"
-        yield file.stem, LabelCloudFrame(tuple(boxes), _pose_for(boxes, pose) if pose.is_file() else None)
+        try:
+            T_camera_cloud = _pose_for(boxes, pose) if pose.is_file() else None
+        except FormatError as fault:
+            tell(fault)
+            continue
+        yield file.stem, LabelCloudFrame(tuple(boxes), T_camera_cloud)
 
 
 def _pose_for(boxes: Sequence[tuple[str, OrientedBox]], file: Path) -> RigidTransform:

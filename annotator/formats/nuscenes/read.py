@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import RootModel
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.faults import Tell, give_up
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model
 from annotator.formats.nuscenes.model import (
@@ -50,13 +51,14 @@ class NuScenesBox:
     track_id: int | None
 
 
-def read_nuscenes(path: Path) -> dict[str, tuple[NuScenesBox, ...]]:
+def read_nuscenes(path: Path, tell: Tell = give_up) -> dict[str, tuple[NuScenesBox, ...]]:
     """The boxes of every camera's key frames, by name; others' datasets have many cameras: of each, what it sees.
 
     Names are "RECORDING/KEY" where frames.csv says so, else the stem of the image's file.
 
     Args:
         path: the dataset's root, or its folder of tables.
+        tell: what becomes of a fault in a box's row.
 
     Raises:
         FormatError: no tables, rows that do not follow the schema or name rows that are not there, or two images of
@@ -73,7 +75,7 @@ def read_nuscenes(path: Path) -> dict[str, tuple[NuScenesBox, ...]]:
         name = origins[stem].name if stem in origins else stem
         if name in found:
             raise FormatError(folder / "sample_data.json", f"{place}: two images of cameras are called {name}")
-        found[name] = tuple(labels.boxes(place, row, origins))
+        found[name] = tuple(labels.boxes(place, row, origins, tell))
     if not found:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
     return found
@@ -108,7 +110,9 @@ class _Labels:
         calibrated = self._row("sample_data", place, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
         return self._row("sample_data", place, self._sensors, "sensor", calibrated.sensor_token)
 
-    def boxes(self, place: int, row: SampleData, origins: Mapping[str, FrameOrigin]) -> Iterator[NuScenesBox]:
+    def boxes(
+        self, place: int, row: SampleData, origins: Mapping[str, FrameOrigin], tell: Tell
+    ) -> Iterator[NuScenesBox]:
         """The boxes of a camera's picture; all of the sample where the dataset is ours, which has one camera."""
         calibrated = self._calibrated[row.calibrated_sensor_token]
         ego = self._row("sample_data", place, self._poses, "ego_pose", row.ego_pose_token)
@@ -117,7 +121,8 @@ class _Labels:
             try:
                 box = box_from(each.translation, each.rotation, each.size).transformed(T_camera_global)
             except ValueError as error:
-                raise FormatError(self._folder / "sample_annotation.json", f"{at}: {error}") from error
+                tell(FormatError(self._folder / "sample_annotation.json", f"{at}: {error}"))
+                continue
             if origins or _is_seen(box, calibrated, row):
                 instance = self._row("sample_annotation", at, self._instances, "instance", each.instance_token)
                 number = self._numbers[instance.token]

@@ -46,15 +46,16 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
 
 def _read_foreign(dataset: ForeignDataset, findings: Findings) -> list[DatasetFacts]:
     """What a dataset of other software holds; nothing is said of its size where a part of it cannot be read."""
-    frames = labels = 0
-    faulty = False
-    for part in dataset.parts():
-        if isinstance(part, FormatError):
-            findings.add_error(BROKEN_LABEL, part, dataset.path)
-            faulty = True
-        else:
-            frames, labels = frames + part[0], labels + part[1]
-    if faulty:
+    frames = labels = faults = 0
+
+    def tell(fault: FormatError) -> None:
+        nonlocal faults
+        findings.add_error(BROKEN_LABEL, fault, dataset.path)
+        faults += 1
+
+    for part in dataset.parts(tell):
+        frames, labels = frames + part[0], labels + part[1]
+    if faults:
         return []
     findings.add(UNCHECKED_DATASET, dataset.path, f"{dataset.format}: read, but their boxes are not looked at")
     return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]

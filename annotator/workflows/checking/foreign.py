@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
+from annotator.formats.faults import Tell
 from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import read_labelcloud
 from annotator.formats.labelcloud.model import CLASSES_FILE
@@ -24,8 +25,8 @@ from annotator.types.errors import FormatError
 
 SNIFFED_BYTES = 256
 
-Part = tuple[int, int] | FormatError
-"""How many frames and labels a part of a dataset has, or why it cannot be read."""
+Part = tuple[int, int]
+"""How many frames and labels a part of a dataset has."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +36,21 @@ class ForeignDataset:
     Attributes:
         format: its name, for a person.
         is_recording: a reader of recordings may open the same folder: it has clouds or images beside the labels.
-        read: its parts, each read on its own; a part ends at its first fault.
+        read: its parts, each read on its own, so that a fault of one is not the end of the others.
     """
 
     path: Path
     format: str
     is_recording: bool
-    read: Callable[[Path], Iterator[Part]]
+    read: Callable[[Path, Tell], Iterator[Part]]
 
-    def parts(self) -> Iterator[Part]:
-        """What each part of the dataset holds."""
-        return self.read(self.path)
+    def parts(self, tell: Tell) -> Iterator[Part]:
+        """What each part of the dataset holds.
+
+        Args:
+            tell: is called with each fault.
+        """
+        return self.read(self.path, tell)
 
 
 def foreign_dataset(path: Path) -> ForeignDataset | None:
@@ -92,37 +97,40 @@ def _is_yolo(path: Path) -> bool:
     return any(file.stem in pictures for file in path.glob("*.txt"))
 
 
-def _nuscenes(path: Path) -> Iterator[Part]:
-    yield _part(lambda: [len(boxes) for boxes in read_nuscenes(path).values()])
+def _nuscenes(path: Path, tell: Tell) -> Iterator[Part]:
+    yield from _part(lambda: [len(boxes) for boxes in read_nuscenes(path, tell).values()], tell)
 
 
-def _openlabel(path: Path) -> Iterator[Part]:
+def _openlabel(path: Path, tell: Tell) -> Iterator[Part]:
     """Each document; other JSON may lie beside them, and is one that was cut where it is none."""
     for file in sorted(path.glob("*.json")):
         if _is_openlabel(file):
-            yield _part(lambda file=file: [len(frame.boxes) for frame in read_openlabel(file).values()])  # type: ignore[misc]
+            yield from _part(lambda file=file: [len(frame.boxes) for frame in read_openlabel(file).values()], tell)  # type: ignore[misc]
             continue
         try:
             read_json(file)
-        except FormatError as error:
-            yield error
+        except FormatError as fault:
+            tell(fault)
 
 
-def _labelcloud(path: Path) -> Iterator[Part]:
-    yield _part(lambda: [len(frame.boxes) for frame in read_labelcloud(path).values()])
+def _labelcloud(path: Path, tell: Tell) -> Iterator[Part]:
+    yield from _part(lambda: [len(frame.boxes) for frame in read_labelcloud(path, tell).values()], tell)
 
 
-def _coco(path: Path) -> Iterator[Part]:
-    yield _part(lambda: [len(image.boxes) for _, images in read_coco_dataset(path) for image in images])
+def _coco(path: Path, tell: Tell) -> Iterator[Part]:
+    yield from _part(
+        lambda: [len(image.boxes) for _, images in read_coco_dataset(path, tell) for image in images], tell
+    )
 
 
-def _yolo(path: Path) -> Iterator[Part]:
-    yield _part(lambda: [len(picture.boxes) for picture in read_yolo(path)])
+def _yolo(path: Path, tell: Tell) -> Iterator[Part]:
+    yield from _part(lambda: [len(picture.boxes) for picture in read_yolo(path, tell)], tell)
 
 
-def _part(boxes_of_frames: Callable[[], list[int]]) -> Part:
+def _part(boxes_of_frames: Callable[[], list[int]], tell: Tell) -> Iterator[Part]:
     try:
         counts = boxes_of_frames()
-    except FormatError as error:
-        return error
-    return len(counts), sum(counts)
+    except FormatError as fault:
+        tell(fault)
+    else:
+        yield len(counts), sum(counts)
