@@ -14,6 +14,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
+UNFIXED = "consensus: the measured intervals fix no box"
+
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
@@ -86,7 +88,7 @@ def measure_consensus(
     fit = fit_box(intervals, up, None if last is None else last.rotation, config.fit)
     if fit is None:
         pairs = _pairs(frames, views, boxes, used)
-        return _least_volume(pairs, used, intervals, ("consensus: the measured intervals fix no box",))
+        return _least_volume(pairs, used, intervals, (UNFIXED,))
     box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
     score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())

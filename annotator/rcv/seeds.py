@@ -24,6 +24,7 @@ from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.finish import image_agreement
+from annotator.rcv.measure import UNFIXED
 from annotator.rcv.recursion import ObjectState
 from annotator.types import Box2D, Camera, OrientedBox, Proposal, StopReason
 
@@ -123,14 +124,10 @@ def checked(camera: Camera, before: ObjectState, after: ObjectState, config: Rcv
     """
     plain, seed = before.without_seed, before.box
     assert plain is not None and seed is not None
-    reason = _disagreement(camera, seed, after, config)
-    if reason is not None or after.box is None:
-        return _dropped(plain, reason or "no box")
-    if (
-        after.stop is StopReason.CONTINUES
-        and not after.is_cut
-        and shape_iou(seed, after.box) >= config.warm.settled_iou
-    ):
+    reason, alike = _disagreement(camera, seed, after, config)
+    if reason is not None:
+        return _dropped(plain, reason)
+    if after.stop is StopReason.CONTINUES and not after.is_cut and alike >= config.warm.settled_iou:
         last = replace(after.steps[-1], stop=StopReason.BOX_CONVERGED)
         after = replace(after, steps=(*after.steps[:-1], last), stop=last.stop)
     return replace(after, without_seed=None)
@@ -140,28 +137,35 @@ def _dropped(plain: ObjectState, reason: str) -> ObjectState:
     return replace(plain, notes=(f"{WARM_START}: {reason}",))
 
 
-def _disagreement(camera: Camera, seed: OrientedBox, after: ObjectState, config: RcvConfig) -> str | None:
-    """Why a seed and what was found from it are not the same object, or None."""
-    warm, box = config.warm, after.box
-    step = after.steps[-1]
+def _disagreement(camera: Camera, seed: OrientedBox, after: ObjectState, config: RcvConfig) -> tuple[str | None, float]:
+    """Why a seed and what was found from it are not the same object, or None; and how alike their shapes are."""
+    box = after.box
     if box is None or after.stop is StopReason.LOST:
-        return "the views do not show the object"
+        return "the views do not show the object", 0.0
+    if (reason := _implausible(seed, box, after, config)) is not None:
+        return reason, 0.0
+    if (alike := shape_iou(seed, box)) < config.warm.min_iou:
+        return f"the box, put where the seed is, overlaps it by {alike:.2f}", alike
+    if (agreement := image_agreement(camera, after, box, config)) < config.warm.min_image_iou:
+        return f"the box overlaps the image box by {agreement:.2f}", alike
+    return None, alike
+
+
+def _implausible(seed: OrientedBox, box: OrientedBox, after: ObjectState, config: RcvConfig) -> str | None:
+    """What is wrong with a step from a seed, before a look at how the boxes overlap, or None."""
+    warm, step = config.warm, after.steps[-1]
     if after.stop is StopReason.TOO_FEW_POINTS:
         return f"{len(after.cloud)} points in the box are too few"
     seen = sum(view.used is not None for view in step.views) / len(step.views)
     if seen < warm.min_seen:
         return f"only {seen:.0%} of the views show the object"
-    if len(step.fallback) > 1:
-        return step.fallback[-1]
+    if UNFIXED in step.fallback:
+        return UNFIXED
     if not contains(seed, box_corners(box), _room_m(seed, config)).all():
         return "the box reaches out of what was looked at around the seed"
     ratio = np.sort(box.size_m) / np.sort(seed.size_m)
     if max(ratio.max(), 1 / ratio.min()) > warm.max_size_ratio:
         return f"a side is {ratio[np.argmax(np.abs(np.log(ratio)))]:.2f} times the seed's"
-    if (shape := shape_iou(seed, box)) < warm.min_iou:
-        return f"the box, put where the seed is, overlaps it by {shape:.2f}"
-    if (agreement := image_agreement(camera, after, box, config)) < warm.min_image_iou:
-        return f"the box overlaps the image box by {agreement:.2f}"
     return None
 
 

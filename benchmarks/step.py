@@ -1,0 +1,206 @@
+"""What a step of the recursion takes beside the detector, stage by stage, for an object of a depth camera's frame:
+processor time of one thread.
+
+OMP_NUM_THREADS=1 python -m benchmarks.step [--points 50000] [--json]
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import cv2
+import numpy as np
+import tyro
+from scipy.spatial.transform import Rotation
+
+from annotator.detection.perfect import PerfectDetector
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import pixel_rays, unproject_depth
+from annotator.rcv import measure, propose, recursion
+from annotator.rcv.config import Orientation, RcvConfig
+from annotator.rcv.normals import with_normals
+from annotator.rcv.seeds import Seed
+from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.types.errors import ConfigError
+from benchmarks.report import Table, finish, guarded
+from benchmarks.stopwatch import Stopwatch
+
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+WALL_M = 2.5
+OF_STEP = ("axes", "render", "fit", "cut", "trace", "check", "rest")
+OF_FRAME = ("frustum", "normals", "finish")
+DETECTOR = "detector stand-in"
+# Plain steps by number, then what comes after them; and those from a seed.
+PLAIN, WARM = ("camera", "wide", "near"), ("warm", "warm again")
+
+
+@dataclass
+class Arguments:
+    """Times each stage of a step, of an object without and with a box of the moment before."""
+
+    points: int = 50_000
+    """In the object's frustum."""
+    size_px: int = RcvConfig().view.size_px
+    """Longer side of the pictures."""
+    repeats: int = 20
+    """Frames; medians are printed."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+def scene(points: int, seed: int) -> tuple[Frame, Truth]:
+    """A turned box before a wall, as a depth camera sees it, so large that its frustum holds about so many points."""
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.from_rotvec(np.array([0.5, 0.6, -0.4]) + rng.normal(0, 0.05, 3)).as_matrix()
+    size = np.array([0.4, 0.25, 0.18])
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.2]), rotation, size)
+    for _ in range(4):  # its outline's area grows with the square of its size
+        outline = box_on_image(CAMERA, box, "thing")
+        assert outline is not None
+        size = size * np.sqrt(points / (outline.width_px * outline.height_px))
+        box = OrientedBox.from_parts(box.center_m, rotation, size)
+    depth = _depth(box) + rng.normal(0, 0.001, (CAMERA.height_px, CAMERA.width_px)).astype(np.float32)
+    xyz, index = unproject_depth(CAMERA, depth)
+    rgb = rng.integers(0, 255, (CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
+    cloud = PointCloud(xyz, rgb.reshape(-1, 3)[index], pixel_index=index)
+    return Frame(f"{seed:06d}", seed, CAMERA, rgb, cloud, depth), Truth("thing", box)
+
+
+def _depth(box: OrientedBox) -> np.ndarray:
+    """(h, w) float32 where each pixel's ray meets the box (slabs), metres; the wall where it does not."""
+    rays = np.concatenate([pixel_rays(CAMERA), np.ones((CAMERA.height_px, CAMERA.width_px, 1))], axis=2)
+    along, origin = rays @ box.rotation, -box.center_m @ box.rotation
+    first, second = (-box.size_m / 2 - origin) / along, (box.size_m / 2 - origin) / along
+    enters, leaves = np.minimum(first, second).max(axis=2), np.maximum(first, second).min(axis=2)
+    return np.where(enters < leaves, enters, WALL_M).astype(np.float32)
+
+
+def moment_before(box: OrientedBox, rng: np.random.Generator) -> Seed:
+    """A seed: the box as it was before the object moved and turned a little."""
+    turn = Rotation.from_rotvec(rng.normal(0, 0.08, 3)).as_matrix()
+    shift = rng.normal(0, 0.03, 3) * box.size_m.max()
+    return Seed("thing", OrientedBox.from_parts(box.center_m + shift, turn @ box.rotation, box.size_m))
+
+
+def watched(watch: Stopwatch, frame: Frame, truth: Truth, seeds: Sequence[Seed], config: RcvConfig) -> int:
+    """Proposes on one frame and keeps the stages' times; how many points the object's frustum holds."""
+    detector = PerfectDetector.for_frame(frame, [truth], jitter=0.01)
+    boxes = detector.detect([frame])
+    with watch.over(
+        (propose, "in_frustums", "frustum"),
+        (propose, "finish", "finish"),
+        (propose, "checked", "check"),
+        (propose, "absorb_step", "rest"),
+        (propose, "plan_step", "rest", True),
+        (recursion, "_consensus_frames", "axes"),
+        (recursion, "render_pairs", "render"),
+        (recursion, "cut_cloud", "cut"),
+        (recursion, "contains", "cut"),
+        (recursion, "_step_trace", "trace"),
+        (measure, "fit_box", "fit"),
+        (detector, "detect", DETECTOR),
+    ):
+        propose.propose_from_boxes([frame], boxes, detector, config, [seeds])
+    mask = in_frustum(frame.camera, frame.cloud.xyz_m, boxes[0][0])
+    with watch.stage("normals"):
+        with_normals(frame, mask, config)
+    return int(mask.sum())
+
+
+def check(args: Arguments) -> None:
+    """
+    Raises:
+        ConfigError: a number out of its range.
+    """
+    for flag, value, low, high in (
+        ("--points", args.points, 500, 120_000),
+        ("--size-px", args.size_px, 32, 2048),
+        ("--repeats", args.repeats, 1, 1_000_000),
+    ):
+        if not low <= value <= high:
+            raise ConfigError(f"{flag} must be {low} to {high}, not {value}")
+
+
+def run(args: Arguments) -> dict[str, object]:
+    """The benchmark; what `--json` prints.
+
+    Raises:
+        ConfigError: as `check`.
+    """
+    check(args)
+    cv2.setNumThreads(1)
+    plain_config = RcvConfig(orientation=Orientation.FREE)
+    config = plain_config.model_copy(update={"view": plain_config.view.model_copy(update={"size_px": args.size_px})})
+    watches, points = {"plain": Stopwatch(OF_FRAME), "warm": Stopwatch(OF_FRAME)}, []
+    for repeat in range(args.repeats + 1):
+        frame, truth = scene(args.points, repeat)
+        seed = moment_before(truth.box, np.random.default_rng(repeat))
+        for path, watch in watches.items():
+            points.append(watched(watch, frame, truth, [] if path == "plain" else [seed], config))
+            if repeat == 0:
+                watch.forget()  # the first frame makes what is kept
+    rows = [row for path, watch in watches.items() for row in _rows(path, watch)]
+    return {
+        "points": int(np.median(points)),
+        "size_px": args.size_px,
+        "steps": rows,
+        "per_step_ms": {path: _per_step(watch) for path, watch in watches.items()},
+        "per_frame_ms": {stage: watches["plain"].median_ms(stage) for stage in OF_FRAME},
+    }
+
+
+def _rows(path: str, watch: Stopwatch) -> list[dict[str, object]]:
+    """For each kind of step the median of each stage and its share."""
+    by_kind: dict[str, list[Mapping[str, float]]] = defaultdict(list)
+    for steps in watch.runs:
+        # an object whose seed was dropped went the plain way
+        names = WARM if path == "warm" and len(steps) <= len(WARM) else PLAIN
+        for number, stages in enumerate(steps):
+            by_kind[names[min(number, len(names) - 1)]].append(stages)
+    rows: list[dict[str, object]] = []
+    for kind, found in by_kind.items():
+        ms = {stage: float(np.median([s.get(stage, 0.0) for s in found])) * 1e3 for stage in OF_STEP}
+        total = float(np.median([_beside_detector(s) for s in found])) * 1e3
+        share = {stage: value / max(sum(ms.values()), 1e-12) for stage, value in ms.items()}
+        stand_in = float(np.median([s.get(DETECTOR, 0.0) for s in found])) * 1e3
+        rows.append(
+            {
+                "path": path,
+                "step": kind,
+                "runs": len(found),
+                "ms": ms,
+                "share": share,
+                "total_ms": total,
+                "detector_ms": stand_in,
+            }
+        )
+    return rows
+
+
+def _beside_detector(stages: Mapping[str, float]) -> float:
+    return sum(stages.get(stage, 0.0) for stage in OF_STEP)
+
+
+def _per_step(watch: Stopwatch) -> float:
+    """The median over frames of what an object's step takes on average, milliseconds."""
+    return float(np.median([np.mean([_beside_detector(s) for s in steps]) for steps in watch.runs])) * 1e3
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__)
+    result = run(args)
+    table = Table("path", "step", *OF_STEP, "all, ms", DETECTOR)
+    for row in result["steps"]:  # type: ignore[attr-defined]
+        table.add(row["path"], row["step"], *row["ms"].values(), row["total_ms"], row["detector_ms"])
+    frame = Table("once a frame", "ms")
+    for stage, value in result["per_frame_ms"].items():  # type: ignore[attr-defined]
+        frame.add(stage, value)
+    finish(result, args.json, table, frame)
+
+
+if __name__ == "__main__":
+    guarded(main)
