@@ -1,30 +1,27 @@
 """Does `annotate` need more memory for a longer recording? Its peak, each length in a process of its own.
 
-python -m benchmarks.memory [--frames 20 200] [--json]
+python -m benchmarks.memory [--frames 20 200] [--engine local --workers 2] [--json]
 """
 
 from __future__ import annotations
 
 import multiprocessing
-import os
 import resource
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
-from annotator.types import Box2D, Frame, Image
 from annotator.types.errors import ConfigError
+from benchmarks.repeating import LABEL, generate, knowing, lengthen
 from benchmarks.report import Table, finish, guarded
-
-PRESET, LABEL = "people", "person"
-FOLDERS = {"color": ".jpg", "depth": ".png"}
 
 
 @dataclass
@@ -37,84 +34,54 @@ class Arguments:
     """So many frames are generated; a recording repeats them."""
     width: int = 640
     """Of the images, pixels; the height is three quarters of it."""
+    engine: Literal["inline", "local"] = "inline"
+    """What annotates."""
+    workers: int | None = None
+    """Of the local engine."""
+    steps: int = 5
+    """Of the recursion; with 1 a frame takes least time."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
-class Repeating:
-    """A detector that knows the first frames of a recording, for one that repeats them: `000007` is `000003` of 4."""
+class Peaks:
+    """Peak resident memory, MB: of the process that drives the batch, and of its largest worker (None without any)."""
 
-    first: Any
-    different: int
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return (LABEL,)
-
-    @property
-    def fingerprint(self) -> str:
-        return f"{self.first.fingerprint}-{self.different}"
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        known = [replace(i, key=_key(int(i.key) % self.different)) if isinstance(i, Frame) else i for i in images]
-        found: list[list[Box2D]] = self.first.detect(known)
-        return found
+    driver_mb: float
+    worker_mb: float | None
 
 
-def generate(folder: Path, different: int, width_px: int) -> None:
-    """The frames that all recordings repeat."""
-    from annotator.recordings.generated import write_generated
-
-    write_generated(folder, PRESET, different, 0, width_px, width_px * 3 // 4)
-
-
-def lengthen(source: Path, folder: Path, frames: int, different: int) -> None:
-    """A recording of so many frames without so many files: its names are links to the source's files."""
-    for name, suffix in FOLDERS.items():
-        (folder / name).mkdir(parents=True)
-        for number in range(frames):
-            place = folder / name / (_key(number) + suffix)
-            os.link(source / name / (_key(number % different) + suffix), place)
-    for name in ("camera_intrinsic.json", "gravity.json"):
-        os.link(source / name, folder / name)
-
-
-def annotate_and_measure(source: Path, folder: Path, different: int) -> float:
-    """Peak resident memory of this process in MB, after it has annotated the recording in `folder`.
+def annotate_and_measure(source: Path, folder: Path, args: Arguments) -> Peaks:
+    """Peak resident memory of this process and its workers, after they have annotated the recording in `folder`.
 
     Raises:
         ConfigError: frames failed, so that the figure would say nothing.
     """
-    from annotator.detection.perfect import PerfectDetector, Scene
     from annotator.project import create_project
     from annotator.rcv.config import RcvConfig
     from annotator.recordings import open_recording
-    from annotator.workflows.annotate import annotate
+    from annotator.workflows.annotate import annotate_with
     from annotator.workflows.detectors import Detectors
+    from annotator.workflows.engines.choose import EngineName, make_engine
+    from annotator.workflows.engines.sources import GivenDetectors
     from annotator.workflows.recordings import register_recording
-    from annotator.workflows.truth import load_truth
 
-    known = open_recording(source)
-    frames = [known.frame(index) for index in range(different)]
-    perfect = PerfectDetector([Scene.of(frame, load_truth(known, i, frame)) for i, frame in enumerate(frames)])
-    del frames
-    detector = Repeating(perfect, different)
-    with create_project(folder.parent / "projects", folder.name, (LABEL,)) as project:
+    detector = knowing(source, args.different)
+    pair = GivenDetectors(Detectors(detector, detector))
+    engine = make_engine(EngineName(args.engine), pair, frames=max(args.frames), workers=args.workers)
+    with create_project(folder.parent / "projects", folder.name, (LABEL,)) as project, closing(engine):
         register_recording(project, open_recording(folder))
-        done = annotate(project, Detectors(detector, detector), RcvConfig())
-    if done.failed or not done.proposals:
-        raise ConfigError(f"{len(done.failed)} frames failed, {done.proposals} proposals: {done.failed[:1]}")
-    return _peak_mb()
+        done = annotate_with(project, engine, RcvConfig(max_steps=args.steps))
+    if done.failures or not done.proposals:
+        raise ConfigError(f"{done.failures} frames failed, {done.proposals} proposals: {done.failed[:1]}")
+    workers = _peak_mb(resource.RUSAGE_CHILDREN) if args.engine == "local" else None
+    return Peaks(_peak_mb(resource.RUSAGE_SELF), workers)
 
 
-def _peak_mb() -> float:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def _peak_mb(whose: int) -> float:
+    peak = resource.getrusage(whose).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
-
-
-def _key(number: int) -> str:
-    return f"{number:06d}"
 
 
 def _alone(function: Callable[..., Any], *arguments: object) -> Any:
@@ -131,17 +98,20 @@ def run(args: Arguments) -> dict[str, object]:
     """
     if not args.frames or min(*args.frames, args.different) < 1:
         raise ConfigError(f"--frames and --different must be 1 or more, not {args.frames} and {args.different}")
-    peaks: list[float] = []
+    peaks: list[Peaks] = []
     with TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
         _alone(generate, source, args.different, args.width)
         for number, frames in enumerate(args.frames):
             folder = Path(temporary) / f"recording-{number}"
             lengthen(source, folder, frames, args.different)
-            peaks.append(_alone(annotate_and_measure, source, folder, args.different))
+            peaks.append(_alone(annotate_and_measure, source, folder, args))
     return {
-        "results": [{"frames": n, "peak_mb": peak} for n, peak in zip(args.frames, peaks, strict=True)],
-        "growth_mb_per_1000_frames": growth(args.frames, peaks) * 1000,
+        "results": [
+            {"frames": n, "peak_mb": peak.driver_mb, "worker_peak_mb": peak.worker_mb}
+            for n, peak in zip(args.frames, peaks, strict=True)
+        ],
+        "growth_mb_per_1000_frames": growth(args.frames, [peak.driver_mb for peak in peaks]) * 1000,
     }
 
 
@@ -155,7 +125,7 @@ def growth(frames: Sequence[int], peaks_mb: Sequence[float]) -> float:
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     result = run(args)
-    table = Table("frames", "peak MB")
+    table = Table("frames", "peak MB", "largest worker's peak MB")
     for row in result["results"]:  # type: ignore[attr-defined]
         table.add(*row.values())
     finish(result, args.json, table)

@@ -16,8 +16,9 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, listing, pseudo_view
-from benchmarks.memory import FOLDERS, growth, lengthen
+from benchmarks import axes, batch, listing, pseudo_view
+from benchmarks.memory import growth
+from benchmarks.repeating import FOLDERS, lengthen
 
 ROOT = Path(__file__).resolve().parents[2]
 STRATEGIES = ["camera", "eigenvectors", "normals", "consensus"]
@@ -142,13 +143,24 @@ def test_pseudo_view(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 
 
 def test_memory() -> None:
-    result, lines = program("memory", "--frames", "1", "3", "--different", "2", "--width", "160")
+    words = ["--frames", "1", "3", "--different", "2", "--width", "160", "--engine", "local", "--workers", "1"]
+    result, lines = program("memory", *words)
     assert list(result) == ["results", "growth_mb_per_1000_frames"]
     assert [row["frames"] for row in result["results"]] == [1, 3]
     peaks = [row["peak_mb"] for row in result["results"]]
-    assert all(50 < peak < 2000 for peak in peaks)
+    assert all(50 < peak < 2000 for peak in [*peaks, *(row["worker_peak_mb"] for row in result["results"])])
     assert result["growth_mb_per_1000_frames"] == pytest.approx((peaks[1] - peaks[0]) / 2 * 1000)
     assert any("peak MB" in line for line in lines)
+
+
+def test_batch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--frames", 4, "--different", 2, "--width", 160, "--steps", 1, "--engines", "local", "--workers", 1]
+    result = in_process(batch, monkeypatch, capsys, *words, "--repeats", 2)
+    assert [(row["engine"], row["workers"]) for row in result["results"]] == [("plain", 0), ("local", 1)]
+    assert all(row["fps"] > 0 and row["start_s"] > 0 for row in result["results"])
+    plain, local = (row["fps"] for row in result["results"])
+    assert result["results"][1]["against_plain"] == pytest.approx(local / plain, rel=0.5)
+    assert result["ray_against_local"] is None
 
 
 def test_store() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import zipfile
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -14,8 +15,9 @@ from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.project import Role
 from annotator.web.jobs.desk import Desk, JobStoppedError, Outcome
 from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
-from annotator.workflows.annotate import annotate
-from annotator.workflows.detectors import active_detectors
+from annotator.workflows.annotate import annotate_with
+from annotator.workflows.engines.choose import EngineName, make_engine
+from annotator.workflows.engines.sources import trained_detectors
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.own_labels import import_own_labels
 from annotator.workflows.rcv_settings import rcv_config
@@ -96,26 +98,30 @@ class _Telling:
 def propose_work(desk: Desk, request: ProposeRequest) -> Outcome:
     """Proposes boxes on recordings."""
     desk.progress("load the detectors")
-    detectors = active_detectors(desk.project)
-    config = rcv_config(desk.project).model_copy(update={"box_kind": detectors.box_kind})
+    source = trained_detectors(desk.project)
+    config = rcv_config(desk.project).model_copy(update={"box_kind": source.box_kind})
     for recording in request.recordings or ():
         desk.project.recordings.get(recording)
-    done = annotate(
-        desk.project,
-        detectors,
-        config,
-        recordings=request.recordings,
-        limit=request.limit,
-        progress=desk.counted("propose boxes"),
-    )
+    present = desk.project.frames.count_present(request.recordings)
+    frames = present if request.limit is None else min(present, request.limit)
+    # its own workers, where there are any, end with this process, whatever ends it
+    with closing(make_engine(EngineName.AUTO, source, frames=frames)) as engine:
+        done = annotate_with(
+            desk.project,
+            engine,
+            config,
+            recordings=request.recordings,
+            limit=request.limit,
+            progress=desk.counted("propose boxes"),
+        )
     words = f"{done.proposals} proposals in {done.done} frames"
     if done.skipped:
         words += f", {done.skipped} frames were done before"
-    if done.failed:
-        words += f", {len(done.failed)} frames failed"
+    if done.failures:
+        words += f", {done.failures} frames failed"
     failed = [{"key": key, "reason": reason} for key, reason in done.failed[:FAILURES_TOLD]]
     result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
-    return Outcome(words, {**result, "failed": failed, "failures": len(done.failed)})
+    return Outcome(words, {**result, "failed": failed, "failures": done.failures})
 
 
 def import_work(desk: Desk, request: ImportRequest) -> Outcome:

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.detection.config import DetectorConfig
+from annotator.detection.yolo import YoloDetector
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image
@@ -90,14 +92,27 @@ class HarmfulPair:
         return Detectors(image, self.inner.view, self.inner.box_kind)
 
 
+@dataclass(frozen=True, eq=False)
+class RealViews:
+    """A source with a real network for the views: it is sure of nothing, but all that it says is taken."""
+
+    inner: Detectors
+    weights: Path
+
+    @property
+    def box_kind(self) -> BoxKind:
+        return self.inner.box_kind
+
+    def load(self, threads: int | None) -> Detectors:
+        config = DetectorConfig(image_size_px=64, confidence=1e-4, device="cpu", backend="torch", threads=threads)
+        return Detectors(self.inner.image, YoloDetector(self.weights, config), self.inner.box_kind)
+
+
 @dataclass(frozen=True)
 class Unloadable:
-    """A source that fails as a damaged file would, or (dies) as one that is too large."""
+    """A source that fails as a damaged file would."""
 
-    dies: bool = False
     box_kind: BoxKind = BoxKind.BOX
 
     def load(self, threads: int | None) -> Detectors:
-        if self.dies:
-            os.kill(os.getpid(), signal.SIGKILL)
         raise DetectionError("weights.pt: cannot be read as detector weights")

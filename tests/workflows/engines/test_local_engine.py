@@ -13,12 +13,15 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from engine_samples import CONFIG, HarmfulPair, Unloadable, stored
+from engine_samples import CONFIG, HarmfulPair, RealViews, Unloadable, stored
 
 from annotator.project import Project, Status, open_project
+from annotator.rcv.config import RcvConfig
 from annotator.types.errors import WorkerError
 from annotator.workflows.annotate import annotate_with
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.engines.engine import Engine
+from annotator.workflows.engines.inline import InlineEngine
 from annotator.workflows.engines.local import local_engine
 from annotator.workflows.engines.sources import DetectorSource, GivenDetectors
 from annotator.workflows.engines.storage import Storage
@@ -33,6 +36,8 @@ sys.path.insert(0, sys.argv[1])
 from annotator.project import open_project
 from annotator.rcv.config import RcvConfig
 from annotator.workflows.annotate import annotate_with
+from annotator.workflows.engines.engine import Engine
+from annotator.workflows.engines.inline import InlineEngine
 from annotator.workflows.engines.local import local_engine
 from annotator.workflows.engines.storage import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
@@ -54,7 +59,7 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def engine_of(source: DetectorSource, workers: int = 2):  # type: ignore[no-untyped-def]
+def engine_of(source: DetectorSource, workers: int = 2) -> Engine:
     return local_engine(source, workers, 1, Storage())
 
 
@@ -69,6 +74,23 @@ def test_the_same_bit_for_bit_also_from_another_place_and_when_a_worker_was_kill
     assert once.exists(), "a worker has killed itself"
     assert (done.done, done.failed) == (5, [])
     assert stored(project) == expected
+
+
+def test_a_real_network_gives_the_same_bit_for_bit(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
+    from annotator.detection.ultralytics_api import api
+
+    model = api().DetectionModel("yolo11n.yaml", nc=1, verbose=False)
+    model.names = {0: "person"}
+    api().torch.save({"model": model}, tmp_path / "detector.pt")
+    source, config = RealViews(knowing("people"), tmp_path / "detector.pt"), RcvConfig(max_steps=2, min_view_score=0)
+    engines = {"here": InlineEngine(source, 1), "there": engine_of(source, 1)}
+    projects = {name: new_people(name) for name in engines}
+    for name, engine in engines.items():
+        with closing(engine):
+            assert annotate_with(projects[name], engine, config, limit=2).failed == []
+    here, there = (stored(project)[:2] for project in projects.values())
+    assert here == there
+    assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were found, and used"
 
 
 def test_a_frame_that_kills_every_worker_is_stored_as_failed(
@@ -126,11 +148,8 @@ def test_what_ends_the_batch_ends_the_workers(new_people: NewPeople, knowing: Kn
         os.kill(pid, signal.SIGKILL)
 
 
-@pytest.mark.parametrize(
-    ("dies", "says"), [(False, "cannot be read as detector weights"), (True, "3 workers in a row have ended")]
-)
-def test_detectors_that_cannot_be_loaded(dies: bool, says: str, new_people: NewPeople) -> None:
+def test_detectors_that_cannot_be_loaded(new_people: NewPeople) -> None:
     project = new_people("unloadable")
-    with pytest.raises(WorkerError, match=says):
-        annotate_with(project, engine_of(Unloadable(dies), 1), CONFIG)
+    with pytest.raises(WorkerError, match="cannot be read as detector weights"):
+        annotate_with(project, engine_of(Unloadable(), 1), CONFIG)
     assert project.jobs.all() == ()

@@ -1,0 +1,111 @@
+"""Recordings in a storage: read file by file, with the frames that the folder itself gives, in bounded space."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.recordings import open_recording
+from annotator.recordings.mirror import open_mirror
+from annotator.types.errors import FrameError, RecordingError, UnknownFormatError
+
+MEGABYTE = 10**6
+
+
+@pytest.fixture
+def bucket(generated: Path) -> Iterator[str]:
+    """The generated people in fsspec's own memory."""
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    memory.put(str(generated / "people"), "/bucket/people", recursive=True)
+    yield "memory://bucket/people"
+    memory.rm("/bucket", recursive=True)
+
+
+def held_bytes(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def test_the_frames_are_those_of_the_folder_in_bounded_space(bucket: str, generated: Path, tmp_path: Path) -> None:
+    plain = open_recording(generated / "people")
+    sizes = [held_bytes(generated / "people" / name) for name in ("color", "depth")]
+    limit = held_bytes(generated / "people") - sum(sizes) * 2 // 5  # some frames, not all
+    mirror = open_mirror(bucket, tmp_path, limit)
+    assert (mirror.keys, mirror.format, mirror.name, len(mirror)) == (plain.keys, plain.format, "people", 5)
+    for index in (0, 4, 2, 3, 1, 0):
+        ours, theirs = mirror.frame(index), plain.frame(index)
+        assert (ours.key, ours.index) == (theirs.key, theirs.index)
+        assert np.array_equal(ours.rgb, theirs.rgb) and np.array_equal(ours.cloud.xyz_m, theirs.cloud.xyz_m)
+        assert np.array_equal(ours.up, theirs.up)
+        assert held_bytes(tmp_path) <= limit
+    mirror.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_kitti_has_files_that_belong_to_frames_and_files_that_do_not(tmp_path: Path) -> None:
+    """`calib/KEY.txt` is a frame's, `timestamps` and the like are everybody's, and both are there when it is read."""
+    folder = tmp_path / "clouds"
+    for name in ("points", "calib", "notes"):
+        (folder / name).mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for key in ("000007", "000010"):
+        points = np.concatenate([rng.uniform([5, -2, -1], [9, 2, 1], (50, 3)), np.ones((50, 1))], axis=1)
+        points.astype(np.float32).tofile(folder / "points" / f"{key}.bin")
+    (folder / "notes" / "all.txt").write_text("of nobody\n")
+    mirror = open_mirror(folder.as_uri(), tmp_path / "copy", MEGABYTE)
+    plain = open_recording(folder)
+    assert np.array_equal(mirror.frame(1).cloud.xyz_m, plain.frame(1).cloud.xyz_m)
+    copied = {path.name: path.stat().st_size for path in (tmp_path / "copy").rglob("*") if path.is_file()}
+    assert copied["000007.bin"] == 0 and copied["all.txt"] == 10
+
+
+def test_a_frame_that_cannot_be_read_is_told_by_its_url(bucket: str, tmp_path: Path) -> None:
+    import fsspec
+
+    fsspec.filesystem("memory").pipe("/bucket/people/depth/000003.png", b"no picture")
+    mirror = open_mirror(bucket, tmp_path, 50 * MEGABYTE)
+    with pytest.raises(FrameError, match=r"memory://bucket/people/depth/000003\.png"):
+        mirror.frame(3)
+    fsspec.filesystem("memory").rm("/bucket/people/depth/000002.png")
+    with pytest.raises(RecordingError, match=r"people/depth/000002\.png: cannot be reached"):
+        mirror.frame(2)
+    mirror.frame(4)
+
+
+def test_what_does_not_fit_says_so(bucket: str, tmp_path: Path) -> None:
+    mirror = open_mirror(bucket, tmp_path, 5000)
+    with pytest.raises(RecordingError, match="raise --cache-mb"):
+        mirror.frame(0)
+
+
+@pytest.mark.parametrize(
+    ("url", "error", "says"),
+    [
+        ("memory://bucket/nothing", RecordingError, "holds no files"),
+        ("xyz://bucket/room", RecordingError, "Protocol not known: xyz"),
+    ],
+)
+def test_places_without_a_recording(url: str, error: type[Exception], says: str, tmp_path: Path) -> None:
+    with pytest.raises(error, match=says):
+        open_mirror(url, tmp_path, MEGABYTE)
+
+
+def test_a_folder_that_is_no_recording_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "texts").mkdir()
+    (tmp_path / "texts" / "a.md").write_text("a")
+    with pytest.raises(UnknownFormatError):
+        open_mirror((tmp_path / "texts").as_uri(), tmp_path / "copy", MEGABYTE)
+    assert list((tmp_path / "copy").iterdir()) == []
+
+
+def test_copies_of_killed_processes_are_removed(bucket: str, tmp_path: Path) -> None:
+    left = tmp_path / "4194999-abc"  # more than Linux gives to any process
+    left.mkdir()
+    shutil.copy(__file__, left / "file")
+    open_mirror(bucket, tmp_path, 50 * MEGABYTE)
+    assert not left.exists()

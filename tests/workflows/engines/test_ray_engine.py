@@ -1,0 +1,62 @@
+"""Ray actors on a cluster of this machine's own: what local workers do, and no more is told to anybody."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from engine_samples import CONFIG, HarmfulPair, stored
+
+from annotator.project import Project
+from annotator.types.errors import MissingExtraError
+from annotator.workflows.annotate import annotate_with
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.engines.ray_engine import RayEngine
+from annotator.workflows.engines.sources import GivenDetectors
+from annotator.workflows.engines.storage import Storage
+
+LISTENS = "0A"
+LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F")
+
+
+def listening() -> set[tuple[str, str]]:
+    """(address, port) of every socket of this machine that listens, as Linux shows them."""
+    rows = [
+        line.split()
+        for name in ("tcp", "tcp6")
+        if Path(f"/proc/net/{name}").exists()
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
+    return {(row[1].split(":")[0], row[1].split(":")[1]) for row in rows if row[3] == LISTENS}
+
+
+def test_the_same_bit_for_bit_when_an_actor_was_killed(
+    new_people: Callable[[str], Project], expected: list[str], knowing: Callable[..., Detectors], tmp_path: Path
+) -> None:
+    pytest.importorskip("ray")
+    project, once, before = new_people("ray"), tmp_path / "once", listening()
+    source = HarmfulPair(knowing("people"), deadly=("000001",), once=once)
+    with closing(RayEngine(source, 1, 1, Storage())) as engine:
+        done = annotate_with(project, engine, CONFIG)
+        opened = listening() - before
+    assert once.exists(), "an actor has killed itself"
+    assert (done.done, done.failed) == (5, [])
+    assert stored(project) == expected
+    assert opened and {address for address, _ in opened} <= set(LOOPBACK)
+
+
+def test_without_ray_it_says_what_to_install(
+    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match="ray is not installed"):
+        RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
+
+
+def test_the_module_loads_no_ray() -> None:
+    code = "import sys, annotator.workflows.engines.ray_engine; sys.exit('ray' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=100).returncode == 0
