@@ -17,7 +17,7 @@ from annotator.workflows.frames import orientation_for
 from annotator.workflows.live.source import Taken
 
 # Boxes of a frame that is longer ago than this say nothing of where an object is now, seconds.
-OLDEST_SEED_S = 0.5
+OLDEST_SEED_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,90 @@
+"""The live benchmark around its training, with detectors that know the truth in place of trained ones."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annotator.project import Project, ProjectSettings, create_project
+from annotator.types.errors import ConfigError, RecordingError
+from annotator.workflows.live import detection
+from benchmarks import live, loop
+
+KEYS = {
+    "fps",
+    "latency_ms",
+    "latency_p95_ms",
+    "stages_ms",
+    "shown",
+    "drops",
+    "source_fps",
+    "objects_per_frame",
+    "warm_share",
+    "backend",
+    "warm_start",
+    "image_size_px",
+    "view_size_px",
+    "max_steps",
+}
+
+
+@pytest.fixture
+def trained(tmp_path: Path, knowing: Any, monkeypatch: pytest.MonkeyPatch) -> list[loop.Arguments]:
+    """What the training was asked for, which is not done."""
+    asked: list[loop.Arguments] = []
+
+    @contextmanager
+    def taught(args: loop.Arguments, *_: object) -> Iterator[tuple[Project, int]]:
+        asked.append(args)
+        settings = ProjectSettings(rcv={"max_steps": 2})
+        with create_project(tmp_path, f"loop{len(asked)}", ("hand",), settings=settings) as project:
+            yield project, 0
+
+    monkeypatch.setattr(loop, "taught", taught)
+    monkeypatch.setattr(live, "_detectors", lambda project, args: knowing("hands"))
+    monkeypatch.setattr(live, "WARM_UP_S", 0.5)
+    # a busy machine has few frames a second
+    monkeypatch.setattr(detection, "OLDEST_SEED_S", 60.0)
+    return asked
+
+
+def test_it_measures_the_whole_pipeline(
+    trained: list[loop.Arguments],
+    generated: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = [generated / "hands", "--project", tmp_path / "kept", "--warm-start", "--seconds", 0.5, "--json"]
+    monkeypatch.setattr(sys, "argv", ["live", *map(str, words)])
+    live.main()
+    lines = capsys.readouterr().out.splitlines()
+    result = json.loads(lines[-1])
+    assert set(result) == KEYS
+    assert len(lines) > 3, "a table comes first"
+    assert list(result["stages_ms"]) == ["read", "image", "views", "geometry", "show"]
+    assert result["shown"] >= live.LEAST_SHOWN
+    assert 0 < result["fps"] <= result["source_fps"] * 1.5
+    assert result["source_fps"] >= live.LEAST_RATE
+    assert result["latency_ms"] >= 0.5 * sum(result["stages_ms"].values())
+    assert result["latency_p95_ms"] >= result["latency_ms"]
+    assert result["objects_per_frame"] == 2
+    assert 0 < result["warm_share"] <= 1
+    assert (result["warm_start"], result["backend"], result["image_size_px"]) == (True, "auto", None)
+    (asked,) = trained
+    assert (asked.train_dir, asked.project) == (generated / "hands", tmp_path / "kept")
+
+
+def test_what_it_cannot_measure(trained: list[loop.Arguments], generated: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="0 seconds measure nothing"):
+        live.run(live.Arguments(generated / "hands", seconds=0.0))
+    with pytest.raises(RecordingError, match="no such file"):
+        live.run(live.Arguments(tmp_path / "nowhere"))
+    with pytest.raises(ConfigError, match="1 frames came through"):
+        live.run(live.Arguments(generated / "hands", frames=1))
