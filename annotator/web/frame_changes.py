@@ -17,6 +17,7 @@ from annotator.project.payloads import (
     LabelDeleted,
     LabelEdited,
     LabelRejected,
+    LabelTracked,
     Payload,
 )
 from annotator.project.records import BoxRecord
@@ -70,6 +71,17 @@ class Edit(Wire):
         return LabelEdited(uid=self.uid, label=self.label, box=BoxRecord.of(self.box.box()), track_id=self.track_id)
 
 
+class Track(Wire):
+    """The label belongs to another track, or to none; its review stays as it is."""
+
+    kind: Literal["track"]
+    uid: Uid
+    track_id: TrackId | None
+
+    def payload(self) -> Payload:
+        return LabelTracked(uid=self.uid, track_id=self.track_id)
+
+
 class Create(Wire):
     """A new label, accepted; `image_box` where it was fitted to a box that was drawn on the image."""
 
@@ -120,7 +132,7 @@ class Reopen(Wire):
 
 
 ChangeIn = Annotated[
-    Accept | Reject | Delete | Edit | Create | ImageBoxesIn | Finalise | Reopen, Field(discriminator="kind")
+    Accept | Reject | Delete | Edit | Track | Create | ImageBoxesIn | Finalise | Reopen, Field(discriminator="kind")
 ]
 
 

@@ -46,6 +46,11 @@ def test_tracks_over_http(live: Live, project: Project) -> None:
         (3, "proposed"),
         (4, "accepted"),
     ]
+    tracked = change(
+        live.client, filled.json()["state"]["frame"]["revision"], {"kind": "track", "uid": uid, "track_id": 6}, frame=4
+    )
+    assert [(label["track_id"], label["state"]) for label in tracked.json()["labels"]] == [(6, "accepted")]
+    live.client.post(f"{ROOM}/undo", json={})
     # one step back for both frames
     undone = live.client.post(f"{ROOM}/undo", json={}).json()
     assert undone["done"] == "propose 2 labels (frames 000001 to 000002)"

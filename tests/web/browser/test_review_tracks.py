@@ -27,8 +27,25 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     page.get_by_test_id("field-track").fill("7")
     page.get_by_test_id("field-track").press("Enter")
     wait_for(lambda: desk.label.track_id == 7, 5)
+    assert desk.label.state is ReviewState.PROPOSED, "its box was not looked at"
     desk.settled()
     expect(page.get_by_test_id("track-tick")).to_have_count(1)
+
+    # the track that is still typed comes along with the answer
+    page.get_by_test_id("field-track").fill("70")
+    desk.press("Space")
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED, 5)
+    assert desk.project.labels.get(uid).label.track_id == 70
+    # the page has gone on to the next proposal
+    page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
+    desk.settled()
+    page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+    desk.settled()
+    page.get_by_test_id("field-track").fill("7")
+    page.get_by_test_id("field-track").press("Enter")
+    wait_for(lambda: desk.label.track_id == 7, 5)
+    assert desk.label.state is ReviewState.ACCEPTED
     page.locator("body").click(position={"x": 2, "y": 2})
 
     # there are no detectors: the reviewed box is copied, and the page goes there

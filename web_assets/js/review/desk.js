@@ -165,7 +165,11 @@ export function createDesk(app) {
     const wanted = draft.wanted;
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
-    const error = await send([{ kind: "edit", uid: id, label, box, track_id }], id);
+    const before = stored(id);
+    // which object it is says nothing about the box: its review stays as it is
+    const is_track_only = before && before.label === label && sameBox(before.box, box);
+    const change = is_track_only ? { kind: "track", uid: id, track_id } : { kind: "edit", uid: id, label, box, track_id };
+    const error = await send([change], id);
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error?.message ?? null;
     if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);

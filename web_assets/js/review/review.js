@@ -241,7 +241,7 @@ export function mount(root, app) {
 
   function save(kind, label) {
     // a new box is stored with what is drafted of it
-    if (kind === "accept" && desk.hasDraft && !label.is_new) return desk.commit();
+    if (kind === "accept" && desk.hasDraft && !label.is_new) return desk.commit().then((is_saved) => (is_saved && desk.stored(label.uid)?.state === "proposed" ? desk.decide("accept", label.uid) : is_saved));
     if (kind === "accept" && (label.state === "accepted" || label.state === "edited")) return Promise.resolve(true);
     if (kind === "reject" && label.state === "rejected") return Promise.resolve(true);
     return desk.decide(kind, label.uid);

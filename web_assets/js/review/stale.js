@@ -3,7 +3,7 @@
 import { outline } from "../camera.js";
 import { askVersion } from "../stale.js";
 
-const VERBS = { accept: "accepted", reject: "rejected", delete: "deleted", edit: "edited", create: "added", finalise: "the frame is finalised", reopen: "the frame is opened again" };
+const VERBS = { accept: "accepted", reject: "rejected", delete: "deleted", edit: "edited", track: "in another track", create: "added", finalise: "the frame is finalised", reopen: "the frame is opened again" };
 
 /**
  * @param {ApiError} error with `body.state`, the frame as it is now.
