@@ -45,7 +45,7 @@ class Knows:
 def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LiveView]]:
     """A live page that goes on for ever."""
     view = LiveView("hands", {"backend": "truth"})
-    pipeline = Pipeline(Playback(open_recording(folder), rate=10.0, repeat=Repeat.BACK), Knows(folder), view.show)
+    pipeline = Pipeline(Playback(open_recording(folder), rate=4.0, repeat=Repeat.BACK), Knows(folder), view.show)
     view.follow(pipeline)
     server = Running(settings, live_app(settings, view))
     thread = threading.Thread(target=server.serve_until_stopped)
