@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import dataclass
 
+from annotator.types.errors import AnnotatorError
 from annotator.workflows.engines.sources import DetectorSource
 from annotator.workflows.engines.storage import Storage
 
@@ -33,3 +35,10 @@ class Fault:
 
     reason: str
     is_fault: bool
+
+
+def fault_of(error: Exception) -> Fault:
+    """What is said of an error on the way to the first task."""
+    if isinstance(error, AnnotatorError):
+        return Fault(str(error), False)
+    return Fault("".join(traceback.format_exception(error)), True)

@@ -10,9 +10,10 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from annotator.types.errors import AnnotatorError, ConfigError, MissingExtraError, WorkerError
+from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.workflows.engines.local import environment
 from annotator.workflows.engines.machine import cuda_devices, usable_cores
+from annotator.workflows.engines.messages import Fault, fault_of
 from annotator.workflows.engines.pool import HELD, Died, Done, Ready, Refused, Tell, WorkerPool
 from annotator.workflows.engines.runner import TaskRunner
 from annotator.workflows.engines.sources import DetectorSource, PackedDetectors, TrainedDetectors
@@ -25,6 +26,8 @@ SWITCHES = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO"
 LOCAL_SWITCHES = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 # Of a cluster of our own: weights and answers on their way.
 OBJECT_STORE_BYTES = 200 * 2**20
+# How Ray speaks of an actor that could not be made, in contrast to one that was lost.
+CREATION = "error raised in its creation task"
 
 
 class RayActor:
@@ -38,15 +41,15 @@ class RayActor:
         import cv2
 
         cv2.setNumThreads(threads)
-        self._refused: str | None = None
+        self._fault: Fault | None = None
         try:
             self._runner = TaskRunner(source.load(threads), storage)
-        except AnnotatorError as error:
-            self._refused = str(error)
+        except Exception as error:
+            self._fault = fault_of(error)
 
-    def identity(self) -> Identity | str:
+    def identity(self) -> Identity | Fault:
         """What decides its results, or why it cannot begin."""
-        return self._runner.identity if self._refused is None else self._refused
+        return self._fault or self._runner.identity
 
     def do(self, task: Task) -> Answer:
         """As `TaskRunner.do`."""
@@ -84,8 +87,8 @@ class RayWorker:
             self._lost(future.exception())
             return
         said = future.result()
-        if isinstance(said, str):
-            self._tell(Refused(self._number, said, False))
+        if isinstance(said, Fault):
+            self._tell(Refused(self._number, said.reason, said.is_fault))
         else:
             self._tell(Ready(self._number, said))
 
@@ -96,12 +99,13 @@ class RayWorker:
             self._tell(Done(self._number, future.result()))
 
     def _lost(self, error: BaseException) -> None:
-        from ray.exceptions import RayActorError, RayTaskError
+        from ray.exceptions import RayActorError
 
         if self._is_over:  # every call that was on its way fails
             return
         self._is_over = True
-        if isinstance(error, RayTaskError) and not isinstance(error, RayActorError):
+        if not isinstance(error, RayActorError) or CREATION in str(error):
+            # no actor would do better: a class that is not known there, a package that is not installed
             self._tell(Refused(self._number, str(error), True))
         else:
             self._tell(Died(self._number, "lost: " + _last_words(str(error))))

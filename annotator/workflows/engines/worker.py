@@ -15,8 +15,7 @@ import threading
 import traceback
 from typing import BinaryIO
 
-from annotator.types.errors import AnnotatorError
-from annotator.workflows.engines.messages import Fault, Start
+from annotator.workflows.engines.messages import Start, fault_of
 from annotator.workflows.engines.runner import TaskRunner
 from annotator.workflows.engines.tasks import Task
 
@@ -48,7 +47,7 @@ def main() -> int:
         runner = _runner(start)
         out.say(runner.identity)
     except Exception as error:
-        out.say(_fault(error))
+        out.say(fault_of(error))
         return 0
     tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
     for _ in range(THREADS):
@@ -79,12 +78,6 @@ def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], out: _Out) -> None
         traceback.print_exc()
         sys.stderr.flush()
         os._exit(1)
-
-
-def _fault(error: Exception) -> Fault:
-    if isinstance(error, AnnotatorError):
-        return Fault(str(error), False)
-    return Fault(traceback.format_exc(), True)
 
 
 if __name__ == "__main__":

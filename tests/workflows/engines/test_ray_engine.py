@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -35,9 +36,15 @@ def listening() -> set[tuple[str, str]]:
 
 
 def test_the_same_bit_for_bit_when_an_actor_was_killed(
-    new_people: Callable[[str], Project], expected: list[str], knowing: Callable[..., Detectors], tmp_path: Path
+    new_people: Callable[[str], Project],
+    expected: list[str],
+    knowing: Callable[..., Detectors],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    pytest.importorskip("ray")
+    if find_spec("ray") is None:  # not imported here: what is switched off must be so before
+        pytest.skip("ray is not installed")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     project, once, before = new_people("ray"), tmp_path / "once", listening()
     source = HarmfulPair(knowing("people"), deadly=("000001",), once=once)
     with closing(RayEngine(source, 1, 1, Storage())) as engine:
