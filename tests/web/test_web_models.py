@@ -52,7 +52,7 @@ def test_train_propose_export(live: Live, generated: Path) -> None:
             truth = load_truth(recording, index, recording.frame(index))[0]
             project.labels.create(frame.id, [NewLabel("person", truth.box)], Change(0, "a test", Source.MANUAL))
     assert live.client.get(MODELS).json()["material"] == {"image": 0, "view": 0, "labels": 2}
-    wanted = {"kind": "train", "image_pictures": 20, "view_pictures": 20, "image_size_px": 64, "view_size_px": 64}
+    wanted = {"kind": "train", "image_pictures": 4, "view_pictures": 20, "image_size_px": 64, "view_size_px": 64}
     with listen(live) as socket:
         job = live.client.post(JOBS, json=wanted).json()
         stages, curves, state = set(), 0, ""
