@@ -69,3 +69,12 @@ def tiny_model(tiny_dataset: Path, quick_config: TrainingConfig, made_once: Call
         train_detector(tiny_dataset, folder / "run", quick_config)
 
     return read_trained(made_once("tiny_model", fill) / "run")
+
+
+@pytest.fixture
+def own_weights(tiny_model: TrainedModel, tmp_path: Path) -> Path:
+    """The small detector's weights in a folder of the test's own."""
+    path = tmp_path / "model" / "detector.pt"
+    path.parent.mkdir()
+    path.write_bytes(tiny_model.weights.read_bytes())
+    return path

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
-from annotator.detection.yolo import YoloDetector, select
+from annotator.detection.yolo import YoloDetector
 from annotator.types import Detector
 from annotator.types.errors import DetectionError
 
@@ -123,13 +123,14 @@ def test_a_wrong_picture_is_an_error(detector: YoloDetector, rgb: np.ndarray) ->
 def test_the_fingerprint_follows_weights_and_settings(
     detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path
 ) -> None:
-    def fingerprint(weights: Path = tiny_model.weights, size: int = 96, **settings: float) -> str:
-        return make(weights, image_size_px=size, **settings).fingerprint
+    def fingerprint(weights: Path = tiny_model.weights, size: int = 96, **settings: Any) -> str:
+        return make(weights, **{"image_size_px": size, "backend": "torch", **settings}).fingerprint
 
     assert fingerprint() == detector.fingerprint
     moved = tmp_path / "moved.pt"
     moved.write_bytes(tiny_model.weights.read_bytes())
     assert fingerprint(moved) == detector.fingerprint
+    assert fingerprint(backend="onnxruntime", threads=1) == detector.fingerprint  # what one began, another goes on with
     assert len({fingerprint(), fingerprint(size=128), fingerprint(confidence=0.2), fingerprint(iou=0.5)}) == 4
 
 
@@ -140,22 +141,10 @@ def test_weights_are_found_whatever_their_folder_is_called(
     path = tmp_path / name / "yolov5n.pt"
     path.parent.mkdir()
     path.write_bytes(tiny_model.weights.read_bytes())
-    assert make(path).fingerprint == detector.fingerprint
+    assert make(path, backend="torch").fingerprint == detector.fingerprint
 
 
 @pytest.mark.parametrize("settings", [{"confidence": 1.5}, {"iou": -0.1}, {"image_size_px": 8}])
 def test_settings_out_of_range(settings: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=next(iter(settings))):
         DetectorConfig(**{"image_size_px": 96, **settings})
-
-
-def test_networks_that_need_no_suppression() -> None:
-    torch = api().torch
-    raw = torch.zeros(2, 5, 6)
-    raw[0, 3] = torch.tensor([1.0, 2, 11, 12, 0.4, 1])
-    raw[1, 0] = torch.tensor([0.0, 0, 9, 9, 0.9, 0])
-    picture, boxes, scores, numbers = select(raw, 2, 0.05, 0.6)
-    assert picture.tolist() == [1, 0]
-    assert boxes.tolist() == [[0, 0, 9, 9], [1, 2, 11, 12]]
-    assert numbers.tolist() == [0, 1]
-    np.testing.assert_allclose(scores, [0.9, 0.4])

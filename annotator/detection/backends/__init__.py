@@ -1,0 +1,1 @@
+"""What runs a trained network: torch, OpenVINO or ONNX Runtime, each behind the same `Network`."""

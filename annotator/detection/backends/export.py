@@ -1,0 +1,85 @@
+"""A trained network in the file formats of other runtimes; this needs torch, running the result does not."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from annotator.detection.backends.network import ExportKind, NetworkFacts
+from annotator.detection.backends.openvino_api import openvino
+from annotator.detection.backends.raw_network import raw_network
+from annotator.detection.ultralytics_api import api
+from annotator.types.errors import DetectionError
+
+# Of the picture that is sent through the network while it is recorded. Its sides differ from each other and from the
+# number of pictures, so that no axis can be taken for another one.
+EXAMPLE_SHAPE = (2, 64, 96, 3)
+# The newest that all versions of the packages write and read which pyproject.toml allows.
+ONNX_OPSET = 17
+# Torch's way of recording a network has a newer relative, which cannot leave the sizes of these networks open.
+RECORDING_IS_OLD = (
+    r"`torch\.jit\.",
+    "You are using the legacy TorchScript-based ONNX export",
+    "The feature will be removed",
+)
+
+
+def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, bytes]]:
+    """A network's facts, and the content of its files by name: network.xml and network.bin, or network.onnx.
+
+    The graph takes batches of any number and size of pictures.
+
+    Raises:
+        DetectionError: the weights cannot be used, a package is missing, or the network cannot be converted.
+    """
+    torch = api().torch
+    module, facts = raw_network(weights, torch.device("cpu"))
+    module.model.model[-1].dynamic = True  # anchors follow the picture's size instead of being recorded
+    try:
+        with TemporaryDirectory() as temporary, warnings.catch_warnings():
+            # Recording runs Python code that asks about shapes; torch warns of each such place.
+            warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
+            for message in RECORDING_IS_OLD:
+                warnings.filterwarnings("ignore", message)
+            _WRITERS[kind](module, torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8), Path(temporary))
+            return facts, {path.name: path.read_bytes() for path in sorted(Path(temporary).iterdir())}
+    except DetectionError:
+        raise
+    except Exception as error:  # torch and the converters raise many kinds
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise DetectionError(
+            f"{weights}: cannot be converted for {kind} ({reason}); use --backend torch for this model"
+        ) from error
+
+
+def _write_openvino(module: Any, example: Any, folder: Path) -> None:
+    runtime, torch = openvino(), api().torch
+    with torch.inference_mode():
+        recorded = torch.jit.trace(module, example, strict=False, check_trace=False)
+    model = runtime.convert_model(recorded, example_input=example)
+    model.reshape([-1, -1, -1, 3])
+    # Weights as they are: halves of them would save disk space and cost accuracy.
+    runtime.save_model(model, folder / "network.xml", compress_to_fp16=False)
+
+
+def _write_onnx(module: Any, example: Any, folder: Path) -> None:
+    torch = api().torch
+    torch.onnx.export(
+        module,
+        (example,),
+        folder / "network.onnx",
+        dynamo=False,
+        opset_version=ONNX_OPSET,
+        input_names=["pixels"],
+        output_names=["prediction"],
+        dynamic_axes={"pixels": {0: "n", 1: "height", 2: "width"}, "prediction": {0: "n", 2: "anchors"}},
+    )
+
+
+_WRITERS: dict[ExportKind, Callable[[Any, Any, Path], None]] = {
+    "openvino": _write_openvino,
+    "onnxruntime": _write_onnx,
+}

@@ -1,0 +1,87 @@
+"""A network on ONNX Runtime: where OpenVINO is not to be had."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from annotator.detection.backends.cores import Picture, rejoined, side_by_side, single, usable_cores
+from annotator.detection.backends.network import Answer, Batch, NetworkFacts
+from annotator.detection.backends.onnx_api import onnxruntime
+from annotator.detection.config import Backend
+from annotator.types.errors import DetectionError
+
+ERRORS_ONLY = 3
+
+
+class OnnxNetwork:
+    """A network on the processor, through ONNX Runtime.
+
+    Attributes:
+        backend: "onnxruntime".
+        facts: its classes and stride.
+    """
+
+    backend: Backend = "onnxruntime"
+
+    def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
+        """
+        Args:
+            facts: what is known of it.
+            parts: network.onnx of its export.
+            threads: None: all cores that the process may use.
+
+        Raises:
+            DetectionError: ONNX Runtime cannot read the export.
+            MissingExtraError: it is not installed.
+        """
+        self.facts = facts
+        self._threads = threads or usable_cores()
+        self._pool = ThreadPoolExecutor(self._threads, "detector") if self._threads > 1 else None
+        self._content = parts["network.onnx"]
+        self._lock = threading.Lock()
+        self._sessions: dict[int, Any] = {}
+        self._session(1)
+
+    def predict(self, batches: Sequence[Batch]) -> list[Answer]:
+        """As `Network.predict`.
+
+        Raises:
+            DetectionError: ONNX Runtime fails.
+        """
+        pictures = single(batches)
+        many = side_by_side(len(pictures), self._threads)
+        session = self._session(1 if many else self._threads)
+
+        def one(picture: Picture) -> Answer:
+            answer: Answer = session.run(None, {"pixels": picture})[0]
+            return answer
+
+        try:
+            return rejoined(self._pool.map(one, pictures) if many and self._pool else map(one, pictures), batches)
+        except Exception as error:
+            raise DetectionError(f"ONNX Runtime cannot run the detector ({error}); use the backend torch") from error
+
+    def _session(self, threads: int) -> Any:
+        """One that gives so many threads to a picture."""
+        with self._lock:
+            if threads not in self._sessions:
+                self._sessions[threads] = _open(self._content, threads)
+            return self._sessions[threads]
+
+
+def _open(content: bytes, threads: int) -> Any:
+    runtime = onnxruntime()
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = ERRORS_ONLY
+    # By default threads that wait spin, which takes the cores from everybody else.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its own kinds, by cause
+        reason = str(error).strip().splitlines()[0]
+        raise DetectionError(f"ONNX Runtime cannot read the exported detector ({reason})") from error

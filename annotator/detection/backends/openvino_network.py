@@ -1,0 +1,149 @@
+"""A network on OpenVINO: the fastest of the backends on x86 processors.
+
+A canvas size is compiled by itself when it first comes. The same network compiled once for all sizes costs about half
+as much again a picture (docs/detector_backends.md), and a detector sees few sizes.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from annotator.detection.backends.cores import Picture, rejoined, side_by_side, single, usable_cores
+from annotator.detection.backends.network import Answer, Batch, NetworkFacts
+from annotator.detection.backends.openvino_api import openvino
+from annotator.detection.config import Backend
+from annotator.types.errors import DetectionError
+
+# So many compiled sizes are kept, about 30 MB each for a nano model; the one that was not used for longest goes.
+MAX_COMPILED = 16
+# A stream is a picture in work. Each has buffers of its own, so machines of many cores give it several.
+MAX_STREAMS = 8
+# Pictures under way for each stream: one in work and one that waits for it.
+IN_FLIGHT = 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """A request with numpy's views of its memory, which are made once: making them takes longer than filling them."""
+
+    request: Any
+    pixels: np.ndarray
+    answer: np.ndarray
+
+
+class OpenVinoNetwork:
+    """A network on the processor, through OpenVINO.
+
+    Attributes:
+        backend: "openvino".
+        facts: its classes and stride.
+    """
+
+    backend: Backend = "openvino"
+
+    def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
+        """
+        Args:
+            facts: what is known of it.
+            parts: network.xml and network.bin of its export.
+            threads: None: all cores that the process may use.
+
+        Raises:
+            DetectionError: OpenVINO is missing or cannot read the export.
+        """
+        self.facts = facts
+        self._threads = threads or usable_cores()
+        self._core = openvino().Core()
+        try:
+            self._model = self._core.read_model(parts["network.xml"], parts["network.bin"])
+        except Exception as error:  # RuntimeError and others, by version
+            raise DetectionError(f"OpenVINO cannot read the exported detector ({_reason(error)})") from error
+        # One call at a time: it keeps all cores busy by itself.
+        self._lock = threading.Lock()
+        self._compiled: OrderedDict[tuple[tuple[int, ...], int], list[_Request]] = OrderedDict()
+
+    def predict(self, batches: Sequence[Batch]) -> list[Answer]:
+        """As `Network.predict`; sizes that come for the first time are compiled before.
+
+        Raises:
+            DetectionError: OpenVINO fails.
+        """
+        pictures = single(batches)
+        many = side_by_side(len(pictures), self._threads)
+        streams = min(self._threads, MAX_STREAMS) if many else 1
+        try:
+            with self._lock:
+                return rejoined(self._run(pictures, streams), batches)
+        except Exception as error:
+            raise DetectionError(
+                f"OpenVINO cannot run the detector ({_reason(error)}); use the backend torch"
+            ) from error
+
+    def _run(self, pictures: Sequence[Picture], streams: int) -> Iterator[Answer]:
+        """One answer a picture. As many are under way as keep all streams busy while the oldest answer is taken."""
+        free = self._requests({picture.shape for picture in pictures}, streams)
+        under_way: deque[tuple[tuple[int, ...], _Request]] = deque()
+
+        def oldest() -> Answer:
+            shape, request = under_way.popleft()
+            request.request.wait()
+            free[shape].append(request)
+            return request.answer.copy()
+
+        try:
+            for picture in pictures:
+                if len(under_way) == IN_FLIGHT * streams:
+                    yield oldest()
+                request = free[picture.shape].pop()
+                request.pixels[...] = picture
+                request.request.start_async()
+                under_way.append((picture.shape, request))
+            while under_way:
+                yield oldest()
+        finally:
+            for _, request in under_way:  # after a failure
+                request.request.wait()
+
+    def _requests(self, shapes: set[tuple[int, ...]], streams: int) -> dict[tuple[int, ...], list[_Request]]:
+        """The requests of each of the shapes; shapes that are new are compiled side by side."""
+        new = [shape for shape in sorted(shapes) if (shape, streams) not in self._compiled]
+        if new:
+            with ThreadPoolExecutor(min(self._threads, len(new))) as pool:
+                made = pool.map(lambda shape: self._compile(shape, streams), new)
+                self._compiled.update({(shape, streams): requests for shape, requests in zip(new, made, strict=True)})
+        for shape in shapes:
+            self._compiled.move_to_end((shape, streams))
+        found = {shape: list(self._compiled[shape, streams]) for shape in shapes}
+        while len(self._compiled) > MAX_COMPILED:
+            self._compiled.popitem(last=False)
+        return found
+
+    def _compile(self, shape: tuple[int, ...], streams: int) -> list[_Request]:
+        model = self._model.clone()
+        model.reshape(list(shape))
+        compiled = self._core.compile_model(
+            model,
+            "CPU",
+            {
+                "NUM_STREAMS": streams,
+                "INFERENCE_NUM_THREADS": self._threads,
+                # Threads bound to cores would wait on one core for those of other sizes and processes.
+                "ENABLE_CPU_PINNING": False,
+                # Where the processor could do with less, answers would differ from one machine to another.
+                "INFERENCE_PRECISION_HINT": "f32",
+            },
+        )
+        requests = [compiled.create_infer_request() for _ in range(IN_FLIGHT * streams)]
+        return [_Request(r, r.get_input_tensor().data, r.get_output_tensor().data) for r in requests]
+
+
+def _reason(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1] if lines else type(error).__name__

@@ -1,0 +1,60 @@
+"""The part of a YOLO that is the same for all backends: pixels in, raw prediction out.
+
+The network takes bytes as pictures hold them, so that no backend has Python convert them to floats. It ends before
+ultralytics' own choice of boxes: that choice needs no network, and graphs without it are smaller and take any size.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from annotator.detection.backends.network import NetworkFacts
+from annotator.detection.pretrained import DETECTING_LAYERS
+from annotator.detection.ultralytics_api import api, load_weights
+from annotator.types.errors import DetectionError
+
+
+def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
+    """A torch module from (n, height, width, 3) uint8 to (n, 4 + classes, anchors) float32, and what is known of it.
+
+    Its normalisation is folded into the convolutions.
+
+    Raises:
+        DetectionError: the weights cannot be used.
+    """
+    model = load_weights(weights, device)
+    head = model.model[-1]
+    if type(head).__name__ not in DETECTING_LAYERS:
+        raise DetectionError(
+            f"{weights}: holds a model that ends in {type(head).__name__}, not one that detects boxes; "
+            "train the detector again"
+        )
+    model = model.fuse(verbose=False).eval().requires_grad_(False)
+    end2end = bool(head.end2end)
+    head.export = True  # the answer alone, without what only training needs
+    head.postprocess = _as_it_is
+    labels = tuple(str(model.names[number]) for number in sorted(model.names))
+    facts = NetworkFacts(labels=labels, stride=max(int(model.stride.max()), 32), end2end=end2end)
+    return _with_pixels(model, end2end), facts
+
+
+def _as_it_is(prediction: Any) -> Any:
+    return prediction
+
+
+def _with_pixels(model: Any, end2end: bool) -> Any:
+    torch = api().torch
+
+    class PixelsIn(torch.nn.Module):  # type: ignore[name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.model = model
+
+        def forward(self, pixels: Any) -> Any:
+            # The array is laid out picture, row, column, colour: seen as picture, colour, row, column it is
+            # channels-last, the layout that networks are fastest in.
+            answer = self.model(pixels.permute(0, 3, 1, 2).to(next(self.model.parameters()).dtype) / 255)
+            return answer.permute(0, 2, 1) if end2end else answer
+
+    return PixelsIn().eval()

@@ -1,0 +1,90 @@
+"""A network on torch: everywhere, and the only backend on a graphics processor."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from annotator.detection.backends.cuda import CudaRunner, decode_in_full_precision
+from annotator.detection.backends.network import Answer, Batch
+from annotator.detection.backends.raw_network import raw_network
+from annotator.detection.config import Backend
+from annotator.detection.ultralytics_api import api
+from annotator.types.errors import DetectionError
+
+# At most this many pixels of pictures are in the network at once; it bounds the memory, about 1 GB for a nano model.
+MAX_BATCH_PX = 32 * 320 * 320
+
+
+class TorchNetwork:
+    """A network on the processor, or on a graphics processor; on CUDA in half precision and as recorded graphs.
+
+    Attributes:
+        backend: "torch".
+        facts: its classes and stride.
+    """
+
+    backend: Backend = "torch"
+
+    def __init__(self, weights: Path, device: Any, threads: int | None = None) -> None:
+        """
+        Args:
+            weights: a detection model of ultralytics.
+            device: a torch device, as `pick_device` gives it.
+            threads: of the processor; None: as many as torch takes.
+
+        Raises:
+            DetectionError: the weights cannot be used.
+        """
+        module, self.facts = raw_network(weights, device)
+        self._device = device
+        self._threads = threads
+        self._run = module.to(memory_format=api().torch.channels_last)
+        # The network keeps its anchors from one size to the next, and torch's number of threads is everybody's.
+        self._lock = threading.Lock()
+        if device.type == "cuda":
+            self._run = CudaRunner(decode_in_full_precision(module.half()))
+
+    def predict(self, batches: Sequence[Batch]) -> list[Answer]:
+        """As `Network.predict`; at most `MAX_BATCH_PX` are in the network at once.
+
+        Raises:
+            DetectionError: torch fails, such as for lack of memory.
+        """
+        answers = []
+        with self._lock, _threads(self._threads):
+            for batch in batches:
+                at_once = max(MAX_BATCH_PX // (batch.shape[1] * batch.shape[2]), 1)
+                parts = [self._predict(batch[begin : begin + at_once]) for begin in range(0, len(batch), at_once)]
+                answers.append(np.concatenate(parts))
+        return answers
+
+    def _predict(self, batch: Batch) -> Answer:
+        torch = api().torch
+        try:
+            with torch.inference_mode():
+                answer: Answer = self._run(torch.from_numpy(batch).to(self._device)).cpu().numpy()
+        except RuntimeError as error:
+            reason = str(error).strip().splitlines()[0]
+            raise DetectionError(f"torch cannot run the detector on {self._device} ({reason})") from error
+        return answer
+
+
+@contextmanager
+def _threads(number: int | None) -> Iterator[None]:
+    """Holds torch to so many threads of the processor."""
+    if number is None:
+        yield
+        return
+    torch = api().torch
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
