@@ -84,7 +84,9 @@ def draw(
     levels = min((LAST_KEY - LEAST_KEY) >> index_bits, 1 << DEPTH_BITS) - 1
     near, far = depth_range_m or (float(depth_m.min()), float(depth_m.max()))
     scale = (levels - 1) / max(far - near, 1e-6)
-    level = ((depth_m - np.float32(near)) * np.float32(scale)).astype(np.uint32)
+    depth = depth_m - np.float32(near)
+    depth *= np.float32(scale)
+    level = depth.astype(np.uint32)
     level <<= np.uint32(index_bits)
     level += np.arange(LEAST_KEY, LEAST_KEY + n, dtype=np.uint32)
     empty = LEAST_KEY + (levels << index_bits) + n
@@ -108,8 +110,12 @@ def _pixel(
     scale = np.float32(1 / window.metres_per_px)
     # Adding a half and cutting off rounds to the nearest pixel, since no coordinate is negative.
     left, top = (window.origin_m - window.metres_per_px / 2).astype(np.float32)
-    column = ((right_m - left) * scale).astype(np.int32)
-    row = ((down_m - top) * scale).astype(np.int32)
+    across = right_m - left
+    across *= scale
+    column = across.astype(np.int32)
+    np.subtract(down_m, top, out=across)
+    across *= scale
+    row = across.astype(np.int32)
     # Without a border in the window, rounding can put the outermost point one pixel outside.
     np.minimum(column, window.width_px - 1, out=column)
     np.minimum(row, window.height_px - 1, out=row)
