@@ -171,7 +171,11 @@ def main() -> None:
     result = run(args)
     table = Table("measure", "value")
     for name, value in result.items():
-        table.add(name, value)
+        if isinstance(value, dict):
+            for part, each in value.items():
+                table.add(f"{name}: {part}", each)
+        else:
+            table.add(name, value)
     finish(result, args.json, table)
 
 

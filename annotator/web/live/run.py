@@ -20,6 +20,7 @@ from annotator.workflows.live.figures import Figures
 from annotator.workflows.live.keep import Stored, store
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.recorder import Recorder
+from annotator.workflows.live.source import Source
 from annotator.workflows.live.sources import open_source
 from annotator.workflows.rcv_settings import rcv_config
 
@@ -74,6 +75,17 @@ def run_live(
     """
     settings = with_token(settings)
     check_settings(settings)
+    # before the detectors, which take seconds: whether there is such a source is known at once
+    source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
+    try:
+        return _run(project, options, settings, source, tell)
+    finally:
+        source.close()
+
+
+def _run(
+    project: Project, options: LiveOptions, settings: ServerSettings, source: Source, tell: Callable[[str], None]
+) -> LiveResult:
     config = rcv_config(project)
     detectors = active_detectors(project, backend=options.backend)
     config = config.model_copy(update={"box_kind": detectors.box_kind})
@@ -81,11 +93,11 @@ def run_live(
     detection = LiveDetection(detectors, config, rotation, warm_start=options.warm_start)
     backend = backend_of(detectors.view, options.backend)
     if options.record is None:
-        return LiveResult(_show(options, settings, detection, None, backend, tell), None)
+        return LiveResult(_show(options, settings, source, detection, None, backend, tell), None)
     with Recorder(options.record, tell) as recorder:
         stored = None
         try:
-            figures = _show(options, settings, detection, recorder, backend, tell)
+            figures = _show(options, settings, source, detection, recorder, backend, tell)
         finally:
             if frames := recorder.finish():
                 tell(f"storing what was found on the {frames} frames of {recorder.out}")
@@ -101,22 +113,19 @@ def backend_of(detector: Detector, asked: Backend) -> str:
 def _show(
     options: LiveOptions,
     settings: ServerSettings,
+    source: Source,
     detection: LiveDetection,
     recorder: Recorder | None,
     backend: str,
     tell: Callable[[str], None],
 ) -> Figures:
-    source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=recorder is not None)
-    view: LiveView | None = None
+    facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
+    if recorder is not None:
+        facts["recording"] = recorder.out.name
+    view = LiveView(source.name, facts)
     try:
-        facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
-        if recorder is not None:
-            facts["recording"] = recorder.out.name
-        view = LiveView(source.name, facts)
         pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=tell)
         serve_live(settings, view, pipeline)
         return pipeline.figures()
     finally:
-        source.close()
-        if view is not None:
-            view.close()
+        view.close()
