@@ -119,13 +119,16 @@ def _smooth_sizes(
     config: TrackingConfig,
 ) -> Float64[np.ndarray, "n 3"]:
     """The weighted median of each side: over the track, or (a side that changes in time) over the boxes around each."""
-    smooth = np.empty_like(sizes_m)
+    smooth = np.tile(_median(sizes_m, weights), (len(sizes_m), 1))
     for side in range(3):
-        changes = _changes_in_time(sizes_m[:, side], config)
-        for place in range(len(times)):
-            near = _around(times, place, config) if changes else np.arange(len(times))
-            smooth[place, side] = np.quantile(sizes_m[near, side], 0.5, method="inverted_cdf", weights=weights[near])
+        if _changes_in_time(sizes_m[:, side], config):
+            around = (_around(times, place, config) for place in range(len(times)))
+            smooth[:, side] = [_median(sizes_m[near, side], weights[near]) for near in around]
     return smooth
+
+
+def _median(values: Float64[np.ndarray, "n *more"], weights: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "*more"]:
+    return np.asarray(np.quantile(values, 0.5, axis=0, method="inverted_cdf", weights=weights))
 
 
 def _changes_in_time(lengths_m: Float64[np.ndarray, "n"], config: TrackingConfig) -> bool:

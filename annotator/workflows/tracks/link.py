@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.project import REVIEWED, Change, Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Change, FramePart, Project, StoredFrame, StoredLabel
 from annotator.project.payloads import LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
 from annotator.recordings.kitti_folder import KittiFolder
@@ -28,6 +28,8 @@ from annotator.workflows.tracks.times import times_of
 
 AUTHOR = "tracks"
 LINKED_STATES = (ReviewState.PROPOSED, *REVIEWED)
+# Frames that are written in one transaction: each costs a wait for the disk, and others wait meanwhile.
+FRAMES_AT_ONCE = 50
 # How often a recording is linked anew because somebody has changed one of its frames meanwhile.
 ATTEMPTS = 5
 # A proposal without a score, or with next to none, still counts for something.
@@ -139,23 +141,27 @@ class _Recording:
         self._boxes = {} if not smooth else self._smooth_boxes(config)
 
     def store(self, summary: LinkSummary) -> bool:
-        """Writes what is new, frame by frame; False where somebody has changed a frame meanwhile."""
+        """Writes what is new, some frames at once; False where somebody has changed a frame meanwhile."""
         ids = {
             member: number for track, number in zip(self.tracks, self.numbers, strict=True) for member in track.members
         }
+        parts: list[FramePart] = []
+        counts: list[int] = []
         for place, (frame, labels) in enumerate(zip(self.frames, self.labels, strict=True)):
             if frame.finalised:
                 continue
             entries = [self._change(stored, frame, ids[place, number]) for number, stored in enumerate(labels)]
             changed = tuple(entry for entry in entries if entry is not None)
-            if not changed:
-                continue
-            try:
+            if changed:
                 change = Change(frame.revision, AUTHOR, Source.AUTO)
-                self.project.log.append(frame.id, [TracksLinked(labels=changed)], change)
+                parts.append(FramePart(frame.id, [TracksLinked(labels=changed)], change))
+                counts.append(len(changed))
+        for first in range(0, len(parts), FRAMES_AT_ONCE):
+            try:
+                self.project.log.append_to_frames(parts[first : first + FRAMES_AT_ONCE])
             except (StaleRevisionError, FinalisedFrameError):
                 return False
-            summary.changed += len(changed)
+            summary.changed += sum(counts[first : first + FRAMES_AT_ONCE])
         return True
 
     def _change(self, stored: StoredLabel, frame: StoredFrame, number: int) -> LinkedLabel | None:
