@@ -1,10 +1,12 @@
 """How tight are a view detector's boxes, and how long do teaching and asking it take?
 
     python -m benchmarks.detector DIR [--model yolo11n] [--epochs N] [--upright | --free] [--json]
+    python -m benchmarks.detector DIR --weights FILE --backends torch openvino onnxruntime [--json]
 
 Every second frame of a recording with true 3D boxes teaches, with the projections of those boxes on pseudo-views along
 random axes; the detector is asked about views of the other frames. The error of an edge is a share of the picture's
-extent in its direction, as `benchmarks.axes --jitter` has it.
+extent in its direction, as `benchmarks.axes --jitter` has it. With `--backends` the detector is run on each of them, and
+with `--weights` a trained one is taken instead of training one.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from annotator.detection.config import DetectorConfig, TrainingConfig
+from annotator.detection.config import Backend, DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.training import train_detector
@@ -30,6 +32,7 @@ from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind
 from annotator.workflows.truth import load_truth
+from benchmarks.detector_backends import compared
 from benchmarks.report import Table, finish, guarded
 
 QUIET = Console(stderr=True)
@@ -45,7 +48,7 @@ class Arguments:
     """A recording with true 3D boxes."""
     model: str = "yolo11n"
     """An ultralytics detection model; always from random weights."""
-    size: int = 224
+    size: int = 128
     """Longer side of a picture in the network, pixels."""
     epochs: int | None = None
     """Passes over the pictures; by default what TrainingConfig says."""
@@ -61,6 +64,10 @@ class Arguments:
     """Views along any direction (the default elsewhere)."""
     seed: int = 0
     """Of the views and the training."""
+    weights: Path | None = None
+    """Weights of a trained view detector; none is trained then."""
+    backends: tuple[Backend, ...] = ()
+    """Compare these: torch, openvino, onnxruntime; ratios are to the first."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -140,6 +147,10 @@ def report(progress: TrainingProgress) -> None:
 def run(args: Arguments) -> dict[str, object]:
     """The benchmark; what `--json` prints."""
     recording = open_recording(args.folder)
+    if args.weights is not None:
+        return measured(
+            args.weights, [view for _, view in make_views(recording, range(1, len(recording), 2), args, 1)], args
+        )
     taught = make_views(recording, range(0, len(recording), 2), args, args.seed)
     asked = [view for _, view in make_views(recording, range(1, len(recording), 2), args, args.seed + 1)]
     classes = sorted({box.label for _, view in taught for box in view.boxes})
@@ -160,18 +171,29 @@ def run(args: Arguments) -> dict[str, object]:
         samples = (TrainingSample(view.view.rgb, view.boxes, key, "projected") for key, view in taught)
         write_dataset(folder / "set", samples, classes, seed=args.seed, kind=BoxKind.BOX)
         trained = train_detector(folder / "set", folder / "run", config, report)
-        detector = YoloDetector(trained.weights, DetectorConfig(image_size_px=args.size))
-        found = detector.detect([view.view for view in asked])
-        speed = {str(batch): milliseconds(detector, asked, batch) for batch in BATCHES}
+        figures = measured(trained.weights, asked, args)
     return {
         "model": args.model,
         "views_taught": len(taught),
-        "views_asked": len(asked),
         "epochs": trained.epochs,
         "seconds": trained.seconds,
-        **tightness(asked, found),
-        "ms_per_image": speed,
+        **figures,
     }
+
+
+def measured(weights: Path, asked: Sequence[TaughtView], args: Arguments) -> dict[str, object]:
+    """How tight a trained detector's boxes are, and how fast they come."""
+    detector = YoloDetector(weights, DetectorConfig(image_size_px=args.size))
+    views = [view.view for view in asked]
+    result: dict[str, object] = {
+        "views_asked": len(asked),
+        **tightness(asked, detector.detect(views)),
+        "backend": detector.backend,
+        "ms_per_image": {str(batch): milliseconds(detector, asked, batch) for batch in BATCHES},
+    }
+    if args.backends:
+        result["backends"] = compared(weights, args.size, views, args.backends)
+    return result
 
 
 def main() -> None:

@@ -22,6 +22,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from annotator.detection.config import Backend
 from annotator.detection.progress import TrainingProgress
 from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project, open_project
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
@@ -33,6 +34,7 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.annotate import BATCH_FRAMES
 from annotator.workflows.detectors import Detectors, active_detectors
 from annotator.workflows.frames import orientation_for
+from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.recordings import register_recording
 from annotator.workflows.samples import SampleConfig
 from annotator.workflows.simulate import require_boxes_for, simulate_recording
@@ -70,12 +72,25 @@ class Arguments:
     """Of both trainings; None = as many as show the default number of pictures."""
     model: str | None = None
     """An ultralytics detection model for both; None = the default of each."""
+    size: int | None = None
+    """Longer side of the pseudo-views, drawn and trained at, pixels; None = the default."""
+    refine_steps: int | None = None
+    """Steps of the recursion after the wide one; None = the default. `annotator live` takes none."""
+    backend: Backend = "auto"
+    """What runs the detectors."""
     views: int = SampleConfig().views
     """About how many pseudo-views are made of what is known in 3D."""
     project: Path | None = None
     """Keep the project here, or use the detectors of one that is here: compares strategies on the same ones."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
+
+    def settings(self, config: RcvConfig) -> RcvConfig:
+        """The project's settings with what was asked for."""
+        consensus = config.consensus
+        if self.refine_steps is not None:
+            consensus = consensus.model_copy(update={"refine_steps": self.refine_steps})
+        return config.model_copy(update={"strategy": self.axes, "consensus": consensus})
 
     @property
     def rotation(self) -> BoxRotation | None:
@@ -105,8 +120,8 @@ def run(args: Arguments) -> dict[str, object]:
     seconds: dict[str, float] = {}
     with taught(args, recording, step, seconds) as (project, boxes_2d):
         begin = time.perf_counter()
-        detectors = active_detectors(project)
-        config = RcvConfig(strategy=args.axes, box_kind=detectors.box_kind)
+        detectors = active_detectors(project, backend=args.backend)
+        config = args.settings(rcv_config(project)).model_copy(update={"box_kind": detectors.box_kind})
         scores = Scores(test, project.config.classes)
         _propose_all(frames, detectors, config, project.config.settings.rotation, scores)
         seconds["propose"] = time.perf_counter() - begin
@@ -115,6 +130,7 @@ def run(args: Arguments) -> dict[str, object]:
         "boxes_2d": boxes_2d,
         "operator": detectors.box_kind.value,
         "axes": args.axes.value,
+        "backend": args.backend,
         "seconds": seconds,
     }
 
@@ -205,7 +221,14 @@ def _teach(
     """Labels and trains, as far as the project has not done so already; the number of 2D boxes drawn."""
     if project.models.active(Role.VIEW) is None:
         default = BoxKind.SILHOUETTE if _masks_alone(recording) else BoxKind.BOX
-        _label(project, recording, step, args.operator or _taught_kind(project) or default, seconds)
+        _label(
+            project,
+            recording,
+            step,
+            args.operator or _taught_kind(project) or default,
+            plan(args).view.image_size_px,
+            seconds,
+        )
         for trained in train(project, plan(args), progress=_report):
             seconds[f"train_{trained.role}"] = trained.seconds
             QUIET.print(f"{trained.role}: {trained.manifest.images['train']} pictures, {trained.result.metrics}")
@@ -213,14 +236,16 @@ def _teach(
     return counts.image_boxes.boxes + counts.view_boxes.boxes
 
 
-def _label(project: Project, recording: Recording, step: int, operator: BoxKind, seconds: dict[str, float]) -> None:
+def _label(
+    project: Project, recording: Recording, step: int, operator: BoxKind, size_px: int, seconds: dict[str, float]
+) -> None:
     """Labels every so many frames, unless an earlier run came as far as that and was ended in training."""
     begin = time.perf_counter()
     stored = register_recording(project, recording)
     wanted = {frame.id for frame in [f for f in project.frames.of([stored.id]) if f.index is not None][::step]}
     if wanted <= {boxes.frame_id for boxes in project.boxes.on_images([stored.id])}:
         return
-    simulate_recording(project, stored.id, operator, RcvConfig(), step)
+    simulate_recording(project, stored.id, operator, rcv_config(project, view_px=size_px), step)
     seconds["label"] = time.perf_counter() - begin
 
 
@@ -229,8 +254,9 @@ def plan(args: Arguments) -> TrainPlan:
     samples, chosen = SampleConfig(views=args.views), dict[str, object](epochs=args.epochs)
     if args.model is not None:
         chosen["model"] = args.model
+    of_views = chosen if args.size is None else chosen | {"image_size_px": args.size}
     return TrainPlan(
-        image=IMAGE_DEFAULTS.model_copy(update=chosen), view=VIEW_DEFAULTS.model_copy(update=chosen), samples=samples
+        image=IMAGE_DEFAULTS.model_copy(update=chosen), view=VIEW_DEFAULTS.model_copy(update=of_views), samples=samples
     )
 
 

@@ -37,7 +37,7 @@ class ViewConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    size_px: int = Field(224, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
+    size_px: int = Field(128, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
     min_extent_m: float = Field(0.02, gt=0, description="a view never shows less than this, metres")
     max_splat_px: int = Field(9, ge=1, le=31, description="largest square that one point is drawn as, pixels")
@@ -101,6 +101,9 @@ class ConsensusConfig(BaseModel):
     upright_hypotheses: int = Field(4, ge=2, le=16, description="yaws of a wide step, over a quarter turn")
     free_hypotheses: int = Field(12, ge=4, le=64, description="orientations of a wide step")
     refine_hypotheses: int = Field(3, ge=1, le=16, description="hypotheses of a step around the last fit")
+    refine_steps: int = Field(
+        1, ge=0, le=16, description="steps around the last fit, after the wide one; more for what a picture cuts off"
+    )
     refine_spread_rad: float = Field(0.35, gt=0, description="how far these lie from the last fit, radians")
     whole_share: float = Field(
         0.95,

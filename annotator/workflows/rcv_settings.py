@@ -10,11 +10,12 @@ from pathlib import Path
 from pydantic import BaseModel, JsonValue, RootModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from annotator.detection.trained import read_trained
 from annotator.formats.json_file import read_model
-from annotator.project import Project
+from annotator.project import Project, Role
 from annotator.project.config import CONFIG_FILE
 from annotator.rcv.config import RcvConfig
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, FormatError
 
 Settings = Mapping[str, JsonValue]
 """Any of `RcvConfig`'s fields, groups as objects with any of theirs."""
@@ -30,12 +31,16 @@ class _File(RootModel[dict[str, JsonValue]]):
     """What a settings file holds, before its fields are looked at."""
 
 
-def rcv_config(project: Project, file: Path | None = None, options: Settings | None = None) -> RcvConfig:
+def rcv_config(
+    project: Project, file: Path | None = None, options: Settings | None = None, *, view_px: int | None = None
+) -> RcvConfig:
     """The settings that the recursion, and all that draws pseudo-views for it, has in a project.
 
     Args:
         file: JSON with any of the fields; wins over `settings.rcv` of `project.json`.
         options: from the command line; win over both.
+        view_px: the size of pseudo-views where nothing says it, pixels; None takes the size that the project's detector
+            was trained at, since that is what it is best asked at, else the default.
 
     Raises:
         ConfigError: an unknown field or a value out of its range, with the file and the field.
@@ -45,7 +50,23 @@ def rcv_config(project: Project, file: Path | None = None, options: Settings | N
     stored = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
     given = {} if file is None else _checked(read_model(file, _File).root, f"{file}: ")
     asked = _checked(options or {}, "command line: ")
-    return _validated(_merged(_merged(stored, given), asked))
+    config = _validated(_merged(_merged(stored, given), asked))
+    if "size_px" in config.view.model_fields_set:
+        return config
+    size_px = view_px or _trained_px(project) or config.view.size_px
+    return config.model_copy(update={"view": config.view.model_copy(update={"size_px": size_px})})
+
+
+def _trained_px(project: Project) -> int | None:
+    """The picture size of the project's pseudo-view detector; None where there is none, or none that can be read (who
+    wants to use it is told so)."""
+    model = project.models.active(Role.VIEW)
+    if model is None:
+        return None
+    try:
+        return read_trained(model.path.parent).image_size_px
+    except FormatError:
+        return None
 
 
 def editable(config: RcvConfig) -> str:

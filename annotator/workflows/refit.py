@@ -158,7 +158,9 @@ def _recurse(
     if len(cloud) < config.min_points:
         return None
     state = _present(opened, box, label, cloud, config)
-    limited = config.model_copy(update={"max_steps": max(config.max_steps, STEPS_BEFORE + 1)})
+    steps = max(config.max_steps, STEPS_BEFORE + 1)
+    refining = config.consensus.model_copy(update={"refine_steps": steps - STEPS_BEFORE})
+    limited = config.model_copy(update={"max_steps": steps, "consensus": refining})
     while state.stop is StopReason.CONTINUES:
         plan = plan_step(state, limited)
         state = absorb_step(state, plan, _only(label, detector.detect(plan.views)), limited)[0]

@@ -28,7 +28,7 @@ from annotator.workflows.validation_pictures import write_validation_pictures
 DATASET = "dataset"
 # A camera image shows its objects small, and there are fewer of them than of pseudo-views.
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
-VIEW_DEFAULTS = TrainingConfig(image_size_px=224, pictures_seen=6000)
+VIEW_DEFAULTS = TrainingConfig(image_size_px=128, pictures_seen=18000)
 
 ProgressCallback = Callable[[Role, TrainingProgress], None]
 
@@ -56,7 +56,8 @@ class TrainPlan:
     Attributes:
         image, view: settings of each detector.
         samples: how many pictures are made from 3D labels.
-        rcv: how pseudo-views are drawn; None takes the project's settings.
+        rcv: how pseudo-views are drawn; None takes the project's settings, at the size that is trained at unless they
+            say another.
         val_share: share of the frames that measure instead of teaching.
         seed: of the split.
     """
@@ -86,7 +87,7 @@ def train(
         ConfigError: the project has settings that cannot be used.
         DetectionError: nothing to learn from, or the training failed.
     """
-    rcv = plan.rcv or rcv_config(project)
+    rcv = plan.rcv or rcv_config(project, view_px=plan.view.image_size_px)
     material = gather(project, roles)
     for role in roles:  # a model that does not exist is told before the pictures are made, not after
         _check_start(project, role, plan.image if role is Role.IMAGE else plan.view)

@@ -49,7 +49,7 @@ class Knowing:
             project.models.register(role, weights, labels=classes, box_kind=kind, metrics={}, fingerprint=role)
         return []
 
-    def detectors(self, project: Project) -> Detectors:
+    def detectors(self, project: Project, backend: str = "auto") -> Detectors:
         model = project.models.active(Role.VIEW)
         assert model is not None
         perfect = PerfectDetector(self.scenes, model.box_kind, min_points=50)
@@ -81,7 +81,7 @@ def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
 def test_the_report(generated: Path, untrained: Callable[..., Knowing]) -> None:
     untrained()
     result = run(Arguments(generated / "people"))
-    assert set(result) == KEYS | {"operator", "axes", "seconds"}
+    assert set(result) == KEYS | {"operator", "axes", "backend", "seconds"}
     assert (result["frames"], result["share_with_proposal"], result["operator"]) == (2, 1.0, "box")
     assert result["boxes_2d"] == 3 * 3 * 5
     assert float(str(result["mean_iou"])) > 0.8

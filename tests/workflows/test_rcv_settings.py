@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import pytest
 
 from annotator.cli.main import main
-from annotator.project import Project, ProjectSettings, create_project, open_project
+from annotator.project import Project, ProjectSettings, Role, create_project, open_project
 from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
+from annotator.types import BoxKind
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows import train
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.engines.sources import GivenDetectors
 from annotator.workflows.rcv_settings import editable, rcv_config
 
 
@@ -73,7 +76,7 @@ def test_a_project_from_before_there_were_such_settings_opens(project: Project) 
 def test_what_is_shown_can_be_given_back(project: Project, tmp_path: Path) -> None:
     keep(project, max_steps=7, fit={"edge_noise": 0.05})
     shown = editable(rcv_config(project))
-    assert json.loads(shown)["view"]["size_px"] == 224
+    assert json.loads(shown)["view"]["size_px"] == 128
     keep(project)
     assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, fit=FitConfig(edge_noise=0.05))
 
@@ -144,7 +147,7 @@ def test_drawing_training_and_annotating_follow_the_project(
     keep(people, view={"size_px": 64}, max_steps=1)
     taught: list[RcvConfig] = []
     monkeypatch.setattr(train, "view_samples", lambda _, __, rcv, *rest: taught.append(rcv) or iter(()))
-    monkeypatch.setattr("annotator.cli.annotate.active_detectors", lambda _: knowing("people"))
+    monkeypatch.setattr("annotator.cli.annotate.trained_detectors", lambda *_: GivenDetectors(knowing("people")))
     (recording,) = people.recordings.all()
     assert run(people, "simulate", recording.name, "--every", "5") == 0
     assert {max(people.views.load(v.view_id).shape[:2]) for v in people.boxes.on_views()} == {64}
@@ -172,3 +175,25 @@ def test_every_command_that_draws_views_refuses_broken_settings(
         monkeypatch.setattr("annotator.project.recordings.Recordings.find", lambda *_: type("Found", (), {"id": 1})())
     assert main([*command, "--root", str(tmp_path)]) == 2
     assert "project.json: settings.rcv.view.size_px: must be greater than or equal to 32" in capsys.readouterr().err
+
+
+def test_pseudo_views_have_the_size_that_the_detector_was_trained_at_unless_the_project_says_another(
+    project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = tmp_path / "detector.pt"
+    weights.write_bytes(b"weights")
+    assert rcv_config(project).view.size_px == ViewConfig().size_px
+    assert rcv_config(project, view_px=96).view.size_px == 96
+    project.models.register(
+        Role.VIEW, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="of the weights"
+    )
+    monkeypatch.setattr(
+        "annotator.workflows.rcv_settings.read_trained", lambda folder: SimpleNamespace(image_size_px=320)
+    )
+    assert rcv_config(project).view.size_px == 320
+    # a training that is about to begin decides for itself
+    assert rcv_config(project, view_px=96).view.size_px == 96
+    assert rcv_config(project, options={"view": {"size_px": 64}}, view_px=96).view.size_px == 64
+    monkeypatch.undo()
+    # a model that cannot be read is told of by who wants to run it
+    assert rcv_config(project).view.size_px == ViewConfig().size_px

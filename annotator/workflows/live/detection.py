@@ -44,23 +44,38 @@ class Detected:
         return sum(seconds for stage, seconds in self.stages_s.items() if stage != "read")
 
 
+def live_settings(config: RcvConfig) -> RcvConfig:
+    """The settings as a live recursion has them: it ends with the wide step, unless they say otherwise themselves.
+
+    The step around the fit costs a fifth of the time and gains next to nothing (docs/benchmarks.md).
+    """
+    if "refine_steps" in config.consensus.model_fields_set:
+        return config
+    return config.model_copy(update={"consensus": config.consensus.model_copy(update={"refine_steps": 0})})
+
+
 class LiveDetection:
     """Recursive Cross-View on one frame at a time, by one thread."""
 
     def __init__(self, detectors: Detectors, config: RcvConfig, rotation: BoxRotation, *, warm_start: bool) -> None:
         """
         Args:
-            config: its orientation and kind of boxes are set here.
+            config: its orientation and kind of boxes are set here, and what `live_settings` says.
             rotation: of the project; AUTO asks each frame whether it knows gravity.
             warm_start: begin each recursion with the box that the object had in the frame before.
         """
         self._image, self._view = _Timed(detectors.image), _Timed(detectors.view)
-        self._config = config.model_copy(update={"box_kind": detectors.box_kind})
+        self._config = live_settings(config).model_copy(update={"box_kind": detectors.box_kind})
         self._rotation = rotation
         self._warm_start = warm_start
         self._seeds: tuple[Seed, ...] = ()
         self._seeds_of_s = 0.0
         self._is_first = True
+
+    @property
+    def config(self) -> RcvConfig:
+        """The settings in use; their orientation is that of the last frame."""
+        return self._config
 
     def detect(self, taken: Taken) -> Detected:
         """The boxes of a frame."""

@@ -7,8 +7,8 @@ import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
 
 /** The server's own defaults, shown so that an operator knows what an empty field means. */
-const PICTURES = { image: 1600, view: 6000 };
-const SIZES_PX = { image: 256, view: 224 };
+const PICTURES = { image: 1600, view: 18000 };
+const SIZES_PX = { image: 256, view: 128 };
 const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
   ["view", "View detector", "finds their edges on pseudo-views"],
