@@ -5,8 +5,8 @@
 
 Every second frame of a recording with true 3D boxes teaches, with the projections of those boxes on pseudo-views along
 random axes; the detector is asked about views of the other frames. The error of an edge is a share of the picture's
-extent in its direction, as `benchmarks.axes --jitter` has it. With `--backends` the detector is run on each of them, and
-with `--weights` a trained one is taken instead of training one.
+extent in its direction, as `benchmarks.axes --jitter` has it. With `--backends` it is run on each of
+them; with `--weights` a trained one is taken instead of training one.
 """
 
 from __future__ import annotations
