@@ -31,7 +31,7 @@ expect = playwright.expect
 
 LABELLED = (0, 2, 4)
 # Small pictures, shown often: on five frames of one room the detectors shall learn that room, and quickly.
-TRAINING = {"pictures-image": 240, "pictures-view": 1200, "size-image": 160, "size-view": 96}
+TRAINING = {"pictures-image": 200, "pictures-view": 900, "size-image": 160, "size-view": 96}
 TRAINED_WITHIN_MS = 540_000.0
 RIGHT = 0.5
 # Software draws the 3D view, beside a training, on whatever cores there are.
