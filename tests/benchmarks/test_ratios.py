@@ -1,0 +1,62 @@
+"""The check of ratios: what is slower than its bound allows is told, and ends with 1. Nothing here is timed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from benchmarks import ratios
+from benchmarks.ratios import Arguments, Outcome, Ratio, measured, run
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], Callable[[], None]]]:
+    """Work that takes as long as it says, on a clock that only such work moves."""
+    now = [0.0]
+    monkeypatch.setattr(ratios.time, "perf_counter", lambda: now[0])
+
+    def takes(*seconds: float) -> Callable[[], None]:
+        left = list(seconds)
+
+        def work() -> None:
+            now[0] += left.pop(0) if len(left) > 1 else left[0]
+
+        return work
+
+    yield takes
+
+
+def test_a_ratio_is_that_of_medians(clock: Callable[..., Callable[[], None]]) -> None:
+    # the first of each is not counted, and one slow moment says nothing
+    work, yardstick = clock(99.0, 3.0, 3.0, 30.0, 3.0), clock(99.0, 2.0)
+    assert measured(Ratio("a / b", work, yardstick, most=2.0, repeats=3), 1) == Outcome("a / b", 1.5, 2.0)
+
+
+def test_the_best_round_counts_and_is_the_last_where_it_is_good_enough(
+    clock: Callable[..., Callable[[], None]],
+) -> None:
+    slow_first = clock(1.0, *[6.0] * 3, 1.0, *[3.0] * 3, 1.0, *[1.0] * 3)
+    found = measured(Ratio("a / b", slow_first, clock(2.0), most=2.0, repeats=3), 5)
+    assert found.ratio == 1.5
+    assert not found.is_worse
+    never = measured(Ratio("a / b", clock(6.0), clock(2.0), most=2.0, repeats=3), 5)
+    assert never.ratio == 3.0
+    assert never.is_worse
+
+
+def test_what_is_measured_here_and_its_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(ratios, "measured", lambda ratio, _: (ratio.work(), Outcome(ratio.name, 1e9, ratio.most))[1])
+    result = run(Arguments())
+    names = [row["name"] for row in result["ratios"]]  # type: ignore[attr-defined]
+    assert len(names) == 4
+    assert result["worse"] == names
+    monkeypatch.setattr(sys, "argv", ["ratios", "--json"])
+    with pytest.raises(SystemExit) as ended:
+        ratios.main()
+    assert ended.value.code == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["worse"] == names
