@@ -86,11 +86,9 @@ def run_live(
 def _run(
     project: Project, options: LiveOptions, settings: ServerSettings, source: Source, tell: Callable[[str], None]
 ) -> LiveResult:
-    config = rcv_config(project)
     detectors = active_detectors(project, backend=options.backend)
-    config = config.model_copy(update={"box_kind": detectors.box_kind})
     rotation = project.config.settings.rotation
-    detection = LiveDetection(detectors, config, rotation, warm_start=options.warm_start)
+    detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=options.warm_start)
     backend = backend_of(detectors.view, options.backend)
     if options.record is None:
         return LiveResult(_show(options, settings, source, detection, None, backend, tell), None)
@@ -101,7 +99,8 @@ def _run(
         finally:
             if frames := recorder.finish():
                 tell(f"storing what was found on the {frames} frames of {recorder.out}")
-                stored = store(project, recorder, detectors, config, rotation, warm_start=options.warm_start)
+                warm_start = options.warm_start
+                stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
         return LiveResult(figures, stored)
 
 
