@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -32,7 +32,7 @@ from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind
 from annotator.workflows.truth import load_truth
-from benchmarks.detector_backends import compared
+from benchmarks.detector_backends import backend_table, compared
 from benchmarks.report import Table, finish, guarded
 
 QUIET = Console(stderr=True)
@@ -144,7 +144,7 @@ def report(progress: TrainingProgress) -> None:
         QUIET.print(f"epoch {progress.epoch} of {progress.epochs}, {progress.seconds:.0f} s{measured}")
 
 
-def run(args: Arguments) -> dict[str, object]:
+def run(args: Arguments) -> dict[str, Any]:
     """The benchmark; what `--json` prints."""
     recording = open_recording(args.folder)
     if args.weights is not None:
@@ -181,11 +181,11 @@ def run(args: Arguments) -> dict[str, object]:
     }
 
 
-def measured(weights: Path, asked: Sequence[TaughtView], args: Arguments) -> dict[str, object]:
+def measured(weights: Path, asked: Sequence[TaughtView], args: Arguments) -> dict[str, Any]:
     """How tight a trained detector's boxes are, and how fast they come."""
     detector = YoloDetector(weights, DetectorConfig(image_size_px=args.size))
     views = [view.view for view in asked]
-    result: dict[str, object] = {
+    result: dict[str, Any] = {
         "views_asked": len(asked),
         **tightness(asked, detector.detect(views)),
         "backend": detector.backend,
@@ -201,8 +201,9 @@ def main() -> None:
     result = run(args)
     table = Table("measure", "value")
     for name, value in result.items():
-        table.add(name, value)
-    finish(result, args.json, table)
+        if name != "backends":
+            table.add(name, value)
+    finish(result, args.json, table, *([backend_table(result["backends"])] if "backends" in result else []))
 
 
 if __name__ == "__main__":

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.yolo import YoloDetector
 from annotator.types import Box2D, Image
+from benchmarks.report import Table
 
 # Pictures a call: the camera image of a live frame, the first step's views, a later step's, and the widest step's.
 CALLS = (1, 2, 6, 24)
@@ -19,7 +21,7 @@ ROUNDS = 9
 
 def compared(
     weights: Path, size_px: int, pictures: Sequence[Image], backends: Sequence[Backend]
-) -> dict[str, dict[str, object]]:
+) -> dict[str, dict[str, Any]]:
     """Figures of each backend.
 
     Backends take turns, so that other work on the machine disturbs all of them alike.
@@ -75,3 +77,12 @@ def apart(wanted: Sequence[Sequence[Box2D]], found: Sequence[Sequence[Box2D]]) -
         "off_px": max((float(np.abs(np.subtract(a.xyxy, b.xyxy)).max()) for a, b in pairs), default=float("nan")),
         "off_score": max((abs(a.score - b.score) for a, b in pairs), default=float("nan")),
     }
+
+
+def backend_table(figures: dict[str, dict[str, Any]]) -> Table:
+    """A row a backend: milliseconds a picture and the ratio to the first, by pictures a call."""
+    table = Table("backend", "load s", *(f"{number} a call" for number in CALLS), "off px", "off score")
+    for backend, own in figures.items():
+        cells = [f"{own['ms_per_picture'][str(n)]:.1f} ms, x {own['speed_up'][str(n)]:.2f}" for n in CALLS]
+        table.add(backend, own["load_s"], *cells, f"{own['off_px']:.1e}", f"{own['off_score']:.1e}")
+    return table
