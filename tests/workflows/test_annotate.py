@@ -14,9 +14,12 @@ from annotator.rcv.config import RcvConfig, Strategy
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
-from annotator.workflows.annotate import BATCH_FRAMES, annotate
+from annotator.workflows import batch_book
+from annotator.workflows.annotate import BATCH_FRAMES, annotate, annotate_with
 from annotator.workflows.batch_book import WRITE_ATTEMPTS
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.engines.inline import InlineEngine
+from annotator.workflows.engines.sources import GivenDetectors
 from annotator.workflows.recordings import add_recordings, register_recording
 from annotator.workflows.truth import load_truth
 
@@ -262,13 +265,18 @@ def test_frames_that_are_gone_are_neither_done_nor_counted(
     assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
 
 
-def test_frames_without_anything_are_counted(people: Project, knowing: Knowing) -> None:
+def test_frames_without_anything_are_counted_and_pages_leave_none_out(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batch_book, "PAGE_FRAMES", 2)
+
     class Blind(Wrapped):
         def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
             return [[] for _ in images]
 
     done = annotate(people, Blind(knowing("people")).pair(knowing("people")), FAST)
     assert (done.done, done.proposals, done.without) == (5, 0, 5)
+    assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
 def test_a_finalised_frame_is_not_touched(people: Project, knowing: Knowing) -> None:
@@ -289,6 +297,27 @@ def test_reviewed_labels_stay_and_are_not_proposed_again(people: Project, knowin
     states = {label.uid: label.state for label in people.labels.of_frame(stored.id)}
     assert states.pop(uid) is ReviewState.ACCEPTED
     assert list(states.values()) == [ReviewState.PROPOSED] * 2
+
+
+def test_a_frame_starts_from_what_was_reviewed_before_it_where_that_is_asked_for(
+    people: Project, knowing: Knowing
+) -> None:
+    recording = open_recording(people.recordings.all()[0].path)
+    truths = load_truth(recording, 0, recording.frame(0))
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel(truth.label, truth.box) for truth in truths], Change(0, "me"))
+    engine = InlineEngine(GivenDetectors(knowing("people")))
+    told = {}
+    for from_reviewed in (False, True, True):
+        done = annotate_with(people, engine, FAST, limit=2, from_reviewed=from_reviewed)
+        told[from_reviewed] = [
+            sum("warm start" in repr(o.proposal.trace) for o in people.proposals.latest(frame.id).objects)
+            for frame in (first, second)
+        ]
+        assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "done anew once, and then kept"
+    assert told[False] == [0, 0]
+    assert told[True][0] == 0 and told[True][1] > 0
+    assert ["from_reviewed" in run.config for run in people.jobs.all()] == [False, True, True]
 
 
 def test_an_operator_who_is_faster_is_no_reason_to_fail(
