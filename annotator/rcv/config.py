@@ -128,7 +128,7 @@ class WarmConfig(BaseModel):
         0.25, ge=0, le=2, description="points this share of the seed's longest side outside are looked at, and no more"
     )
     spread_rad: float = Field(
-        0.5, gt=0, le=1.5, description="free: how far the hypotheses lie from the seed's axes, radians"
+        0.35, gt=0, le=1.5, description="free: how far the hypotheses lie from the seed's axes, radians"
     )
     min_seen: float = Field(0.6, ge=0, le=1, description="share of the first step's views that show the object")
     max_size_ratio: float = Field(1.5, ge=1, description="a side that differs more is another object's, factor")
