@@ -7,14 +7,10 @@ of a recording are (`kinect_cloud`). Interface: pyk4a 1.5.0 (github.com/etienned
 from __future__ import annotations
 
 import logging
-import re
 import threading
 import time
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass
-from importlib.util import find_spec
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -22,24 +18,21 @@ from jaxtyping import Float64, UInt8, UInt16
 
 from annotator.recordings.kinect_calibration import KinectCalibration, Size, parse_calibration
 from annotator.recordings.kinect_cloud import seen_points
+from annotator.recordings.kinect_connection import NAME, load_pyk4a, open_device
 from annotator.recordings.kinect_imu import SAMPLE, WITHIN_NS, up_at_rest
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import DeviceError
 
 LOG = logging.getLogger("annotator.kinect")
 
-NAME = "Azure Kinect"
 # The cameras need a second or two to begin.
 FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
 # How long one call waits in which nobody can be told to stop, milliseconds.
 WAIT_MS = 200
 # More waiting samples than the accelerometer gives in a second (1.6 kHz) are not those of a device.
 MOST_SAMPLES_AT_ONCE = 4096
-# A device's serial number has twelve digits; fewer are its place in the list of devices.
-INDEX = re.compile(r"\d{1,2}")
 COLOR_SIZE: Size = (1280, 720)
 NS_PER_US = 1000
-BUNDLE = "its package brings the Azure Kinect SDK, for 64-bit Linux with glibc 2.38 or newer and for Windows"
 
 
 @dataclass(frozen=True)
@@ -97,16 +90,16 @@ class KinectDevice:
             DeviceError: pyk4a or the SDK is missing; no such device; it is used by another program; or it does not
                 start.
         """
-        self._k4a = _pyk4a()
+        self._k4a = load_pyk4a()
         self._mode = MODES[mode]
-        self._config = self._k4a.Config(
+        config = self._k4a.Config(
             color_resolution=self._k4a.ColorResolution.RES_720P,
             color_format=self._k4a.ImageFormat.COLOR_BGRA32,
             depth_mode=self._k4a.DepthMode[self._mode.depth],
             camera_fps=self._k4a.FPS[self._mode.fps],
             synchronized_images_only=True,
         )
-        self._device, serial = self._open(which)
+        self._device, serial = open_device(self._k4a, config, which)
         self.name = f"{NAME} {serial}"
         try:
             self.calibration = self._calibrated()
@@ -152,49 +145,7 @@ class KinectDevice:
             # unplugged: there is nothing left to stop
             LOG.warning("%s could not be closed: %s", self.name, error or type(error).__name__)
 
-    # --- opening -----------------------------------------------------------------------------------------------------
-
-    # thread_safe=False in what follows: with it, pyk4a would keep Python's lock while it waits for a picture, and every
-    # other thread would wait, too. One thread uses the device anyway.
-
-    def _open(self, which: str | None) -> tuple[Any, str]:
-        """The opened device that is meant, and its serial number."""
-        count = self._k4a.connected_device_count()
-        if not count:
-            raise DeviceError(
-                f"no {NAME} is connected; check its power supply and its USB 3 cable. On Linux the user needs the "
-                "SDK's udev rules (99-k4a.rules), too"
-            )
-        if which is not None and not INDEX.fullmatch(which):
-            return self._open_serial(which, count)
-        index = int(which or 0)
-        if index >= count:
-            raise DeviceError(f"there is no {NAME} number {index}: {count} connected, counted from 0")
-        device = self._k4a.PyK4A(self._config, index, thread_safe=False)
-        try:
-            device.open()
-            return device, str(device.serial)
-        except self._k4a.K4AException as error:
-            _close_quietly(device)
-            raise DeviceError(
-                f"{NAME} number {index} cannot be opened: another program uses it, or this user may not (on Linux the "
-                "SDK's udev rules, 99-k4a.rules, allow it); close the other program, or plug the device in anew"
-            ) from error
-
-    def _open_serial(self, serial: str, count: int) -> tuple[Any, str]:
-        found = []
-        for index in range(count):
-            device = self._k4a.PyK4A(self._config, index, thread_safe=False)
-            with suppress(self._k4a.K4AException):  # used by somebody else: it is told among those that were found
-                device.open()
-                if str(device.serial) == serial:
-                    return device, serial
-                found.append(str(device.serial))
-            _close_quietly(device)
-        hidden = f" and {count - len(found)} that cannot be opened" if len(found) < count else ""
-        raise DeviceError(
-            f"no {NAME} with the serial number {serial} can be opened; there are {', '.join(found) or 'none'}{hidden}"
-        )
+    # --- starting ----------------------------------------------------------------------------------------------------
 
     def _calibrated(self) -> KinectCalibration:
         try:
@@ -265,30 +216,6 @@ class KinectDevice:
         samples["acceleration_mps2"] = [felt for _, felt in self._felt]
         up = up_at_rest(samples, time_ns)
         return None if up is None else np.asarray(turn.apply(up))
-
-
-def _pyk4a() -> ModuleType:
-    """The library.
-
-    Raises:
-        DeviceError: it is not installed, or cannot be loaded.
-    """
-    install = 'pip install "annotator[kinect]" (scripts/setup kinect in a clone)'
-    try:
-        import pyk4a
-    except ImportError as error:
-        if find_spec("pyk4a") is None:
-            raise DeviceError(f"an {NAME} needs pyk4a, which is not installed: {install}; {BUNDLE}") from error
-        raise DeviceError(
-            f"pyk4a is installed, but its SDK cannot be loaded ({error}); install it anew: {install}; {BUNDLE}"
-        ) from error
-    module: ModuleType = pyk4a
-    return module
-
-
-def _close_quietly(device: Any) -> None:
-    if device.opened:
-        device.close()
 
 
 def _arrived_s(system_ns: int) -> float:

@@ -109,7 +109,7 @@ def test_how_it_refuses(
     said: str,
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setattr("annotator.recordings.kinect_device.find_spec", lambda name: None)
+    monkeypatch.setattr("annotator.recordings.kinect_connection.find_spec", lambda name: None)
     assert live(*words, **({} if source is None else {"source": source})) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 

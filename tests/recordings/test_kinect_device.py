@@ -15,7 +15,7 @@ import pytest
 from fake_pyk4a import FPS, Capture, DepthMode, ImageFormat, Script, install
 from kinect_recording import ACCELEROMETER, DEPTH_HEIGHT, DEPTH_WIDTH, calibration, depth_mm, picture
 
-from annotator.recordings import kinect_device, open_recording
+from annotator.recordings import kinect_connection, kinect_device, open_recording
 from annotator.recordings.azure_kinect import AzureKinect
 from annotator.recordings.kinect_device import KinectDevice
 from annotator.types.errors import DeviceError
@@ -153,10 +153,10 @@ def test_a_device_that_cannot_be_used_is_told_and_given_back(
 
 def test_without_pyk4a_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setattr(kinect_device, "find_spec", lambda name: None)
+    monkeypatch.setattr(kinect_connection, "find_spec", lambda name: None)
     with pytest.raises(DeviceError, match=r'pip install "annotator\[kinect\]".*glibc 2\.38'):
         KinectDevice()
-    monkeypatch.setattr(kinect_device, "find_spec", lambda name: object())
+    monkeypatch.setattr(kinect_connection, "find_spec", lambda name: object())
     with pytest.raises(DeviceError, match="its SDK cannot be loaded"):
         KinectDevice()
 
