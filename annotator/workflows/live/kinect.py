@@ -14,9 +14,11 @@ class KinectSource:
 
     Attributes:
         skipped: none: what the pipeline has no time for is dropped there.
+        gives_newest: not so: the driver queues what nobody takes.
     """
 
     skipped = 0
+    gives_newest = False
 
     def __init__(self, which: str | None = None) -> None:
         """

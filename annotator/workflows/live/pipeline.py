@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from annotator.types.errors import ConfigError, DeviceError, FrameError
+from annotator.workflows.live.demand import Demand
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.figures import Drops, Figures, Meter
 from annotator.workflows.live.slot import Slot
@@ -85,6 +86,7 @@ class Pipeline:
         self._most_frames, self._tell = most_frames, tell
         self._taken: Slot[Taken] = Slot()
         self._detected: Slot[Detected] = Slot()
+        self._demand = Demand()
         self._stop = threading.Event()
         self._running = threading.Event()
         self._running.set()
@@ -107,6 +109,7 @@ class Pipeline:
         """Asks all stages to end; what waits between them is given up."""
         for event in (self._stop, self._running, self._ready):
             event.set()
+        self._demand.close()
         for slot in (self._taken, self._detected):
             slot.close(empty=True)
 
@@ -169,6 +172,8 @@ class Pipeline:
                     self._running.wait()
                     self.source.resume()
                     continue
+                if self.source.gives_newest:
+                    self._demand.wait()
                 try:
                     taken = self.source.read(self._stop)
                 except FrameError as error:
@@ -178,6 +183,7 @@ class Pipeline:
                 if taken is None:
                     break
                 self.meter.read += 1
+                self._demand.given(taken.read_s)
                 self._taken.put(taken)
                 if not self._ready.is_set():
                     self._ready.wait()
@@ -189,7 +195,9 @@ class Pipeline:
     def _detect(self) -> None:
         try:
             while (taken := self._taken.take()) is not None:
+                self._demand.begins()
                 detected = self._detection.detect(taken)
+                self._demand.ends()
                 self.meter.detected += 1
                 if self._keep is not None:
                     self._keep.put(detected)

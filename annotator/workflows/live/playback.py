@@ -36,8 +36,11 @@ class Playback:
 
     Attributes:
         recording: what is played.
+        gives_newest: it leaves out what nobody has asked for in time.
         skipped: frames that were left out.
     """
+
+    gives_newest = True
 
     def __init__(self, recording: Recording, *, rate: float | None = None, repeat: Repeat = Repeat.NO) -> None:
         """

@@ -32,6 +32,10 @@ class Source(Protocol):
         """What it is, for people."""
 
     @property
+    def gives_newest(self) -> bool:
+        """True where whoever asks later gets a newer frame; False where frames pile up unless they are taken."""
+
+    @property
     def skipped(self) -> int:
         """Frames that it has left out to keep its pace."""
 
