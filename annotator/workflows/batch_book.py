@@ -15,6 +15,7 @@ from annotator.types import Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.workflows.engines.runner import failure
 from annotator.workflows.engines.tasks import FrameAnswer, RecordingSpec
+from annotator.workflows.tracks.seeds import followed_tracks
 
 AUTHOR = "rcv"
 # Frames that are asked of the store at once.
@@ -112,9 +113,11 @@ class Batch:
 
     def _replace(self, frame_id: int, result: FrameProposals, share: RunShare) -> None:
         for attempt in range(1, WRITE_ATTEMPTS + 1):
-            change = Change(self.project.frames.get(frame_id).revision, AUTHOR, Source.AUTO)
+            frame, found = self.project.frames.get(frame_id), result.proposals
+            change = Change(frame.revision, AUTHOR, Source.AUTO)
+            tracks = followed_tracks(self.project, frame, found)
             try:
-                self.project.proposals.replace(frame_id, result.proposals, change, lost=result.lost, run=share)
+                self.project.proposals.replace(frame_id, found, change, lost=result.lost, run=share, track_ids=tracks)
                 return
             except StaleRevisionError:
                 # An operator was faster. Proposals replace only what nobody has reviewed: the new state is as good.

@@ -12,11 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.workflows.annotate import annotate
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.open_frame import OpenFrame
@@ -215,6 +217,18 @@ def test_the_next_frame_starts_from_this_one(
     assert people.labels.get(uids[1]).label.track_id is None
     with pytest.raises(StaleRevisionError):
         propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
+
+
+def test_a_batch_gives_proposals_the_tracks_of_the_reviewed_boxes_before(
+    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
+) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:2])
+    annotate(people, knowing("people"), RcvConfig(), limit=2)
+    found = {label.track_id: label for label in people.labels.of_frame(frames[1].id)}
+    assert set(found) == {3, None}
+    assert iou_3d(found[3].box, truths[1][0].box) > 0.8
+    assert people.labels.get(found[3].uid).track_linked
 
 
 def test_boxes_are_copied_to_where_their_motion_leads(

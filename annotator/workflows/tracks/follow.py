@@ -14,15 +14,15 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.propose import propose
 from annotator.rcv.seeds import Seed
 from annotator.tracking.config import TrackingConfig
-from annotator.tracking.link import Seen, link
 from annotator.tracking.motion import predicted
-from annotator.types import OrientedBox, Proposal
+from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.labelling import frame_config
 from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.tracks.place import Wanted, next_track_id, part_of, proposing
+from annotator.workflows.tracks.seeds import owners
 from annotator.workflows.tracks.snap import Snap
 from annotator.workflows.tracks.times import times_of
 
@@ -71,11 +71,11 @@ def propose_next(
     config: RcvConfig = frame_config(project, frame).model_copy(update={"box_kind": detectors.box_kind})
     seeds = [Seed(stored.label.label, stored.label.box) for stored in step.labels]
     found = propose([frame], detectors.image, detectors.view, config, [seeds])[0].proposals
-    owners = _owners(step.labels, found)
-    ids = step.track_ids([owner is not None for owner in owners])
-    track_of = {place: ids[number] for number, place in enumerate(owners) if place is not None}
+    places = owners([stored.label for stored in step.labels], found)
+    ids = step.track_ids([place is not None for place in places])
+    track_of = {place: ids[number] for number, place in enumerate(places) if place is not None}
     wanted = [Wanted(each.label, each.box, track_of.get(place), each) for place, each in enumerate(found)]
-    return step.store(wanted, ids, author, effort, lost=owners.count(None))
+    return step.store(wanted, ids, author, effort, lost=places.count(None))
 
 
 def copy_next(
@@ -173,17 +173,6 @@ class _Step:
         changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
         proposed = sum(payload.kind == "label_proposed" for payload in payloads)
         return Followed(self.following.id, changed, proposed, lost)
-
-
-def _owners(labels: Sequence[StoredLabel], found: Sequence[Proposal]) -> list[int | None]:
-    """For each label the place of the proposal that is its object in the next frame, or None."""
-    frames = [[Seen(s.label.label, s.label.box) for s in labels], [Seen(p.label, p.box) for p in found]]
-    owners: list[int | None] = [None] * len(labels)
-    for track in link(frames, [0.0, 1.0], TrackingConfig()):
-        if len(track.members) == 2:
-            (_, number), (_, place) = track.members
-            owners[number] = place
-    return owners
 
 
 def _moved(project: Project, step: _Step, stored: StoredLabel) -> OrientedBox:
