@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from annotator.project import Project, Role
 from annotator.types import BoxKind
-from annotator.types.errors import AnnotatorError, DetectionError
+from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
 from annotator.workflows.detectors import active_detectors, load_detector
 
 
@@ -40,3 +41,10 @@ def test_weights_that_are_gone(people: Project) -> None:
     weights.unlink()
     with pytest.raises(AnnotatorError, match="run"):
         load_detector(weights)
+
+
+@pytest.mark.parametrize(("name", "value"), [("image_size_px", 7), ("threads", 0)])
+def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: object) -> None:
+    settings: dict[str, Any] = {"image_size_px": 96, name: value}
+    with pytest.raises(ConfigError, match=f"detector setting {name}: .*, not {value!r}"):
+        load_detector(tmp_path / "detector.pt", **settings)
