@@ -10,8 +10,9 @@ import sys
 import threading
 from contextlib import suppress
 
+from annotator.workflows.engines.events import Died, Done, Ready, Refused, Tell
 from annotator.workflows.engines.messages import Fault, Start
-from annotator.workflows.engines.pool import Died, Done, Ready, Refused, Tell, WorkerPool
+from annotator.workflows.engines.pool import WorkerPool
 from annotator.workflows.engines.sources import DetectorSource
 from annotator.workflows.engines.storage import Storage
 from annotator.workflows.engines.tasks import Answer, Identity, Task

@@ -11,9 +11,9 @@ import queue
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
 
 from annotator.types.errors import WorkerError
+from annotator.workflows.engines.events import Died, Done, Event, Ready, Refused, Tell, Worker
 from annotator.workflows.engines.tasks import Answer, FrameAnswer, Identity, Task
 
 # Tasks that a worker holds: one at work, one being read.
@@ -22,57 +22,6 @@ HELD = 2
 MOST_DEATHS = 2
 # So many workers in a row that die before they are ready: the next one would, too.
 MOST_STILLBORN = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Ready:
-    """A worker has loaded its detectors."""
-
-    worker: int
-    identity: Identity
-
-
-@dataclass(frozen=True, eq=False)
-class Done:
-    """A worker has done a task."""
-
-    worker: int
-    answer: Answer
-
-
-@dataclass(frozen=True, eq=False)
-class Refused:
-    """A worker cannot begin, and neither could another one: why, and whether it is a fault of the program."""
-
-    worker: int
-    reason: str
-    is_fault: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Died:
-    """A worker is gone."""
-
-    worker: int
-    reason: str
-
-
-Event = Ready | Done | Refused | Died
-Tell = Callable[[Event], None]
-"""Takes events, from any thread."""
-
-
-@runtime_checkable
-class Worker(Protocol):
-    """A process, as the pool sees it. It tells its events by the `Tell` that it was made with, `Died` last of all."""
-
-    def send(self, task: Task) -> None:
-        """Gives it a task; nothing happens where it has died."""
-        ...
-
-    def end(self) -> None:
-        """Ends it, at once."""
-        ...
 
 
 Make = Callable[[int, Tell], Worker]

@@ -11,10 +11,11 @@ from collections.abc import Callable
 from typing import Any
 
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
+from annotator.workflows.engines.events import Died, Done, Ready, Refused, Tell
 from annotator.workflows.engines.local import environment
 from annotator.workflows.engines.machine import cuda_devices, usable_cores
 from annotator.workflows.engines.messages import Fault, fault_of
-from annotator.workflows.engines.pool import HELD, Died, Done, Ready, Refused, Tell, WorkerPool
+from annotator.workflows.engines.pool import HELD, WorkerPool
 from annotator.workflows.engines.runner import TaskRunner
 from annotator.workflows.engines.sources import DetectorSource, PackedDetectors, TrainedDetectors
 from annotator.workflows.engines.storage import Storage

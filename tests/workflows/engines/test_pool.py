@@ -12,7 +12,8 @@ from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types.errors import WorkerError
-from annotator.workflows.engines.pool import HELD, MOST_STILLBORN, Died, Done, Ready, Refused, Tell, WorkerPool
+from annotator.workflows.engines.events import Died, Done, Ready, Refused, Tell
+from annotator.workflows.engines.pool import HELD, MOST_STILLBORN, WorkerPool
 from annotator.workflows.engines.tasks import Answer, FrameAnswer, FrameSpec, Identity, RecordingSpec, Task
 
 SAME = Identity("image", "view", ("torch", "torch"))
