@@ -14,7 +14,6 @@ from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.selection import candidates
-from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api, load_weights
 from annotator.detection.yolo import YoloDetector
 from annotator.types import Box2D
@@ -120,9 +119,7 @@ def test_few_compiled_sizes_are_kept(random_weights: dict[str, Path], monkeypatc
 
 
 @pytest.mark.shared
-def test_boxes_on_real_pseudo_views_agree_with_torch(
-    shared: Path, tiny_model: TrainedModel, random_weights: dict[str, Path]
-) -> None:
+def test_boxes_on_real_pseudo_views_agree_with_torch(shared: Path, random_weights: dict[str, Path]) -> None:
     from annotator.rcv.config import RcvConfig
     from annotator.rcv.teach import TaughtObject, teach_views
     from annotator.recordings import open_recording
@@ -135,11 +132,11 @@ def test_boxes_on_real_pseudo_views_agree_with_torch(
     taught = teach_views(frame, objects, BoxKind.BOX, 4, RcvConfig(), None, np.random.default_rng(0))
     views = [view.view for view in taught]
     assert len({view.rgb.shape for view in views}) > 3
-    for weights in (tiny_model.weights, random_weights["yolo26n"]):
-        # Networks that have learnt little are sure of nothing: the best fifth of their boxes, with nothing suppressed.
+    for weights in random_weights.values():
+        # Networks that have learnt nothing are sure of nothing: the better half of their scores, nothing suppressed.
         settings: dict[str, Any] = {"confidence": 1e-3, "iou": 1.0, "image_size_px": 160}
         scores = [box.score for boxes in make(weights, backend="torch", **settings).detect(views) for box in boxes]
-        settings["confidence"] = float(np.quantile(scores, 0.8))
+        settings["confidence"] = float(np.median(np.unique(scores)))
         wanted = make(weights, backend="torch", **settings).detect(views)
         assert sum(map(len, wanted)) > 50
         for backend in EXPORTED:
