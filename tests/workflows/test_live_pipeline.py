@@ -237,14 +237,14 @@ class Piling(Playback):
 
 def test_frames_of_a_recording_are_read_for_a_slow_detection_and_not_to_be_dropped(frame: Frame) -> None:
     shown = Shown()
-    made = Pipeline(Playback(Told(frame, (None,) * 150), rate=100.0), Slow(0.05), shown)
+    made = Pipeline(Playback(Told(frame, (None,) * 40), rate=100.0), Slow(0.05), shown)
     run(made)
     figures = made.figures()
     assert figures.read + figures.drops.source == 40
     # one is guessed too early at the most while it is not known how long detection takes
     assert figures.drops.detect <= 1
     assert figures.read < 20
-    assert shown[-1] == "149", "the last one is never dropped"
+    assert shown[-1] == "39", "the last one is never dropped"
 
 
 def test_a_slow_detection_and_a_slow_display_drop_frames_and_no_stage_waits(frame: Frame) -> None:
@@ -259,11 +259,11 @@ def test_a_slow_detection_and_a_slow_display_drop_frames_and_no_stage_waits(fram
     run(made)
     figures = made.figures()
     drops = figures.drops
-    assert figures.read + drops.source == 150
+    assert figures.read + drops.source == 40
     assert figures.detected + drops.detect == figures.read
     assert figures.shown + drops.show == figures.detected
     assert 2 <= figures.shown < figures.detected < figures.read
-    assert shown[-1] == "149", "the last one is never dropped"
+    assert shown[-1] == "39", "the last one is never dropped"
 
 
 def test_a_frame_that_cannot_be_read_is_told_and_the_others_come(frame: Frame) -> None:
