@@ -125,7 +125,7 @@ class WarmConfig(BaseModel):
         0.3, gt=0, le=1, description="IoU on the image of the seed, and of what came of it, with the image box"
     )
     room: float = Field(
-        0.25, ge=0, le=2, description="points this share of the seed's longest side outside are looked at, and no more"
+        0.2, ge=0, le=2, description="points this share of the seed's longest side outside are looked at, and no more"
     )
     spread_rad: float = Field(
         0.35, gt=0, le=1.5, description="free: how far the hypotheses lie from the seed's axes, radians"
@@ -137,6 +137,9 @@ class WarmConfig(BaseModel):
     )
     settled_iou: float = Field(
         0.8, ge=0, le=1, description="IoU with the seed, centre on centre, from which one step is enough"
+    )
+    seed_doubt: float = Field(
+        0.05, gt=0, description="how far an end of the seed may be off by now, share of its mean side; small trusts it"
     )
     max_steps: int = Field(2, ge=1, le=20, description="step limit from a seed")
 

@@ -74,8 +74,12 @@ def measure_consensus(
     earlier: Intervals | None,
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
+    seed: OrientedBox | None = None,
 ) -> Measurement | None:
     """One box through the intervals of all views with a detection, and of the steps before.
+
+    Args:
+        seed: a box that the object had a moment ago, which counts as a weak measurement.
 
     None where no view has a detection; the least-volume pair where the intervals do not fix a box.
     """
@@ -84,6 +88,8 @@ def measure_consensus(
     if not seen:
         return None
     parts = [cross_view.measured_intervals(view, box, config) for view, box in seen]
+    if seed is not None:
+        parts.append(_remembered(seed, Intervals.concatenate(parts), config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
     fit = fit_box(intervals, up, None if last is None else last.rotation, config.fit)
     if fit is None:
@@ -93,6 +99,17 @@ def measure_consensus(
     score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
     return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used, config))
+
+
+def _remembered(seed: OrientedBox, seen: Intervals, config: RcvConfig) -> Intervals:
+    """The seed as a measurement, put where the middles of the measured intervals say that the object is now.
+
+    A few views leave a side that they see badly open to their errors; a box of the moment before knows it better.
+    """
+    center = np.linalg.lstsq(seen.directions, seen.ends_m.mean(axis=1), rcond=None)[0]
+    axes = seed.rotation.T
+    ends = (axes @ center)[:, None] + np.stack([-seed.size_m / 2, seed.size_m / 2], axis=1)
+    return Intervals(axes, ends, np.full((3, 2), config.warm.seed_doubt * float(seed.size_m.mean())))
 
 
 def _pairs(

@@ -17,11 +17,11 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv import cross_view
 from annotator.rcv.axes import camera_frame, find_axes, frame_angle
 from annotator.rcv.canonical import canonical_box
+from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.hypotheses import beside_frames, near_frames, wide_frames
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
-from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -116,21 +116,22 @@ def start(
     return state
 
 
-def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
-    """Chooses the projection axes of the next step and draws its views."""
+def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:
+    """Chooses the projection axes of the next step and draws its views, on the device of `compute`."""
     fallback: tuple[str, ...] = ()
     if state.is_first:
         strategy, frames = Strategy.CAMERA, [camera_frame(state.up)]
     elif config.strategy is Strategy.CONSENSUS:
         strategy = Strategy.CONSENSUS
-        frames, fallback = _consensus_frames(state, config)
+        frames, fallback = _consensus_frames(state, config, compute)
     else:
-        axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
+        axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
         strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
     show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
     if not state.steps:
         fallback = state.notes + fallback
-    return StepPlan(strategy, fallback, tuple(frames), tuple(render_pairs(state.cloud, frames, config.view, show)))
+    views = compute.render_pairs(state.cloud, frames, config.view, show)
+    return StepPlan(strategy, fallback, tuple(frames), tuple(views))
 
 
 def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
@@ -144,7 +145,7 @@ def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], 
 
 
 def _consensus_frames(
-    state: ObjectState, config: RcvConfig
+    state: ObjectState, config: RcvConfig, compute: Compute
 ) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
     """The step's hypotheses, and what was tried for them in vain."""
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
@@ -155,7 +156,8 @@ def _consensus_frames(
         frames = near_frames(state.box.rotation, state.up, config)
     if config.box_kind is not BoxKind.SILHOUETTE:
         return frames, ()
-    normals = find_axes(state.cloud, Strategy.NORMALS, camera_frame(state.up), state.up, config)
+    reference = camera_frame(state.up)
+    normals = find_axes(state.cloud, Strategy.NORMALS, reference, state.up, config, compute.axial_kmeans)
     return [*frames, normals.frame], normals.fallback
 
 
@@ -178,7 +180,8 @@ def absorb_step(
     elif config.box_kind is BoxKind.SILHOUETTE:
         measured = measure_tightest(plan.frames, plan.views, boxes, state.box, state.cloud, config)
     else:
-        measured = measure_consensus(plan.frames, plan.views, boxes, state.box, state.measured, state.up, config)
+        seed = state.box if state.is_warm and not state.steps else None
+        measured = measure_consensus(plan.frames, plan.views, boxes, state.box, state.measured, state.up, config, seed)
     return [_advance(state, plan, boxes, measured, config)]
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.config import Orientation, RcvConfig, Strategy, WarmConfig
 from annotator.rcv.propose import propose
 from annotator.rcv.seeds import WARM_START, Seed, is_warm, matched_seeds
 from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, Proposal, PseudoView
@@ -55,8 +55,20 @@ def test_a_good_seed_takes_one_step_of_six_views() -> None:
     found, pictures = run(changed(BOX, [0.03, 0.02, -0.04], [0.05, -0.1, 0.05]))
     assert is_warm(found)
     assert pictures == [6]
-    assert iou_3d(found.box, BOX) > 0.99
+    # the seed counts as a measurement, so it is not forgotten in one step
+    assert iou_3d(found.box, BOX) > 0.94
     assert found.trace[0].fallback == (WARM_START,)
+
+
+def test_how_far_the_seed_is_trusted_is_a_setting() -> None:
+    seed = changed(BOX, [0.03, 0.02, -0.04], [0.05, -0.1, 0.05])
+
+    def iou(seed_doubt: float) -> float:
+        config = RcvConfig(warm=WarmConfig(seed_doubt=seed_doubt, max_steps=1))
+        return iou_3d(run(seed, config)[0].box, BOX)
+
+    assert iou(0.005) < iou(0.05) < iou(100.0)
+    assert iou(100.0) > 0.999
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02])
@@ -64,7 +76,7 @@ def test_two_steps_are_enough_where_the_object_has_turned(jitter: float) -> None
     found, pictures = run(changed(BOX, [0.02, 0.0, 0.0], [0.3, 0.1, -0.2]), jitter=jitter)
     assert is_warm(found)
     assert pictures == [6, 6]
-    assert iou_3d(found.box, BOX) > (0.99 if jitter == 0 else 0.75)
+    assert iou_3d(found.box, BOX) > (0.94 if jitter == 0 else 0.75)
 
 
 def test_a_seed_is_moved_to_where_the_image_shows_the_object() -> None:
@@ -80,7 +92,7 @@ def test_a_seed_is_moved_to_where_the_image_shows_the_object() -> None:
         (changed(BOX, [0.0, 0.0, -0.2]), ""),
         (changed(BOX, [0.0, 0.0, 0.9]), ""),
         (some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.45]), "a side is"),
-        (changed(BOX, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]), ""),
+        (changed(BOX, [0.0, 0.0, 0.0], [0.0, 0.0, 1.2]), ""),
     ],
     ids=["farther", "nearer", "behind", "of another size", "of a wrong rotation"],
 )
