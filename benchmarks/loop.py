@@ -290,7 +290,8 @@ def propose_batch(
     found: dict[int, FrameProposals] = {}
     for orientation, indices in alike.items():
         settings = config.model_copy(update={"orientation": orientation})
-        results = propose([frames[i] for i in indices], detectors.image, detectors.view, settings)
+        chosen = [frames[i] for i in indices]
+        results = propose(chosen, detectors.image, detectors.view, settings, compute=detectors.compute)
         found.update(zip(indices, results, strict=True))
     return found
 

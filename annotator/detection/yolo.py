@@ -72,6 +72,11 @@ class YoloDetector:
         return self._network.backend
 
     @property
+    def device(self) -> str:
+        """Where its network runs, as torch names devices: "cpu", "cuda", "cuda:1", "mps"."""
+        return self._network.device
+
+    @property
     def fingerprint(self) -> str:
         """SHA-256 of the weights file and the settings.
 

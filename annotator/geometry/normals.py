@@ -54,7 +54,7 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Flo
     inside = inverse[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
     np.divide(1.0, depth_m, out=inside, where=usable, casting="same_kind")
     rays = pixel_rays(camera)
-    per_px = np.broadcast_to(_px_per_ray(camera), (height_px, width_px, 2, 2))
+    per_px = np.broadcast_to(px_per_ray(camera), (height_px, width_px, 2, 2))
     normals = np.empty((height_px, width_px, 3), np.float32)
     for top in range(0, height_px, ROWS):
         rows = slice(top, min(top + ROWS, height_px))
@@ -151,7 +151,7 @@ def _plane_normals(
     return np.nan_to_num(normals, copy=False, nan=0.0)
 
 
-def _px_per_ray(camera: Camera) -> Float32[np.ndarray, "_h _w 2 2"]:
+def px_per_ray(camera: Camera) -> Float32[np.ndarray, "_h _w 2 2"]:
     """Derivatives of the pixel coordinates (u, v; third axis) after the ray's x, y (last axis).
 
     (1, 1, 2, 2) for an ideal camera, one matrix a pixel otherwise.

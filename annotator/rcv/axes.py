@@ -7,6 +7,7 @@ view looks along a3, the side view along a1; a2 points down where "down" means s
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ from annotator.types import PointCloud
 
 # K-means settles in a few rounds and stops then; this only bounds the time of one that swings to and fro.
 KMEANS_ROUNDS = 20
+
+Clustering = Callable[[np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
+"""Clusters directions, as `axial_kmeans` does."""
 
 
 class NoAxesError(Exception):
@@ -116,42 +120,6 @@ def _require_distinct(values: np.ndarray, config: RcvConfig) -> None:
         raise NoAxesError("eigenvalues too alike to fix the axes")
 
 
-def normal_frame(
-    normals: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
-) -> Float64[np.ndarray, "3 3"]:
-    """The biggest cluster's direction as major axis, completed by the next one (or the camera's down).
-
-    Args:
-        normals: unit vectors, or zero where unknown; antipodal ones are one direction.
-    """
-    known = np.asarray(normals, np.float64)
-    known = known[np.einsum("ij,ij->i", known, known) > 0.25]
-    if up is not None:
-        known = known[np.abs(known @ up) < np.cos(config.axes.steep_normal_rad)]
-        known = known - np.outer(known @ up, up)
-        known /= np.linalg.norm(known, axis=1, keepdims=True)
-    if len(known) < config.axes.min_normals:
-        raise NoAxesError(f"{len(known)} usable normals are too few")
-    if len(known) > config.axes.max_normals:
-        known = known[np.linspace(0, len(known) - 1, config.axes.max_normals).astype(int)]
-    centres, counts = axial_kmeans(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
-    major = centres[np.argmax(counts)]
-    if up is not None:
-        return upright_frame(major, up)
-    second = _second_direction(centres, counts, major, config.axes.min_second_angle_rad)
-    a1 = second - major * (second @ major)
-    a1 /= np.linalg.norm(a1)
-    return np.stack([a1, np.cross(major, a1), major])
-
-
-def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray, min_angle_rad: float) -> np.ndarray:
-    for index in np.argsort(-counts, kind="stable"):
-        if np.abs(centres[index] @ major) < np.cos(min_angle_rad):
-            return centres[index]
-    # One direction only, such as a wall: the camera axis that is most nearly perpendicular completes it.
-    return np.eye(3)[np.argmin(np.abs(major))]
-
-
 def axial_kmeans(
     directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int
 ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
@@ -178,18 +146,60 @@ def axial_kmeans(
     return centre, np.bincount(member, minlength=clusters)
 
 
+def normal_frame(
+    normals: Float[np.ndarray, "n 3"],
+    up: Float64[np.ndarray, "3"] | None,
+    config: RcvConfig,
+    clustering: Clustering = axial_kmeans,
+) -> Float64[np.ndarray, "3 3"]:
+    """The biggest cluster's direction as major axis, completed by the next one (or the camera's down).
+
+    Args:
+        normals: unit vectors, or zero where unknown; antipodal ones are one direction.
+        clustering: finds the clusters.
+    """
+    known = np.asarray(normals, np.float64)
+    known = known[np.einsum("ij,ij->i", known, known) > 0.25]
+    if up is not None:
+        known = known[np.abs(known @ up) < np.cos(config.axes.steep_normal_rad)]
+        known = known - np.outer(known @ up, up)
+        known /= np.linalg.norm(known, axis=1, keepdims=True)
+    if len(known) < config.axes.min_normals:
+        raise NoAxesError(f"{len(known)} usable normals are too few")
+    if len(known) > config.axes.max_normals:
+        known = known[np.linspace(0, len(known) - 1, config.axes.max_normals).astype(int)]
+    centres, counts = clustering(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
+    major = centres[np.argmax(counts)]
+    if up is not None:
+        return upright_frame(major, up)
+    second = _second_direction(centres, counts, major, config.axes.min_second_angle_rad)
+    a1 = second - major * (second @ major)
+    a1 /= np.linalg.norm(a1)
+    return np.stack([a1, np.cross(major, a1), major])
+
+
+def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray, min_angle_rad: float) -> np.ndarray:
+    for index in np.argsort(-counts, kind="stable"):
+        if np.abs(centres[index] @ major) < np.cos(min_angle_rad):
+            return centres[index]
+    # One direction only, such as a wall: the camera axis that is most nearly perpendicular completes it.
+    return np.eye(3)[np.argmin(np.abs(major))]
+
+
 def find_axes(
     cloud: PointCloud,
     strategy: Strategy,
     reference: Float64[np.ndarray, "3 3"],
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
+    clustering: Clustering = axial_kmeans,
 ) -> Axes:
     """The frame of one strategy, or of the next simpler one that the cloud allows, matched to `reference`.
 
     Args:
         strategy: camera, eigenvectors or normals.
         up: unit vector against gravity that the frame is held at, as `held_direction` gives it; None leaves it free.
+        clustering: finds the clusters of normals.
     """
     symmetries = UPRIGHT_SYMMETRIES if up is not None else BOX_SYMMETRIES
     failed: list[str] = []
@@ -201,7 +211,7 @@ def find_axes(
         try:
             if candidate is Strategy.NORMALS:
                 normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
-                frame = normal_frame(normals, up, config)
+                frame = normal_frame(normals, up, config, clustering)
             else:
                 frame = eigenvector_frame(cloud.xyz_m, up, config)
         except NoAxesError as error:

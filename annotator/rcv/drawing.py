@@ -62,6 +62,33 @@ def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt3
     return packed.view(np.uint32)[:, 0]
 
 
+@dataclass(frozen=True)
+class KeyLayout:
+    """How a point's depth and number share one integer.
+
+    Attributes:
+        index_bits: the lowest bits hold the number.
+        levels: how many depths can be told apart; the last is the background's.
+        empty: the key of a pixel without a point, larger than any point's.
+    """
+
+    index_bits: int
+    levels: int
+    empty: int
+
+    @classmethod
+    def of(cls, n_points: int) -> KeyLayout:
+        """The index takes as many of the bits as it needs, depth the rest: a millimetre a level for 50,000 points in
+        30 m."""
+        index_bits = n_points.bit_length()
+        levels = min((LAST_KEY - LEAST_KEY) >> index_bits, 1 << DEPTH_BITS) - 1
+        return cls(index_bits, levels, LEAST_KEY + (levels << index_bits) + n_points)
+
+    def scale(self, near_m: float, far_m: float) -> float:
+        """Levels a metre."""
+        return (self.levels - 1) / max(far_m - near_m, 1e-6)
+
+
 def draw(
     right_m: Float32[np.ndarray, "n"],
     down_m: Float32[np.ndarray, "n"],
@@ -79,24 +106,21 @@ def draw(
         depth_range_m: least and largest depth, where they are known.
     """
     n = len(depth_m)
-    index_bits = n.bit_length()
-    # The index takes as many of the bits as it needs, depth the rest: a millimetre a level for 50,000 points in 30 m.
-    levels = min((LAST_KEY - LEAST_KEY) >> index_bits, 1 << DEPTH_BITS) - 1
+    layout = KeyLayout.of(n)
+    index_bits = layout.index_bits
     near, far = depth_range_m or (float(depth_m.min()), float(depth_m.max()))
-    scale = (levels - 1) / max(far - near, 1e-6)
     depth = depth_m - np.float32(near)
-    depth *= np.float32(scale)
+    depth *= np.float32(layout.scale(near, far))
     level = depth.astype(np.uint32)
     level <<= np.uint32(index_bits)
     level += np.arange(LEAST_KEY, LEAST_KEY + n, dtype=np.uint32)
-    empty = LEAST_KEY + (levels << index_bits) + n
-    nearest = np.full((window.height_px, window.width_px), empty, np.uint32)
+    nearest = np.full((window.height_px, window.width_px), layout.empty, np.uint32)
     np.minimum.at(nearest.reshape(-1), _pixel(right_m, down_m, window), level)
     if (splat := splat_px(n, window, largest_splat_px)) > 1:
         nearest = cv2.erode(nearest.view(np.float32), np.ones((splat, splat), np.uint8)).view(np.uint32)
     nearest -= np.uint32(LEAST_KEY)
     if packed is None:
-        return _shaded(nearest >> np.uint32(index_bits), levels)
+        return _shaded(nearest >> np.uint32(index_bits), layout.levels)
     index = (nearest & np.uint32((1 << index_bits) - 1)).astype(np.intp)
     # no index is out of range: "clip" only spares the copy that a check needs
     colors = np.take(packed, index, out=nearest, mode="clip").view(np.uint8)

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from annotator.geometry.frustum import in_frustums
-from annotator.geometry.normals import normals_from_depth, normals_knn
+from annotator.geometry.normals import normals_knn
+from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, PointCloud
 
@@ -21,7 +22,9 @@ def needs_normals(config: RcvConfig) -> bool:
     )
 
 
-def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"], config: RcvConfig) -> PointCloud:
+def with_normals(
+    frame: Frame, wanted: Bool[np.ndarray, "n"], config: RcvConfig, compute: Compute = NUMPY
+) -> PointCloud:
     """The frame's cloud with normals at least for the wanted points; zero where unknown.
 
     An organised depth image gives them from pixel neighbours; otherwise the nearest neighbours among the wanted
@@ -31,7 +34,7 @@ def with_normals(frame: Frame, wanted: Bool[np.ndarray, "n"], config: RcvConfig)
     if cloud.normals is not None:
         return cloud
     if frame.depth_m is not None and cloud.pixel_index is not None:
-        grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
+        grid = compute.normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
         return replace(cloud, normals=grid[cloud.pixel_index])
     normals = np.zeros((len(cloud), 3), np.float32)
     if wanted.any():

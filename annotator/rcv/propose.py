@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from annotator.geometry.frustum import in_frustums
+from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
@@ -21,6 +22,7 @@ def propose(
     view_detector: Detector,
     config: RcvConfig,
     seeds: Sequence[Sequence[Seed]] | None = None,
+    compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
     """Recursive Cross-View on several frames at once.
 
@@ -30,12 +32,13 @@ def propose(
     Args:
         seeds: for each frame the boxes that its objects had a moment ago. An object whose image box matches one starts
             from it, and without it where the two turn out to disagree (`seeds`).
+        compute: where pictures are drawn, normals estimated and clustered.
 
     Returns:
         one result a frame, in the order given.
     """
     image_boxes = image_detector.detect(frames)
-    return propose_from_boxes(frames, image_boxes, view_detector, config, seeds)
+    return propose_from_boxes(frames, image_boxes, view_detector, config, seeds, compute)
 
 
 def propose_from_boxes(
@@ -44,16 +47,17 @@ def propose_from_boxes(
     view_detector: Detector,
     config: RcvConfig,
     seeds: Sequence[Sequence[Seed]] | None = None,
+    compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
     """The same from given 2D boxes on the images, one list a frame."""
     active: list[ObjectState] = []
     each_seeds = seeds if seeds is not None else [()] * len(frames)
     for index, (frame, boxes, known) in enumerate(zip(frames, image_boxes, each_seeds, strict=True)):
-        active.extend(_frustums(index, frame, boxes, known, config))
+        active.extend(_frustums(index, frame, boxes, known, config, compute))
     done = [state for state in active if state.stop is not StopReason.CONTINUES]
     active = [state for state in active if state.stop is StopReason.CONTINUES]
     while active:
-        plans = [plan_step(state, config) for state in active]
+        plans = [plan_step(state, config, compute) for state in active]
         found = iter(view_detector.detect([view for plan in plans for view in plan.views]))
         advanced: list[ObjectState] = []
         for state, plan in zip(active, plans, strict=True):
@@ -74,13 +78,15 @@ def _advanced(
 
 
 def _frustums(
-    index: int, frame: Frame, boxes: Sequence[Box2D], seeds: Sequence[Seed], config: RcvConfig
+    index: int, frame: Frame, boxes: Sequence[Box2D], seeds: Sequence[Seed], config: RcvConfig, compute: Compute
 ) -> list[ObjectState]:
     boxes = [box for box in boxes if box.score >= config.min_image_score]
+    if boxes:
+        frame = compute.hold(frame)
     masks = in_frustums(frame.camera, frame.cloud.xyz_m, boxes)
     cloud = frame.cloud
     if boxes and needs_normals(config):
-        cloud = with_normals(frame, np.logical_or.reduce(masks), config)
+        cloud = with_normals(frame, np.logical_or.reduce(masks), config, compute)
     states = [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
     if not seeds:
         return states

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8, UInt32
 
 from annotator.rcv.config import ViewConfig
-from annotator.rcv.drawing import draw, fit_window, pack_colors
+from annotator.rcv.drawing import Window, draw, fit_window, pack_colors
 from annotator.types import PointCloud, PseudoView
 
 
@@ -59,16 +59,34 @@ def _render_pair(
 ) -> tuple[PseudoView, PseudoView]:
     along = frame.astype(np.float32) @ xyz
     least, most = along.min(axis=1), along.max(axis=1)
-    low, high = least.astype(np.float64), most.astype(np.float64)
-    if show is not None:
-        corners = frame @ show.T
-        low, high = np.minimum(low, corners.min(axis=1)), np.maximum(high, corners.max(axis=1))
+    windows = pair_windows(frame, least, most, config, show)
 
-    def view(axes: np.ndarray, across: list[int], depth: np.ndarray, near: float, far: float) -> PseudoView:
-        window = fit_window(low[across], high[across], config)
+    def view(
+        window: Window, axes: np.ndarray, across: list[int], depth: np.ndarray, near: float, far: float
+    ) -> PseudoView:
         right, down = along[across[0]], along[across[1]]
         picture = draw(right, down, depth, packed, window, config.max_splat_px, (near, far))
         return PseudoView(picture, axes, window.metres_per_px, window.origin_m, cloud.xyz_m)
 
-    front = view(frame, [0, 1], along[2], float(least[2]), float(most[2]))
-    return front, view(side_axes(frame), [2, 1], -along[0], float(-most[0]), float(-least[0]))
+    front = view(windows[0], frame, [0, 1], along[2], float(least[2]), float(most[2]))
+    return front, view(windows[1], side_axes(frame), [2, 1], -along[0], float(-most[0]), float(-least[0]))
+
+
+def pair_windows(
+    frame: Float64[np.ndarray, "3 3"],
+    least_m: Float32[np.ndarray, "3"],
+    most_m: Float32[np.ndarray, "3"],
+    config: ViewConfig,
+    show: Float[np.ndarray, "m 3"] | None,
+) -> tuple[Window, Window]:
+    """What the front and the side view of points show that reach from `least_m` to `most_m` along the frame's rows.
+
+    Args:
+        show: as in `render_pairs`.
+    """
+    low, high = least_m.astype(np.float64), most_m.astype(np.float64)
+    if show is not None:
+        corners = frame @ show.T
+        low, high = np.minimum(low, corners.min(axis=1)), np.maximum(high, corners.max(axis=1))
+    front, side = [0, 1], [2, 1]
+    return fit_window(low[front], high[front], config), fit_window(low[side], high[side], config)

@@ -15,6 +15,7 @@
     │   ├── StaleRevisionError    somebody else changed the frame first
     │   ├── HistoryError          there is nothing to undo or redo, or somebody else has changed it since
     │   └── FinalisedFrameError   an automatic pass wanted to change a finalised frame
+    ├── ComputeError          the device that draws and clusters points is not there, or fails
     ├── WorkerError           the processes that do a batch's work cannot be started, or go on dying
     └── MissingExtraError     an optional package is not installed
 
@@ -84,6 +85,10 @@ class GeometryError(AnnotatorError):
 
 class DetectionError(AnnotatorError):
     """A 2D detector cannot be trained, loaded or run."""
+
+
+class ComputeError(AnnotatorError):
+    """The device that draws pseudo-views and clusters normals is not there, or fails."""
 
 
 class ProjectError(AnnotatorError):

@@ -10,8 +10,10 @@ from pydantic import ValidationError
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
+from annotator.gpu.compute import torch_compute
 from annotator.project.models import Role, StoredModel
 from annotator.project.project import Project
+from annotator.rcv.compute import NUMPY, Compute
 from annotator.types import BoxKind, Detector
 from annotator.types.errors import ConfigError, DetectionError
 
@@ -23,6 +25,16 @@ class Detectors:
     image: Detector
     view: Detector
     box_kind: BoxKind = BoxKind.BOX
+
+    @property
+    def compute(self) -> Compute:
+        """Where points are drawn and clustered: where the view detector runs, if that is a CUDA device.
+
+        Raises:
+            ComputeError: the device cannot be used.
+        """
+        device = self.view.device if isinstance(self.view, YoloDetector) else "cpu"
+        return torch_compute(device) if device.startswith("cuda") else NUMPY
 
 
 def load_detector(

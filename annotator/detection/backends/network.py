@@ -47,6 +47,10 @@ class Network(Protocol):
     def facts(self) -> NetworkFacts:
         """Its classes and stride."""
 
+    @property
+    def device(self) -> str:
+        """Where it runs, as torch names devices: "cpu", "cuda", "cuda:1", "mps"."""
+
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
         """One raw answer a batch of pictures, as `selection.candidates` reads it.
 

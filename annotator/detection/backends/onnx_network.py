@@ -21,10 +21,12 @@ class OnnxNetwork:
 
     Attributes:
         backend: "onnxruntime".
+        device: "cpu".
         facts: its classes and stride.
     """
 
     backend: Backend = "onnxruntime"
+    device = "cpu"
 
     def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
         """

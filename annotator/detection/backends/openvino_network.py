@@ -43,10 +43,12 @@ class OpenVinoNetwork:
 
     Attributes:
         backend: "openvino".
+        device: "cpu".
         facts: its classes and stride.
     """
 
     backend: Backend = "openvino"
+    device = "cpu"
 
     def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
         """

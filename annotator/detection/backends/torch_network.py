@@ -26,6 +26,7 @@ class TorchNetwork:
 
     Attributes:
         backend: "torch".
+        device: where it runs, as torch names it.
         facts: its classes and stride.
     """
 
@@ -43,6 +44,7 @@ class TorchNetwork:
         """
         module, self.facts = raw_network(weights, device)
         self._device = device
+        self.device = str(device)
         self._threads = threads
         self._run = module.to(memory_format=api().torch.channels_last)
         # The network keeps its anchors from one size to the next, and torch's number of threads is everybody's.

@@ -110,6 +110,7 @@ class TaskRunner:
             self.detectors.view,
             config,
             seeds if any(seeds) else None,
+            self.detectors.compute,
         )
 
 

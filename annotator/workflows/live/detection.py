@@ -65,6 +65,7 @@ class LiveDetection:
             warm_start: begin each recursion with the box that the object had in the frame before.
         """
         self._image, self._view = _Timed(detectors.image), _Timed(detectors.view)
+        self._compute = detectors.compute
         self._config = live_settings(config).model_copy(update={"box_kind": detectors.box_kind})
         self._rotation = rotation
         self._warm_start = warm_start
@@ -86,7 +87,8 @@ class LiveDetection:
             self._config = self._config.model_copy(update={"orientation": orientation})
         is_recent = abs(taken.taken_s - self._seeds_of_s) <= OLDEST_SEED_S
         seeds = self._seeds if self._warm_start and is_recent else ()
-        (found,) = propose([taken.frame], self._image, self._view, self._config, [seeds] if seeds else None)
+        given = [seeds] if seeds else None
+        (found,) = propose([taken.frame], self._image, self._view, self._config, given, self._compute)
         self._seeds = tuple(Seed(proposal.label, proposal.box) for proposal in found.proposals)
         self._seeds_of_s = taken.taken_s
         in_all = time.perf_counter() - begin

@@ -70,7 +70,7 @@ def propose_next(
     frame = open_frame(step.following).frame
     config: RcvConfig = frame_config(project, frame).model_copy(update={"box_kind": detectors.box_kind})
     seeds = [Seed(stored.label.label, stored.label.box) for stored in step.labels]
-    found = propose([frame], detectors.image, detectors.view, config, [seeds])[0].proposals
+    found = propose([frame], detectors.image, detectors.view, config, [seeds], detectors.compute)[0].proposals
     places = owners([stored.label for stored in step.labels], found)
     ids = step.track_ids([place is not None for place in places])
     track_of = {place: ids[number] for number, place in enumerate(places) if place is not None}

@@ -1,0 +1,144 @@
+"""Pseudo-views drawn on a device, all views of a step at once; the pictures of `annotator.rcv.drawing`.
+
+The keys are the same: depth and number of a point in one integer whose bits are those of a positive float. A scattered
+minimum finds the nearest point of each pixel of all pictures; squares are a maximum filter over negative floats. The
+device is waited for twice: for the extents, from which the windows follow, and for the pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, UInt8
+
+from annotator.gpu.points import DeviceCloud, DevicePoints
+from annotator.rcv.config import ViewConfig
+from annotator.rcv.drawing import BACKGROUND, LEAST_KEY, KeyLayout, Window, splat_px
+from annotator.rcv.pseudo_view import pair_windows, side_axes
+from annotator.types import PseudoView
+
+# At most this many points or pixels are worked on at once; it bounds the memory, some 50 bytes each.
+MAX_AT_ONCE = 1 << 24
+
+
+def render_pairs(
+    cloud: DeviceCloud,
+    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    config: ViewConfig,
+    show: Float[np.ndarray, "m 3"] | None = None,
+) -> list[PseudoView]:
+    """As `annotator.rcv.pseudo_view.render_pairs`; points that fall between two pixels may be drawn on the other."""
+    points = cloud.on_device()
+    together = max(MAX_AT_ONCE // (2 * max(len(cloud), config.size_px**2)), 1)
+    views: list[PseudoView] = []
+    for begin in range(0, len(frames), together):
+        part = frames[begin : begin + together]
+        along = _along(points, part)
+        least, most = along.amin(dim=2).cpu().numpy(), along.amax(dim=2).cpu().numpy()
+        windows = [
+            window for k, frame in enumerate(part) for window in pair_windows(frame, least[k], most[k], config, show)
+        ]
+        axes = [rows for frame in part for rows in (frame, side_axes(frame))]
+        pictures = _pictures(points, along, least, most, windows, config.max_splat_px)
+        for rgb, rows, window in zip(pictures, axes, windows, strict=True):
+            # a copy, so that a view does not keep the pictures of all others
+            own = rgb[: window.height_px, : window.width_px].copy()
+            views.append(PseudoView(own, rows, window.metres_per_px, window.origin_m, cloud.xyz_m))
+    return views
+
+
+def _along(points: DevicePoints, frames: Sequence[Float64[np.ndarray, "3 3"]]) -> Any:
+    """Coordinates (k, 3, n) of the points along the rows of each frame.
+
+    A sum of products and no matrix product, which a graphics processor may do with fewer digits.
+    """
+    import torch
+
+    rows = torch.tensor(np.stack(frames).astype(np.float32), device=points.xyz.device)[..., None]
+    return rows[:, :, 0] * points.xyz[0] + rows[:, :, 1] * points.xyz[1] + rows[:, :, 2] * points.xyz[2]
+
+
+def _pictures(
+    points: DevicePoints,
+    along: Any,
+    least: Float32[np.ndarray, "k 3"],
+    most: Float32[np.ndarray, "k 3"],
+    windows: Sequence[Window],
+    largest_splat_px: int,
+) -> UInt8[np.ndarray, "v h w 3"]:
+    """The pictures of all windows, each in the upper left corner of a canvas that holds the largest.
+
+    Args:
+        along: (k, 3, n) as `_along` gives it, from `least` to `most`.
+        windows: v = 2 k, front and side in turn.
+    """
+    import torch
+
+    n, layout = along.shape[2], KeyLayout.of(along.shape[2])
+    near, far = np.stack([least[:, 2], -most[:, 0]], 1), np.stack([most[:, 2], -least[:, 0]], 1)
+    depth = torch.stack([along[:, 2], -along[:, 0]], dim=1)
+    pairs = zip(near.reshape(-1).tolist(), far.reshape(-1).tolist(), strict=True)
+    scales = np.array([layout.scale(*pair) for pair in pairs], np.float32).reshape(-1, 2, 1)
+    levels = (depth - _to(near[..., None], along)) * _to(scales, along)
+    keys = (levels.to(torch.int32) << layout.index_bits) + torch.arange(
+        LEAST_KEY, LEAST_KEY + n, dtype=torch.int32, device=along.device
+    )
+    shape = (len(windows), max(w.height_px for w in windows), max(w.width_px for w in windows))
+    nearest = torch.full((int(np.prod(shape)),), layout.empty, dtype=torch.int32, device=along.device)
+    pixels = _pixels(along, windows, shape)
+    nearest = nearest.scatter_reduce_(0, pixels.reshape(-1), keys.reshape(-1), "amin").reshape(shape)
+    nearest = _squares(nearest, [splat_px(n, window, largest_splat_px) for window in windows]) - LEAST_KEY
+    if points.colors is None:
+        pictures = _shaded(nearest >> layout.index_bits, layout.levels)
+    else:
+        index = nearest & ((1 << layout.index_bits) - 1)
+        pictures = points.colors.index_select(0, index.reshape(-1)).reshape(*shape, 3)
+    found: np.ndarray = pictures.cpu().numpy()
+    return found
+
+
+def _to(values: np.ndarray, like: Any) -> Any:
+    import torch
+
+    return torch.tensor(values, device=like.device)
+
+
+def _pixels(along: Any, windows: Sequence[Window], shape: tuple[int, int, int]) -> Any:
+    """Which pixel of all canvases, (k, 2, n), counted row by row, each point falls on in front and side view."""
+    import torch
+
+    corner = np.array([w.origin_m - w.metres_per_px / 2 for w in windows]).astype(np.float32)
+    scale = np.array([1 / w.metres_per_px for w in windows]).astype(np.float32)
+    last = np.array([(w.width_px - 1, w.height_px - 1) for w in windows])
+    left, top = (_to(corner[:, i].reshape(-1, 2, 1), along) for i in (0, 1))
+    last_column, last_row = (_to(last[:, i].reshape(-1, 2, 1), along) for i in (0, 1))
+    per_m = _to(scale.reshape(-1, 2, 1), along)
+    # Adding a half (it is in the corner) and cutting off rounds to the nearest pixel, since nothing is negative.
+    right, down = torch.stack([along[:, 0], along[:, 2]], dim=1), along[:, 1:2]
+    column = torch.minimum(((right - left) * per_m).to(torch.int64), last_column)
+    row = torch.minimum(((down - top) * per_m).to(torch.int64), last_row)
+    canvas = torch.arange(shape[0], device=along.device).reshape(-1, 2, 1) * (shape[1] * shape[2])
+    return canvas + row * shape[2] + column
+
+
+def _squares(nearest: Any, sides_px: Sequence[int]) -> Any:
+    """Draws each point as a square of its view's side: the least key of each pixel's neighbourhood."""
+    import torch
+
+    for side in sorted(set(sides_px) - {1}):
+        of_side = torch.tensor(np.flatnonzero(np.array(sides_px) == side), device=nearest.device)
+        far_first = -nearest[of_side].view(torch.float32)[:, None]
+        near_first = torch.nn.functional.max_pool2d(far_first, side, stride=1, padding=side // 2)
+        nearest[of_side] = (-near_first[:, 0]).view(torch.int32)
+    return nearest
+
+
+def _shaded(level: Any, levels: int) -> Any:
+    """Grey by depth, near points light, (v, h, w, 3); the last level is the background's."""
+    import torch
+
+    grey = (250 - 190 * (level.to(torch.float32) / levels)).to(torch.uint8)
+    grey[level == levels] = BACKGROUND
+    return grey[..., None].expand(*grey.shape, 3)

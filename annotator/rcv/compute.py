@@ -1,0 +1,75 @@
+"""Where the work on many points is done: numpy here, or another device through the same four functions.
+
+The recursion asks a `Compute` for pictures, normals and clusters, and for nothing else; `annotator.gpu` has one on
+torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from annotator.geometry.normals import normals_from_depth
+from annotator.rcv.axes import axial_kmeans
+from annotator.rcv.config import ViewConfig
+from annotator.rcv.pseudo_view import render_pairs
+from annotator.types import Camera, Frame, PointCloud, PseudoView
+
+
+@runtime_checkable
+class Compute(Protocol):
+    """A device for the work on many points. Threads may share it."""
+
+    def hold(self, frame: Frame) -> Frame:
+        """The frame with its cloud ready on the device; what is selected from that cloud is ready, too."""
+
+    def render_pairs(
+        self,
+        cloud: PointCloud,
+        frames: Sequence[Float64[np.ndarray, "3 3"]],
+        config: ViewConfig,
+        show: Float[np.ndarray, "m 3"] | None = None,
+    ) -> list[PseudoView]:
+        """As `pseudo_view.render_pairs`."""
+
+    def normals_from_depth(self, camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
+        """As `geometry.normals.normals_from_depth`."""
+
+    def axial_kmeans(
+        self, directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int
+    ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
+        """As `axes.axial_kmeans`."""
+
+
+class NumpyCompute:
+    """The processor."""
+
+    def hold(self, frame: Frame) -> Frame:
+        """The frame as it is."""
+        return frame
+
+    def render_pairs(
+        self,
+        cloud: PointCloud,
+        frames: Sequence[Float64[np.ndarray, "3 3"]],
+        config: ViewConfig,
+        show: Float[np.ndarray, "m 3"] | None = None,
+    ) -> list[PseudoView]:
+        """`pseudo_view.render_pairs`."""
+        return render_pairs(cloud, frames, config, show)
+
+    def normals_from_depth(self, camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
+        """`geometry.normals.normals_from_depth`."""
+        return normals_from_depth(camera, depth_m)
+
+    def axial_kmeans(
+        self, directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int
+    ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
+        """`axes.axial_kmeans`."""
+        return axial_kmeans(directions, clusters, seed)
+
+
+NUMPY = NumpyCompute()

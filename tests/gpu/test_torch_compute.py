@@ -1,0 +1,166 @@
+"""Work on points through torch, on its processor device: the same pictures, normals, clusters and boxes as numpy's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import CAMERA, frame_with, some_box
+from scipy.spatial.transform import Rotation
+
+from annotator.detection.perfect import PerfectDetector
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.normals import normals_from_depth
+from annotator.geometry.projection import unproject_depth
+from annotator.gpu import drawing
+from annotator.gpu.compute import TorchCompute
+from annotator.gpu.points import DeviceCloud, DevicePoints
+from annotator.rcv.axes import axial_kmeans
+from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.propose import propose
+from annotator.rcv.pseudo_view import render_pairs
+from annotator.types import BoxKind, Camera, Frame, PointCloud
+from annotator.types.errors import ComputeError
+from annotator.workflows.detectors import Detectors
+
+TORCH = TorchCompute("cpu")
+BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
+
+
+def some_cloud(count: int, rng: np.random.Generator, shade: str) -> PointCloud:
+    xyz = (rng.normal(size=(count, 3)) * [0.5, 0.1, 0.3] + [0, 0, 2]).astype(np.float32)
+    if shade == "rgb":
+        return PointCloud(xyz, rng.integers(0, 256, (count, 3), np.uint8))
+    return PointCloud(xyz, reflectance=rng.random(count, np.float32) if shade == "reflectance" else None)
+
+
+@pytest.mark.parametrize("shade", ["rgb", "reflectance", "depth"])
+@pytest.mark.parametrize("count", [1, 40, 3000])
+def test_the_pictures_are_numpys(shade: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(count)
+    whole = some_cloud(2 * count, rng, shade)
+    frames = [np.eye(3), *Rotation.random(4, rng=rng).as_matrix()]
+    keep = np.arange(2 * count) % 2 == 0
+    config, show = ViewConfig(size_px=96), np.array([[1.0, 0.2, 2.5]])
+    # several calls of the device, so that the parts must come together in order
+    monkeypatch.setattr(drawing, "MAX_AT_ONCE", 4 * 96 * 96)
+    held = DeviceCloud.of(whole, "cpu").select(keep)
+    expected = render_pairs(whole.select(keep), frames, config, show)
+    views = TORCH.render_pairs(held, frames, config, show)
+    assert len(views) == len(expected) == 10
+    pixels = different = 0
+    for view, other in zip(views, expected, strict=True):
+        assert view.rgb.shape == other.rgb.shape
+        np.testing.assert_array_equal(view.axes, other.axes)
+        np.testing.assert_allclose(view.origin_m, other.origin_m, atol=1e-6)
+        assert view.metres_per_px == pytest.approx(other.metres_per_px, rel=1e-6)
+        different += int((view.rgb != other.rgb).any(axis=2).sum())
+        pixels += view.rgb.shape[0] * view.rgb.shape[1]
+    # a point between two pixels, or two points of one depth, may be rounded the other way
+    assert different <= 0.002 * pixels
+
+
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.002, 0.01)], ids=["ideal", "distorted"])
+def test_the_normals_are_numpys(distortion: tuple[float, ...]) -> None:
+    camera = Camera(120, 90, 100.0, 110.0, 60.0, 44.0, distortion)
+    rng = np.random.default_rng(0)
+    v, u = np.mgrid[:90, :120]
+    depth = (2 + 0.004 * u + 0.3 * np.sin(v / 9) - 0.8 * (u > 70)).astype(np.float32)
+    depth += rng.normal(0, 0.002, depth.shape).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.05] = 0
+    depth[3, 4], depth[30, 40], depth[31, 41] = np.nan, np.inf, -1
+    expected = normals_from_depth(camera, depth)
+    found = TORCH.normals_from_depth(camera, depth)
+    known = (expected != 0).any(axis=2)
+    assert known.mean() > 0.8
+    assert ((found != 0).any(axis=2) == known).mean() > 0.999
+    both = known & (found != 0).any(axis=2)
+    # chords of unit vectors: as long as the angle, radians, where it is small
+    assert np.linalg.norm(found[both] - expected[both], axis=1).max() < 1e-3
+
+
+def test_the_clusters_are_numpys() -> None:
+    rng = np.random.default_rng(3)
+    faces = Rotation.random(rng=rng).as_matrix()
+    directions = faces[rng.integers(0, 3, 900)] * rng.choice([-1.0, 1.0], (900, 1)) + rng.normal(0, 0.2, (900, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for clusters, seed in ((6, 0), (3, 7), (1, 1)):
+        centres, counts = TORCH.axial_kmeans(directions, clusters, seed)
+        expected, expected_counts = axial_kmeans(directions, clusters, seed)
+        np.testing.assert_array_equal(counts, expected_counts)
+        np.testing.assert_allclose(np.abs(np.einsum("ki,ki->k", centres, expected)), 1, atol=1e-12)
+
+
+def test_more_clusters_than_directions_leave_some_empty() -> None:
+    centres, counts = TORCH.axial_kmeans(np.repeat(np.eye(3)[:2], 5, axis=0), 4, 0)
+    assert counts.sum() == 10 and np.count_nonzero(counts) == 2
+    np.testing.assert_allclose(np.linalg.norm(centres, axis=1), 1)
+
+
+def depth_frame() -> Frame:
+    """The scene of `frame_with`, seen by a depth camera: a box in front of a wall."""
+    frame, _ = frame_with([BOX])
+    v, u = np.mgrid[:480, :640]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    along, origin = rays @ BOX.rotation, BOX.rotation.T @ -BOX.center_m
+    with np.errstate(divide="ignore"):
+        ends = (np.stack([-BOX.size_m, BOX.size_m]) / 2 - origin)[:, None, None] / along
+    near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    depth = np.where(near < far, near, 4.0).astype(np.float32)
+    xyz, pixel_index = unproject_depth(CAMERA, depth)
+    rgb = np.where((near < far).reshape(-1, 1)[pixel_index], 90, 200).repeat(3, axis=1).astype(np.uint8)
+    return replace(frame, cloud=PointCloud(xyz, rgb, pixel_index=pixel_index), depth_m=depth)
+
+
+class Watched(TorchCompute):
+    """Remembers what it was asked for."""
+
+    def __init__(self) -> None:
+        super().__init__("cpu")
+        self.asked: list[str] = []
+
+    def render_pairs(self, *args, **kwargs):
+        self.asked.append("pictures")
+        return super().render_pairs(*args, **kwargs)
+
+    def normals_from_depth(self, *args):
+        self.asked.append("normals")
+        return super().normals_from_depth(*args)
+
+    def axial_kmeans(self, *args):
+        self.asked.append("clusters")
+        return super().axial_kmeans(*args)
+
+
+def test_a_frame_is_uploaded_once_and_its_boxes_are_numpys(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame, uploads = depth_frame(), []
+    _, truths = frame_with([BOX])
+    upload = DevicePoints.upload
+    monkeypatch.setattr(
+        DevicePoints, "upload", lambda cloud, device: uploads.append(len(cloud)) or upload(cloud, device)
+    )
+    # silhouettes look at normals and their clusters, too
+    perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
+    config = RcvConfig(box_kind=BoxKind.SILHOUETTE)
+    watched = Watched()
+    (found,) = propose([frame], perfect, perfect, config, compute=watched)[0].proposals
+    assert uploads == [len(frame.cloud)]
+    # the steps after the first two look along the normals' axes
+    assert watched.asked.count("normals") == 1
+    assert watched.asked.count("pictures") == len(found.trace)
+    assert watched.asked.count("clusters") == len(found.trace) - 2 > 0
+    (expected,) = propose([frame], perfect, perfect, config)[0].proposals
+    assert len(found.trace) == len(expected.trace) > 1
+    assert iou_3d(found.box, expected.box) > 0.98
+
+
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(ComputeError, match=r"cannot work with points on nonsense .*run the detectors on the processor"):
+        TorchCompute("nonsense")
+
+
+def test_detectors_on_the_processor_leave_the_points_there() -> None:
+    perfect = PerfectDetector.for_frame(*frame_with([BOX]))
+    frame, _ = frame_with([BOX])
+    assert Detectors(perfect, perfect).compute.hold(frame) is frame
