@@ -30,13 +30,15 @@ def render_pairs(
     show: Float[np.ndarray, "m 3"] | None = None,
 ) -> list[PseudoView]:
     """As `annotator.rcv.pseudo_view.render_pairs`; points that fall between two pixels may be drawn on the other."""
+    import torch
+
     points = cloud.on_device()
     together = max(MAX_AT_ONCE // (2 * max(len(cloud), config.size_px**2)), 1)
     views: list[PseudoView] = []
     for begin in range(0, len(frames), together):
         part = frames[begin : begin + together]
         along = _along(points, part)
-        least, most = along.amin(dim=2).cpu().numpy(), along.amax(dim=2).cpu().numpy()
+        least, most = torch.stack([along.amin(dim=2), along.amax(dim=2)]).cpu().numpy()
         windows = [
             window for k, frame in enumerate(part) for window in pair_windows(frame, least[k], most[k], config, show)
         ]

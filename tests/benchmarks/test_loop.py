@@ -133,7 +133,7 @@ def test_a_kept_project_stays_what_it_is(
     monkeypatch.setattr(loop, "simulate_recording", fail)
     asked: list[RcvConfig] = []
 
-    def nothing(frames: list[Frame], image: Any, view: Any, config: RcvConfig) -> list[FrameProposals]:
+    def nothing(frames: list[Frame], image: Any, view: Any, config: RcvConfig, compute: Any) -> list[FrameProposals]:
         asked.append(config)
         return [FrameProposals(frame.key, (), ()) for frame in frames]
 
@@ -175,7 +175,7 @@ def test_frames_of_one_batch_turn_as_each_may(generated: Path, monkeypatch: pyte
     frame = open_recording(generated / "people").frame(0)
     asked: dict[Orientation, int] = {}
 
-    def note(frames: list[Frame], image: Any, view: Any, config: RcvConfig) -> list[FrameProposals]:
+    def note(frames: list[Frame], image: Any, view: Any, config: RcvConfig, compute: Any) -> list[FrameProposals]:
         asked[config.orientation] = len(frames)
         return [FrameProposals(frame.key, (), ()) for frame in frames]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scenes import CAMERA, frame_with, some_box
 from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
+from annotator.detection.yolo import YoloDetector
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.projection import unproject_depth
@@ -17,11 +19,13 @@ from annotator.gpu import drawing
 from annotator.gpu.compute import TorchCompute
 from annotator.gpu.points import DeviceCloud, DevicePoints
 from annotator.rcv.axes import axial_kmeans
+from annotator.rcv.compute import NUMPY
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.rcv.propose import propose
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import BoxKind, Camera, Frame, PointCloud
 from annotator.types.errors import ComputeError
+from annotator.workflows import detectors
 from annotator.workflows.detectors import Detectors
 
 TORCH = TorchCompute("cpu")
@@ -164,3 +168,16 @@ def test_detectors_on_the_processor_leave_the_points_there() -> None:
     perfect = PerfectDetector.for_frame(*frame_with([BOX]))
     frame, _ = frame_with([BOX])
     assert Detectors(perfect, perfect).compute.hold(frame) is frame
+
+
+@pytest.mark.parametrize(("device", "expected"), [("cuda:1", "cuda:1"), ("mps", None), ("cpu", None)])
+def test_points_go_where_the_view_detector_runs(
+    device: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(detectors, "torch_compute", lambda name: asked.append(name) or TORCH)
+    trained = object.__new__(YoloDetector)
+    trained._network = SimpleNamespace(device=device, facts=SimpleNamespace(labels=()))
+    trained._fingerprint = ""
+    compute = Detectors(trained, trained).compute
+    assert (compute, asked) == ((TORCH, [expected]) if expected else (NUMPY, []))
