@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from fastapi import FastAPI, Request, Response, WebSocket
 
@@ -56,7 +59,23 @@ def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline) -> 
     pipeline.start()
     try:
         # the last Ctrl-C is how it ends, and no accident
-        with suppress(KeyboardInterrupt):
+        with suppress(KeyboardInterrupt), _terminated_as_interrupted():
             server.serve_until_stopped()
     finally:
         pipeline.end()
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """SIGTERM (`kill`, a service manager, a container that is stopped) is as Ctrl-C: what was recorded is to be kept.
+
+    The web server ends in order on either, and then raises it anew.
+    """
+    if threading.current_thread() is not threading.main_thread():  # no other one may ask for signals
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
