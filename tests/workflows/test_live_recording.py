@@ -182,6 +182,35 @@ def test_what_cannot_be_written_any_more_is_told_and_the_rest_stays(
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
 
+def test_a_disk_that_is_full_for_what_was_found_keeps_what_was_there_before(
+    frames: list[Frame], tmp_path: Path, hands: Project, knowing: Any
+) -> None:
+    recorder = Recorder(tmp_path / "full disk")
+    written = recorder._found
+
+    class Full:
+        """A file with room for one frame's proposals and a little more."""
+
+        left = 1
+
+        def write(self, data: bytes) -> int:
+            self.left -= 1
+            return written.write(data if self.left >= 0 else data[:10])
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(written, name)
+
+    recorder._found = Full()  # type: ignore[assignment]
+    for number, frame in enumerate(frames):
+        recorder.put(seen(frame, 0.1 * number))
+    assert recorder.finish() == 2
+    with pytest.raises(RecordingError, match=r"full disk: what was found on frame 000001 cannot be written \(No"):
+        recorder.require_whole()
+    done = store(hands, recorder, knowing("hands"), RcvConfig(), BoxRotation.FREE, warm_start=True)
+    assert (done.frames, done.proposals) == (2, 1)
+    recorder.close()
+
+
 def test_places_that_cannot_be_recorded_to(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="exists already"):
         Recorder(tmp_path)
@@ -241,26 +270,26 @@ def wait_for(happened: Callable[[], bool]) -> None:
 
 
 def test_what_a_killed_process_recorded_is_put_in_order(generated: Path, tmp_path: Path) -> None:
-    out, lines = tmp_path / "cut off", list[str]()
+    out, lines = tmp_path / "cut [off]", list[str]()
     process = subprocess.Popen([sys.executable, "-c", KILLED, str(generated / "hands"), str(out)])
     try:
-        wait_for(lambda: len(list(tmp_path.glob(".cut off.recording-*/color/*.jpg"))) >= 3)
+        wait_for(lambda: len(list(tmp_path.glob(".cut [[]off].recording-*/color/*.jpg"))) >= 3)
         with pytest.raises(ConfigError, match="another `annotator live` records to it"):
             Recorder(out, lines.append)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait(30)
-    (part,) = tmp_path.glob(".cut off.recording-*")
+    (part,) = tmp_path.glob(".cut [[]off].recording-*")
     # as if it had been in the middle of a frame
     (part / "depth" / "999999.png").write_bytes(b"half")
     with (part / "timestamps.csv").open("a") as file:
         file.write("999999,12")
-    empty = tmp_path / ".cut off.recording-empty"
+    empty = tmp_path / ".cut [off].recording-empty"
     empty.mkdir()
     with Recorder(out, lines.append) as again:
         again.finish()
-    assert [path.name for path in tmp_path.iterdir()] == ["cut off-rescued-1"]
-    rescued = open_recording(tmp_path / "cut off-rescued-1")
+    assert [path.name for path in tmp_path.iterdir()] == ["cut [off]-rescued-1"]
+    rescued = open_recording(tmp_path / "cut [off]-rescued-1")
     assert len(rescued) >= 3
     times = [rescued.frame(number).timestamp_ns for number in range(len(rescued))]
     assert None not in times

@@ -6,6 +6,9 @@ has left there is put in order when somebody records to the same place again (`r
 
 from __future__ import annotations
 
+import errno
+import glob
+import os
 import pickle
 import queue
 import tempfile
@@ -66,10 +69,12 @@ class Recorder:
             rescue(self.out, tell)
             self._part = Path(tempfile.mkdtemp(prefix=_prefix(self.out), dir=self.out.parent))
             self._held = _hold(self._part)
-            self._found: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `close`
+            # unbuffered: what does not fit is known at its own frame. Beside the recording: /tmp may be memory
+            self._found = tempfile.TemporaryFile(buffering=0, dir=self.out.parent)  # noqa: SIM115 - closed by `close`
         except OSError as error:
             raise ConfigError(f"{out}: cannot be made ({error.strerror or error}); record to another path") from error
         self._writer = FrameWriter(self._part)
+        self._kept = 0
         self._waiting: queue.Queue[Detected | None] = queue.Queue(MOST_WAITING)
         # the moments of a played recording are no times of day: all are told by one clock
         self._epoch_s = time.time() - time.perf_counter()
@@ -83,8 +88,7 @@ class Recorder:
         Raises:
             RecordingError: why nothing more can be written.
         """
-        if self._error is not None:
-            raise self._error
+        self.require_whole()
         try:
             self._waiting.put_nowait(detected)
         except queue.Full:
@@ -115,10 +119,19 @@ class Recorder:
             ) from error
         return self._writer.frames
 
+    def require_whole(self) -> None:
+        """Tells of a finished recording that it has an end that nobody wanted, where `put` had no occasion to.
+
+        Raises:
+            RecordingError: why the last frames could not be written.
+        """
+        if self._error is not None:
+            raise self._error
+
     def kept(self) -> Iterator[Kept]:
         """The frames of a finished recording with what was found on them, in order."""
         self._found.seek(0)
-        for _ in range(self._writer.frames):
+        for _ in range(self._kept):
             yield pickle.load(self._found)
 
     def close(self) -> None:
@@ -140,10 +153,22 @@ class Recorder:
             try:
                 time_ns = round(1e9 * (self._epoch_s + detected.taken_s))
                 key = self._writer.add(detected.frame, time_ns)
-                # no list in memory: every proposal has its whole trace, and a recording may go on for hours
-                pickle.dump(Kept(key, detected.found, detected.detect_s), self._found)
+                self._keep(Kept(key, detected.found, detected.detect_s))
             except Exception as error:
                 self._error = error
+
+    def _keep(self, kept: Kept) -> None:
+        """No list in memory: every proposal has its whole trace, and a recording may go on for hours."""
+        data = pickle.dumps(kept)
+        try:
+            if self._found.write(data) < len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise RecordingError(
+                f"{self.out}: what was found on frame {kept.key} cannot be written ({error.strerror or error}); "
+                "make room, or record to another disk"
+            ) from error
+        self._kept += 1
 
 
 def require_recordable(recording: Recording) -> None:
@@ -171,7 +196,7 @@ def rescue(out: Path, tell: Tell) -> None:
         ConfigError: somebody records to `out` now.
         OSError: something there cannot be changed.
     """
-    for part in sorted(out.parent.glob(f"{_prefix(out)}*")):
+    for part in sorted(out.parent.glob(f"{glob.escape(_prefix(out))}*")):
         try:
             held = _hold(part)
         except BlockingIOError as error:
