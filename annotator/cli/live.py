@@ -9,8 +9,6 @@ from annotator.cli.output import print_line
 from annotator.cli.projects import Root, open_named, projects_root
 from annotator.detection.config import Backend
 
-MOST_LINES = 10
-
 
 def run(
     project: str,
@@ -55,7 +53,7 @@ def run(
     options = LiveOptions(source, rate, loop, backend, warm_start, frames, record)
     settings = ServerSettings(projects_root(root).resolve(), (), host, port, token)
     with open_named(project, root) as opened:
-        result = run_live(opened, options, settings, tell=_Told())
+        result = run_live(opened, options, settings, tell=_tell)
     print_line(told(result.figures))
     if record is not None:
         kept = result.stored
@@ -67,15 +65,5 @@ def run(
         )
 
 
-class _Told:
-    """Says the first few on standard error; the rest is only counted, in the figures."""
-
-    def __init__(self) -> None:
-        self._left = MOST_LINES
-
-    def __call__(self, line: str) -> None:
-        if self._left:
-            self._left -= 1
-            sys.stderr.write(line + "\n")
-            if not self._left:
-                sys.stderr.write("further ones are counted only\n")
+def _tell(line: str) -> None:
+    sys.stderr.write(line + "\n")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import pytest
@@ -13,9 +15,12 @@ import pytest
 from annotator.cli.main import main
 from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
+from annotator.recordings.frame_writer import FrameWriter
+from annotator.types.errors import RecordingError
 from annotator.web.live import run as live_run
 from annotator.web.live import serve as live_serve
 from annotator.web.serve import Running
+from annotator.workflows.live.recorder import Recorder
 
 Capture = pytest.CaptureFixture[str]
 
@@ -74,15 +79,84 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
     assert not {thread.name for thread in threading.enumerate()} & {"capture", "detect", "display", "record"}
 
 
-def test_an_error_of_the_source_is_told_and_what_was_recorded_is_kept(
-    live: Callable[..., int], tmp_path: Path, own_copy: Callable[[str], Path], capsys: Capture
+def test_a_polite_kill_keeps_what_was_recorded(
+    live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    show = live_run.LiveView.show
+
+    def showing(view: Any, detected: Any) -> None:
+        show(view, detected)
+        signal.raise_signal(signal.SIGTERM)
+
+    def killed(number: int, stack: object) -> None:
+        raise AssertionError("the process would be gone")
+
+    monkeypatch.setattr(live_run.LiveView, "show", showing)
+    before = signal.signal(signal.SIGTERM, killed)
+    try:
+        assert live("--loop", "--record", tmp_path / "seen") == 0
+        assert signal.getsignal(signal.SIGTERM) is killed
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert "ready for review" in capsys.readouterr().out
+
+
+def test_the_place_of_a_recording_that_the_project_knows_is_refused(
+    live: Callable[..., int], tmp_path: Path, capsys: Capture
+) -> None:
+    """Also where its folder is gone: its labels would come to lie on what is seen now."""
+    out = tmp_path / "seen"
+    assert live("--frames", 1, "--record", out) == 0
+    rmtree(out)
+    assert live("--frames", 1, "--record", out) == 2
+    assert "the project has a recording there already, seen" in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()
+
+
+def test_frames_that_could_not_be_written_at_the_end_are_told(
+    live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the last frame was handed over, as where the disk gets full on those that still wait."""
+    add, finish = FrameWriter.add, Recorder.finish
+    over = threading.Event()
+
+    def full(writer: FrameWriter, *frame: Any) -> str:
+        if writer.frames:
+            assert over.wait(60)
+            raise RecordingError("no room for more")
+        return add(writer, *frame)
+
+    def finishing(recorder: Recorder) -> int:
+        over.set()
+        return finish(recorder)
+
+    monkeypatch.setattr(FrameWriter, "add", full)
+    monkeypatch.setattr(Recorder, "finish", finishing)
+    assert live("--frames", 3, "--rate", 2, "--record", tmp_path / "seen") == 2
+    assert "no room for more" in capsys.readouterr().err
+    with open_project(tmp_path / "projects" / "room") as project:
+        (frame,) = project.frames.of([project.recordings.find("seen").id])
+        assert len(project.frame_state(frame.id).labels) == 2
+
+
+def test_an_error_of_the_source_is_told_and_what_was_recorded_is_kept(
+    live: Callable[..., int],
+    tmp_path: Path,
+    own_copy: Callable[[str], Path],
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(live_run, "MOST_TOLD", 2)
     folder = own_copy("hands")
     for path in sorted((folder / "depth").iterdir())[1:]:
         path.write_bytes(b"no picture")
     assert live("--record", tmp_path / "seen", "--rate", 20, source=folder) == 0
     said = capsys.readouterr()
     assert said.err.count("000001.png") == 1
+    assert said.err.splitlines()[2:] == [
+        "further ones are counted only",
+        f"storing what was found on the 1 frames of {tmp_path / 'seen'}",
+    ]
     assert "4 unreadable" in said.out
     assert "1 frames, 2 proposals" in said.out
 

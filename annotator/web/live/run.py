@@ -17,12 +17,15 @@ from annotator.web.settings import ServerSettings
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.live.detection import LiveDetection
 from annotator.workflows.live.figures import Figures
-from annotator.workflows.live.keep import Stored, store
+from annotator.workflows.live.keep import Stored, require_unknown, store
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.recorder import Recorder
 from annotator.workflows.live.source import Source
 from annotator.workflows.live.sources import open_source
 from annotator.workflows.rcv_settings import rcv_config
+
+# Frames that cannot be read and are told one by one.
+MOST_TOLD = 10
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,8 @@ def run_live(
     """
     settings = with_token(settings)
     check_settings(settings)
+    if options.record is not None:
+        require_unknown(project, options.record)
     # before the detectors, which take seconds: whether there is such a source is known at once
     source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
     try:
@@ -101,6 +106,7 @@ def _run(
                 tell(f"storing what was found on the {frames} frames of {recorder.out}")
                 warm_start = options.warm_start
                 stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
+        recorder.require_whole()
         return LiveResult(figures, stored)
 
 
@@ -123,8 +129,22 @@ def _show(
         facts["recording"] = recorder.out.name
     view = LiveView(source.name, facts)
     try:
-        pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=tell)
+        pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=_Broken(tell))
         serve_live(settings, view, pipeline)
         return pipeline.figures()
     finally:
         view.close()
+
+
+class _Broken:
+    """Tells of the first frames that cannot be read; the rest is only counted, in the figures."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell, self._left = tell, MOST_TOLD
+
+    def __call__(self, line: str) -> None:
+        if self._left:
+            self._left -= 1
+            self._tell(line)
+            if not self._left:
+                self._tell("further ones are counted only")

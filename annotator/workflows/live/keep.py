@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 
 from annotator.project import Project
 from annotator.project.config import BoxRotation
@@ -12,6 +13,7 @@ from annotator.project.writing import Change
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Source
+from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.recorder import Recorder
 from annotator.workflows.recordings import register_recording
@@ -26,6 +28,22 @@ class Stored:
     name: str
     frames: int
     proposals: int
+
+
+def require_unknown(project: Project, out: Path) -> None:
+    """Refuses the place of a recording that the project knows, if only from before its folder was removed: frames have
+    the same keys in every live recording, so those of the new one would be taken for those that were labelled.
+
+    Raises:
+        ConfigError: the project has a recording at `out`.
+    """
+    place = out.resolve()
+    for known in project.recordings.all():
+        if known.path == place:
+            raise ConfigError(
+                f"{out}: the project has a recording there already, {known.name}, whose labels would come to lie on "
+                "what is seen now; record to another path"
+            )
 
 
 def store(
