@@ -106,7 +106,8 @@ class Proposals:
         Args:
             change: its source is normally AUTO, which a finalised frame refuses.
             run: where given, the frame is noted as done for that run, in the same transaction.
-            track_ids: of the proposals' objects over the recording, where the pass followed them from another frame.
+            track_ids: of the proposals' objects over the recording, where the pass followed them from another frame;
+                one that a reviewed label of this frame has is passed over.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
@@ -118,12 +119,15 @@ class Proposals:
                 read_run(connection, run.run_id)
             reviewed = [label for label in read_labels(connection, frame_id) if label.state is not ReviewState.PROPOSED]
             covering = covered_by(proposals, reviewed)
+            # two boxes of a frame are two objects, and somebody has said which of them this one is
+            taken = {label.track_id for label in reviewed if label.state is not ReviewState.REJECTED}
+            ids = [None if id in taken else id for id in track_ids or [None] * len(proposals)]
             with storable(f"{where}: a proposal"):
                 objects = tuple(
                     ProposedObject(
                         uid=uuid.uuid4().hex, proposal=ProposalRecord.of(each), covered_by=cover, track_id=id
                     )
-                    for each, cover, id in zip(proposals, covering, track_ids or [None] * len(proposals), strict=True)
+                    for each, cover, id in zip(proposals, covering, ids, strict=True)
                 )
                 payload = ProposalsReplaced(run=run.run_id if run else None, objects=objects, lost=tuple(lost))
             receipt = self.writer.to_frame_in(connection, frame_id, (payload,), change)

@@ -55,6 +55,18 @@ def test_linking_never_changes_a_reviewed_box_nor_a_finalised_frame(project: Pro
     assert project.history.next("ann")[0] == "finalise frame 2"
 
 
+def test_a_proposal_never_gets_the_track_of_a_reviewed_box_in_its_frame(project: Project, frame: int) -> None:
+    (right, wrong) = project.proposals.replace(
+        frame, [proposal_at(), proposal_at(3.0)], by_machine(), track_ids=[4, 5]
+    ).uids
+    assert right is not None and wrong is not None
+    project.labels.accept(frame, right, by_hand(1))
+    project.labels.reject(frame, wrong, by_hand(2))
+    found = [proposal_at(6.0), proposal_at(9.0)]
+    again = project.proposals.replace(frame, found, by_machine(3), track_ids=[4, 5]).uids
+    assert [_given(project, uid) for uid in again if uid] == [(None, False), (5, True)]
+
+
 def test_an_old_event_of_a_pass_has_no_track() -> None:
     new = ProposedObject(uid="u", proposal=ProposalRecord.of(proposal_at()))
     old = new.model_dump(mode="json", exclude={"track_id"})
