@@ -190,8 +190,11 @@ def test_frames_that_fail_are_left_out_where_that_is_asked_for(
     depth = folder / "depth" / "000000.png"
     depth.write_bytes(depth.read_bytes()[:500])
     skip = ExportFilter(skip_unreadable=True)
-    report = export_project(project, tmp_path / "out", format, choose=skip)
+    told: list[tuple[int, int]] = []
+    progress = lambda done, total: told.append((done, total))  # noqa: E731
+    report = export_project(project, tmp_path / "out", format, choose=skip, progress=progress)
     assert (report.frames, report.objects) == (1, 2)
+    assert told == [(1, 4), (2, 4), (2, 2)], "two are looked at, and one is written"
     (left_out,) = report.unreadable
     assert left_out.startswith("people/000000: ") and "the PNG image is truncated" in left_out
     assert [loss.count for loss in report.losses if loss.kind is Lost.UNREADABLE] == [1]

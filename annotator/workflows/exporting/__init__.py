@@ -43,7 +43,7 @@ def export_project(
 
     Args:
         split: how the dataset is divided; None = not.
-        progress: called with (frames written, frames to write).
+        progress: called with (frames written, frames to write); where unreadable frames are skipped, each counts twice.
 
     Raises:
         ConfigError: no label (or picture) fits the filter, or the frames cannot be divided so.
@@ -59,9 +59,21 @@ def export_project(
     else:
         chosen = choose_frames(project, choose, states, split)
     if choose.skip_unreadable:
-        chosen, unreadable = readable_frames(project, chosen, losses)
+        # both readings are work, and whoever watches may end either
+        first, progress = _halves(progress)
+        chosen, unreadable = readable_frames(project, chosen, losses, first)
     if not writer.flat:
         note = waiting_note(project, choose, states, chosen)
     report = writer.write(ExportJob(project, out, tuple(chosen), options, overwrite, progress, losses, choose))
     notes = report.notes if note is None else (*report.notes, note)
     return report.model_copy(update={"notes": notes, "unreadable": unreadable})
+
+
+Progress = Callable[[int, int], None]
+
+
+def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
+    """The progress of reading frames, and then of writing those that can be read."""
+    if progress is None:
+        return None, None
+    return lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from annotator.formats.losses import Losses, Lost
@@ -13,7 +13,9 @@ from annotator.workflows.exporting.choose_pictures import ChosenPictures
 from annotator.workflows.frames import FrameSource
 
 
-def readable_frames(project: Project, chosen: Sequence[Chosen], losses: Losses) -> tuple[list[Chosen], tuple[str, ...]]:
+def readable_frames(
+    project: Project, chosen: Sequence[Chosen], losses: Losses, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[Chosen], tuple[str, ...]]:
     """The frames that can be read, and the others as `RECORDING/KEY: reason`.
 
     Every frame is read once and thrown away: writers name and count what they are given, so it must be known before.
@@ -21,6 +23,7 @@ def readable_frames(project: Project, chosen: Sequence[Chosen], losses: Losses) 
 
     Args:
         losses: told of what is left out.
+        progress: called with (frames read, frames to read).
 
     Raises:
         FrameError: not one of them can be read; the first one's.
@@ -29,7 +32,7 @@ def readable_frames(project: Project, chosen: Sequence[Chosen], losses: Losses) 
     source, left_out = FrameSource(project), []
     kept: list[Chosen] = []
     first: FrameError | None = None
-    for each in chosen:
+    for number, each in enumerate(chosen, 1):
         views_alone = isinstance(each, ChosenPictures) and not each.image
         try:
             if not views_alone:
@@ -41,6 +44,8 @@ def readable_frames(project: Project, chosen: Sequence[Chosen], losses: Losses) 
                 kept.append(replace(each, image=False))
         else:
             kept.append(each)
+        if progress is not None:
+            progress(number, len(chosen))
     if first is not None and not kept:
         raise first
     losses.add(Lost.UNREADABLE, len(left_out))
