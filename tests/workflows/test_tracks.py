@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.project.schema import recordings
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.tracking.relabel import relabelled
@@ -189,6 +190,8 @@ def test_frames_between_key_frames_are_filled_as_one_action(people: Project, tru
         interpolate(people, recording, 3, ANN)
     with pytest.raises(ConfigError, match="track 5 has 0 reviewed boxes"):
         interpolate(people, recording, 5, ANN)
+    with pytest.raises(ConfigError, match="track ids are at most 9007199254740992, not 1e\\+20"):
+        interpolate(people, recording, 10**20, ANN)
     with pytest.raises(ConfigError, match="frame 000001 has no reviewed box of track 3"):
         interpolate(people, recording, 3, ANN, first="000001")
 
@@ -251,3 +254,15 @@ def test_boxes_are_copied_to_where_their_motion_leads(
     assert iou_3d(label.box, truths[2][0].box) > 0.9
     with pytest.raises(ConfigError, match="last of its recording"):
         copy_next(people, frames[4].id, 0, ANN)
+
+
+def test_frames_without_an_order_in_time_are_followed_by_none(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1], track_id=None)
+    with people.store.write() as connection:
+        connection.execute(recordings.update().values(is_sequence=False))
+    with pytest.raises(ConfigError, match="the frames of people do not follow each other in time"):
+        copy_next(people, frames[0].id, 1, ANN)
+    assert people.labels.of_frame(frames[0].id)[0].track_id is None
+    assert people.labels.of_frame(frames[1].id) == ()
+    assert link_tracks(people).unordered == ("people",)

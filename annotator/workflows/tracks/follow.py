@@ -62,7 +62,8 @@ def propose_next(
         open_frame: gives the next frame.
 
     Raises:
-        ConfigError: there is no next frame, it is finalised, or this one has no reviewed box.
+        ConfigError: there is no next frame (frames without an order in time have none), it is finalised, or this one
+            has no reviewed box.
         StaleRevisionError: somebody has changed one of the frames meanwhile.
         NotFoundError, RecordingError, FrameError: no such frame, or the next one cannot be read.
     """
@@ -121,6 +122,9 @@ class _Step:
     def of(cls, project: Project, frame_id: int, revision: int, uid: str | None) -> _Step:
         page = read_page(project, frame_id)
         frame = page.frame
+        recording = project.recordings.get(frame.recording_id)
+        if not recording.is_sequence:
+            raise ConfigError(f"the frames of {recording.name} do not follow each other in time; none is the next one")
         if frame.revision != revision:
             raise StaleRevisionError(f"frame {frame.key}", revision, frame.revision)
         if uid is None:

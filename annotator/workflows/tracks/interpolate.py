@@ -10,6 +10,7 @@ from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, Sto
 from annotator.tracking.interpolate import between
 from annotator.types import Label
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.types.tracks import MOST_TRACK
 from annotator.workflows.frames import FrameSource
 from annotator.workflows.tracks.place import Wanted, part_of, proposing
 from annotator.workflows.tracks.snap import Snap
@@ -65,10 +66,12 @@ def interpolate(
 
     Raises:
         NotFoundError: no such recording, or frame.
-        ConfigError: fewer than two key frames, a named frame that is none, or nothing to fill.
+        ConfigError: no track id, fewer than two key frames, a named frame that is none, or nothing to fill.
         StaleRevisionError: somebody has changed one of the frames meanwhile.
         RecordingError, FrameError: a frame that `snap` needs cannot be read.
     """
+    if abs(track_id) > MOST_TRACK:
+        raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
     recording = project.recordings.get(recording_id)
     if not recording.is_sequence:
         raise ConfigError(f"the frames of {recording.name} do not follow each other in time; it has no tracks")
