@@ -198,13 +198,29 @@ class _Store:
                 f"{self.url}: {', '.join(paths[:3])} of {needed / 1e6:.1f} MB does not fit into the copy, which may "
                 f"have {self.limit_bytes / 1e6:.1f} MB and keeps {self.used_bytes / 1e6:.1f}; raise --cache-mb"
             )
-        for path in paths:
-            remote, size = self.files[path]
-            part = self.folder / f"{path}.part"
+        copied: list[str] = []
+        try:
+            for path in paths:
+                self._download(path)
+                copied.append(path)
+        except BaseException:  # all or nothing: what no frame answers for would never be emptied
+            for path in copied:
+                self.used_bytes -= self.files[path][1]
+                self.empty(path)
+            raise
+
+    def _download(self, path: str) -> None:
+        remote, _ = self.files[path]
+        part = self.folder / f"{path}.part"
+        try:
             with _told(f"{self.url}/{path}"):
                 self.system.get_file(remote, str(part))
+                size = part.stat().st_size  # a web server may not have told it before
                 part.replace(self.folder / path)
-            self.used_bytes += size
+        finally:
+            part.unlink(missing_ok=True)
+        self.files[path] = (remote, size)
+        self.used_bytes += size
 
 
 @contextmanager

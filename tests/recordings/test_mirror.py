@@ -77,6 +77,35 @@ def test_a_frame_that_cannot_be_read_is_told_by_its_url(bucket: str, tmp_path: P
     mirror.frame(4)
 
 
+def test_a_storage_that_fails_now_and_then_fills_nothing(bucket: str, tmp_path: Path) -> None:
+    """Files of a frame whose other file could not be had are not counted, nor left in the copy."""
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    depth = memory.cat("/bucket/people/depth/000002.png")
+    mirror = open_mirror(bucket, tmp_path, 50 * MEGABYTE)
+    mirror.frame(0)
+    held = held_bytes(tmp_path)
+    memory.rm("/bucket/people/depth/000002.png")
+    for _ in range(3):
+        with pytest.raises(RecordingError, match="cannot be reached"):
+            mirror.frame(2)
+    assert held_bytes(tmp_path) == held == mirror._store.used_bytes
+    memory.pipe("/bucket/people/depth/000002.png", depth)
+    mirror.frame(2)
+
+
+def test_sizes_that_a_storage_does_not_tell_count_too(
+    bucket: str, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("annotator.recordings.mirror._size", lambda info: 0)
+    limit = held_bytes(generated / "people") // 2
+    mirror = open_mirror(bucket, tmp_path, limit)
+    for index in range(len(mirror)):
+        mirror.frame(index)
+    assert held_bytes(tmp_path) < held_bytes(generated / "people")
+
+
 def test_what_does_not_fit_says_so(bucket: str, tmp_path: Path) -> None:
     mirror = open_mirror(bucket, tmp_path, 5000)
     with pytest.raises(RecordingError, match="raise --cache-mb"):
