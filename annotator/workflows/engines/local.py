@@ -17,7 +17,12 @@ from annotator.workflows.engines.sources import DetectorSource
 from annotator.workflows.engines.storage import Storage
 from annotator.workflows.engines.tasks import Answer, Identity, Task
 
-MODULE = "annotator.workflows.engines.worker"
+# Modules are looked for where the driver looks, and nowhere else: -P leaves the current folder away, in which any file
+# may lie that has the name of one.
+PROGRAM = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from annotator.workflows.engines.worker import main; sys.exit(main())"
+)
 # Read by the libraries as they are loaded; a worker's threads would fight with the next worker's for the cores.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -35,14 +40,13 @@ class LocalWorker:
         """
         self.number, self._tell = number, tell
         self._process = subprocess.Popen(
-            [sys.executable, "-m", MODULE],
+            [sys.executable, "-P", "-c", PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, **environment(start.threads), **({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})},
             # an interrupt at the terminal is for the driver, which ends its workers itself
             process_group=0 if os.name != "nt" else None,
         )
-        # classes of detectors must be found where the driver finds them
         self._write(sys.path)
         self._write(start)
         threading.Thread(target=self._listen, name=f"worker {number}", daemon=True).start()

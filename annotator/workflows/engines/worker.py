@@ -1,8 +1,8 @@
-"""`python -m annotator.workflows.engines.worker`: a worker process of the local engine.
+"""A worker process of the local engine; `local.py` starts it.
 
-Standard input: pickled the driver's `sys.path`, a `Start`, and then tasks, until it is closed: a worker ends when its
-driver is gone, whatever became of it. Standard output: pickled an `Identity` (or a `Fault`, and nothing after it), and
-then answers. What libraries print goes to standard error.
+Standard input: pickled a `Start`, and then tasks, until it is closed: a worker ends when its driver is gone, whatever
+became of it. Standard output: pickled an `Identity` (or a `Fault`, and nothing after it), and then answers. What
+libraries print goes to standard error.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ class _Out:
 def main() -> int:
     """Works until the driver closes the standard input or is gone."""
     out = _Out()
-    sys.path[:] = pickle.load(sys.stdin.buffer)
     try:
         start: Start = pickle.load(sys.stdin.buffer)
         runner = _runner(start)
@@ -78,7 +77,3 @@ def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], out: _Out) -> None
         traceback.print_exc()
         sys.stderr.flush()
         os._exit(1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -148,7 +148,13 @@ def test_what_ends_the_batch_ends_the_workers(new_people: NewPeople, knowing: Kn
         os.kill(pid, signal.SIGKILL)
 
 
-def test_detectors_that_cannot_be_loaded(new_people: NewPeople) -> None:
+def test_detectors_that_cannot_be_loaded(
+    new_people: NewPeople, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # what lies in the folder that annotator is called in is no part of it: workers get as far as the detectors
+    (tmp_path / "queue.py").write_text("raise SystemExit('somebody else's queue')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])
     project = new_people("unloadable")
     with pytest.raises(WorkerError, match="cannot be read as detector weights"):
         annotate_with(project, engine_of(Unloadable(), 1), CONFIG)
