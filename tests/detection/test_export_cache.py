@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
+from threading import Barrier, local
 from typing import Any
 
 import numpy as np
 import pytest
 
+from annotator.detection.backends import choose, export_cache
 from annotator.detection.backends import export as export_module
-from annotator.detection.backends import export_cache
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export
-from annotator.detection.backends.network import Network
+from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.types.errors import FormatError
@@ -103,6 +105,26 @@ def test_where_nothing_can_be_written_the_users_cache_keeps_it_or_nobody(
     opened(own_weights, "others")
     assert len(exports) == 2
     assert "Permission denied" in caplog.text
+
+
+def test_of_workers_that_start_together_one_exports(
+    own_weights: Path, exports: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each with torch and a network being converted would need more memory than there may be."""
+    real, together = find_export, Barrier(3)
+    first = local()
+
+    def looked_at_once(weights: Path, kind: ExportKind, key: str) -> Export | None:
+        found = real(weights, kind, key)
+        if not hasattr(first, "looked"):
+            first.looked = True
+            together.wait(60)
+        return found
+
+    monkeypatch.setattr(choose, "find_export", looked_at_once)
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(opened, [own_weights] * 3))
+    assert exports == ["onnxruntime"]
 
 
 def test_two_processes_may_export_at_once(own_weights: Path, exports: list[str]) -> None:

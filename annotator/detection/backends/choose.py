@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export
+from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export, one_at_a_time
 from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
@@ -69,13 +69,17 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
 def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
     key = export_key(kind, weights_sha256)
     found = find_export(weights, kind, key)
-    if found is None:
-        from annotator.detection.backends.export import export
+    if found is not None:
+        return found
+    with one_at_a_time():
+        found = find_export(weights, kind, key)  # by now somebody else's
+        if found is None:
+            from annotator.detection.backends.export import export
 
-        LOG.info("%s: converted for %s, once", weights, kind)
-        facts, parts = export(weights, kind)
-        found = Export(facts, parts)
-        keep_export(weights, kind, key, found)
+            LOG.info("%s: converted for %s, once", weights, kind)
+            facts, parts = export(weights, kind)
+            found = Export(facts, parts)
+            keep_export(weights, kind, key, found)
     return found
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,7 +20,7 @@ from annotator.types.errors import FormatError
 
 LOG = logging.getLogger("annotator.detectors")
 
-RECORD = "export.json"
+RECORD, LOCK = "export.json", "exports.lock"
 # Raise it when the same weights and packages would be exported differently.
 REVISION = 1
 # An export is made anew where one of those that made it has another version.
@@ -57,6 +58,28 @@ def export_key(kind: ExportKind, weights_sha256: str) -> str:
     versions = {name: _version(name) for name in PACKAGES[kind]}
     told = json.dumps([REVISION, kind, weights_sha256, versions], sort_keys=True)
     return hashlib.sha256(told.encode()).hexdigest()
+
+
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Held while a network is converted, by one of a user's processes: workers start together, one a core, and the
+    memory of torch for each of them at once is more than a machine may have.
+
+    A killed process gives it back. Where no locks can be had, nobody waits.
+    """
+    try:
+        import fcntl
+
+        path = cache_dir() / LOCK
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w")
+    except (ImportError, OSError):
+        yield
+        return
+    with file:
+        with suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def find_export(weights: Path, kind: ExportKind, key: str) -> Export | None:
