@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from annotator.detection.config import Backend
 from annotator.detection.trained import MODEL_NAME
+from annotator.files import write_atomic
 from annotator.project.models import Role
 from annotator.project.project import Project
 from annotator.types import BoxKind
@@ -113,18 +112,23 @@ class _Files:
 
     def unpacked(self, folder: Path) -> Path:
         """The weights file in a folder below `folder` that is named by the contents; several processes may ask at
-        once, and whatever else is made beside it (exports) is found by the next one."""
+        once, and whatever else is made beside it (exports) is found by the next one. Files that have gone meanwhile,
+        as they do where temporary files are cleared away after some days, are written again.
+
+        Raises:
+            DetectionError: they cannot be written.
+        """
         digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for _, content in self.contents))
         place = folder / digest.hexdigest()[:24]
-        if not place.is_dir():
-            part = folder / f".{place.name}.{uuid.uuid4().hex}"
-            part.mkdir(parents=True)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
             for name, content in self.contents:
-                (part / name).write_bytes(content)
-            try:
-                part.rename(place)
-            except OSError:  # another process was faster
-                shutil.rmtree(part)
+                if not (place / name).is_file():
+                    write_atomic(place / name, content)
+        except OSError as error:
+            raise DetectionError(
+                f"{place}: cannot be written ({error.strerror}); make room, or name another place in TMPDIR"
+            ) from error
         return place / self.weights
 
 

@@ -92,12 +92,18 @@ def test_weights_are_unpacked_once_and_only_into_a_folder_of_ones_own(
     (folder / "detector.pt").write_bytes(b"weights")
     (folder / "model.json").write_text("{}")
     packed = PackedDetectors.of(trained)
-    places = [packed.image.unpacked(tmp_path / "out") for _ in range(2)]
-    assert places[0] == places[1] and places[0].read_bytes() == b"weights"
+    place = packed.image.unpacked(tmp_path / "out")
+    for path in (place, place.with_name("model.json")):  # a machine clears its temporary files away, file by file
+        before = place.stat().st_ino
+        assert packed.image.unpacked(tmp_path / "out") == place and place.stat().st_ino == before
+        path.unlink()
+        assert packed.image.unpacked(tmp_path / "out") == place and place.read_bytes() == b"weights"
     assert sorted(path.name for path in (tmp_path / "out").rglob("*") if path.is_file()) == [
         "detector.pt",
         "model.json",
     ]
+    with pytest.raises(DetectionError, match=r"detector\.pt.*: cannot be written .*TMPDIR"):
+        packed.image.unpacked(folder / "detector.pt")
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert scratch_folder().stat().st_mode & 0o077 == 0
