@@ -7,7 +7,7 @@ decided where it is for local workers (`pool.py`). So Ray itself retries nothing
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
@@ -100,16 +100,27 @@ class RayWorker:
             self._tell(Done(self._number, future.result()))
 
     def _lost(self, error: BaseException) -> None:
-        from ray.exceptions import RayActorError
-
         if self._is_over:  # every call that was on its way fails
             return
         self._is_over = True
-        if not isinstance(error, RayActorError) or CREATION in str(error):
+        if isinstance(error, _losses()) and CREATION not in str(error):
+            self._tell(Died(self._number, "lost: " + _last_words(str(error))))
+        else:
             # no actor would do better: a class that is not known there, a package that is not installed
             self._tell(Refused(self._number, str(error), True))
-        else:
-            self._tell(Died(self._number, "lost: " + _last_words(str(error))))
+
+
+def _losses() -> tuple[type[Exception], ...]:
+    """What Ray raises where an actor, its machine or its answer is lost; they have no class of their own in common."""
+    from ray import exceptions
+
+    return (
+        exceptions.RayActorError,
+        exceptions.OutOfMemoryError,  # Ray has killed it before the system would
+        exceptions.NodeDiedError,
+        exceptions.WorkerCrashedError,
+        exceptions.ObjectLostError,  # the machine went after the work was done
+    )
 
 
 def _last_words(reason: str) -> str:
@@ -141,7 +152,7 @@ class RayEngine(WorkerPool):
         try:
             offer = self._ray.cluster_resources()
             cores, gpus = int(offer.get("CPU", 0)), int(offer.get("GPU", 0))
-            most = min(gpus or cores, cores // threads)
+            most = most_workers(self._ray.nodes(), threads)
             if most < (workers or 1):
                 raise ConfigError(
                     f"the cluster has {cores} cores and {gpus} GPUs, enough for {most} workers of {threads} threads; "
@@ -170,6 +181,19 @@ class RayEngine(WorkerPool):
         """Ends the actors, and a cluster of our own."""
         super().close()
         self._ray.shutdown()
+
+
+def most_workers(nodes: Sequence[Mapping[str, Any]], threads: int) -> int:
+    """How many workers fit on a cluster. One that fits on no machine would be waited for without end.
+
+    Args:
+        nodes: its machines, as `ray.nodes()` gives them.
+        threads: cores that a worker needs, all on one machine; and a GPU, where the cluster has any.
+    """
+    offers = [node["Resources"] for node in nodes if node["Alive"]]
+    needs_gpu = any(offer.get("GPU", 0) >= 1 for offer in offers)
+    fit = [(int(offer.get("CPU", 0)) // threads, int(offer.get("GPU", 0))) for offer in offers]
+    return sum(min(cores, gpus) if needs_gpu else cores for cores, gpus in fit)
 
 
 def _connected(address: str | None, cores: int | None) -> Any:

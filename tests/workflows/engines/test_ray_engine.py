@@ -5,9 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from engine_samples import CONFIG, HarmfulPair, stored
@@ -16,7 +18,8 @@ from annotator.project import Project
 from annotator.types.errors import MissingExtraError
 from annotator.workflows.annotate import annotate_with
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.engines.ray_engine import RayEngine
+from annotator.workflows.engines.events import Died, Event, Refused
+from annotator.workflows.engines.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, most_workers
 from annotator.workflows.engines.sources import GivenDetectors
 from annotator.workflows.engines.storage import Storage
 
@@ -67,3 +70,36 @@ def test_without_ray_it_says_what_to_install(
 def test_the_module_loads_no_ray() -> None:
     code = "import sys, annotator.workflows.engines.ray_engine; sys.exit('ray' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=100).returncode == 0
+
+
+def test_an_actor_that_is_lost_in_any_way_is_replaced_and_one_that_cannot_work_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if find_spec("ray") is None:
+        pytest.skip("ray is not installed")
+    for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # before it is imported
+        monkeypatch.setenv(name, value)
+    from ray import exceptions
+
+    told: list[Event] = []
+    for error in (
+        exceptions.OutOfMemoryError("killed, the node was low on memory"),
+        exceptions.NodeDiedError("its node died"),
+        exceptions.ObjectLostError("00", None, ""),
+        exceptions.ActorDiedError(),
+        exceptions.RuntimeEnvSetupError("no such package"),
+    ):
+        future: Future[object] = Future()
+        future.set_exception(error)
+        call = SimpleNamespace(remote=lambda future=future: SimpleNamespace(future=lambda: future))
+        RayWorker(1, told.append, lambda call=call: SimpleNamespace(identity=call))
+    assert [type(event) for event in told] == [Died, Died, Died, Died, Refused]
+
+
+def test_workers_fit_on_machines_and_not_on_their_sum() -> None:
+    def node(cores: float, gpus: float = 0, alive: bool = True) -> dict[str, object]:
+        return {"Alive": alive, "Resources": {"CPU": cores, **({"GPU": gpus} if gpus else {})}}
+
+    assert most_workers([node(4), node(4), node(4, alive=False)], 8) == 0
+    assert most_workers([node(4), node(7)], 3) == 3
+    assert most_workers([node(16), node(4, 2), node(1, 4)], 1) == 3, "a GPU each"
