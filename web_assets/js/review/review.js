@@ -239,10 +239,12 @@ export function mount(root, app) {
     else if (!next && kind === "delete") pick(null);
   }
 
+  const isReviewed = ({ state }) => state === "accepted" || state === "edited";
+
   function save(kind, label) {
     // a new box is stored with what is drafted of it
-    if (kind === "accept" && desk.hasDraft && !label.is_new) return desk.commit().then((is_saved) => (is_saved && desk.stored(label.uid)?.state === "proposed" ? desk.decide("accept", label.uid) : is_saved));
-    if (kind === "accept" && (label.state === "accepted" || label.state === "edited")) return Promise.resolve(true);
+    if (kind === "accept" && desk.hasDraft && !label.is_new) return desk.commit().then((is_saved) => (is_saved && desk.stored(label.uid) && !isReviewed(desk.stored(label.uid)) ? desk.decide("accept", label.uid) : is_saved));
+    if (kind === "accept" && isReviewed(label)) return Promise.resolve(true);
     if (kind === "reject" && label.state === "rejected") return Promise.resolve(true);
     return desk.decide(kind, label.uid);
   }
