@@ -88,8 +88,8 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
     Raises:
         DetectionError: one of them has not been trained yet.
     """
-    view = active_model(project, Role.VIEW)
-    return TrainedDetectors(active_model(project, Role.IMAGE).path, view.path, view.box_kind, backend)
+    image, view = active_model(project, Role.IMAGE), active_model(project, Role.VIEW)
+    return TrainedDetectors(image.path, view.path, view.box_kind, backend)
 
 
 @dataclass(frozen=True)
