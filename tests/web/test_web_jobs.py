@@ -150,6 +150,14 @@ def test_too_many_wait(server: Live) -> None:
     assert (refused.status_code, refused.json()["error"]["kind"]) == (400, "ConfigError")
 
 
+def test_a_file_in_the_current_folder_is_no_module(
+    server: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "queue.py").write_text("raise SystemExit('a foreign file')")
+    monkeypatch.chdir(tmp_path)
+    assert ended(server, begin(server, fake_jobs.QUICK))["message"] == "counted to 2"
+
+
 def test_a_restarted_server_knows_former_jobs(fake: None, web_settings: ServerSettings) -> None:
     with running(web_settings) as live:
         done, runs, waits = (begin(live, what) for what in (fake_jobs.QUICK, fake_jobs.LONG, fake_jobs.QUICK))

@@ -29,7 +29,8 @@ class WorkerProcess:
         self._timers: list[threading.Timer] = []
         with log.open("wb") as errors:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "annotator.web.jobs.worker"],
+                # -P: a file in the current folder never stands in for a module
+                [sys.executable, "-P", "-m", "annotator.web.jobs.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=errors,
