@@ -153,7 +153,7 @@ def test_too_many_wait(server: Live) -> None:
 def test_a_file_in_the_current_folder_is_no_module(
     server: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "queue.py").write_text("raise SystemExit('a foreign file')")
+    (tmp_path / "annotator.py").write_text("raise SystemExit('a foreign file')")
     monkeypatch.chdir(tmp_path)
     assert ended(server, begin(server, fake_jobs.QUICK))["message"] == "counted to 2"
 
