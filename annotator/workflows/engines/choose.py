@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from annotator.detection.backends.cores import usable_cores
 from annotator.types.errors import ConfigError
 from annotator.workflows.engines.engine import Engine
 from annotator.workflows.engines.inline import InlineEngine
 from annotator.workflows.engines.local import local_engine
-from annotator.workflows.engines.machine import cuda_devices, usable_cores
+from annotator.workflows.engines.machine import cuda_devices
 from annotator.workflows.engines.sources import DetectorSource
 from annotator.workflows.engines.storage import Storage
 

@@ -8,11 +8,6 @@ from pathlib import Path
 NVIDIA_DEVICES = "nvidia[0-9]*"
 
 
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
     """The GPUs that detectors can use, as `CUDA_VISIBLE_DEVICES` names them.
 

@@ -10,10 +10,11 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from annotator.detection.backends.cores import usable_cores
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.workflows.engines.events import Died, Done, Ready, Refused, Tell
 from annotator.workflows.engines.local import environment
-from annotator.workflows.engines.machine import cuda_devices, usable_cores
+from annotator.workflows.engines.machine import cuda_devices
 from annotator.workflows.engines.messages import Fault, fault_of
 from annotator.workflows.engines.pool import HELD, WorkerPool
 from annotator.workflows.engines.runner import TaskRunner
