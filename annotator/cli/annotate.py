@@ -117,9 +117,11 @@ def run(
 def told(done: AnnotateSummary) -> list[str]:
     """The summary in lines."""
     rate = f", {done.seconds / done.done:.2f} s a frame" if done.done else ""
+    named = ", ".join(dict.fromkeys(filter(None, done.backends)))
+    backends = f"; detectors on {named}" if named else ""
     lines = [
         f"{done.done} frames done, {done.proposals} proposals ({done.without} frames without), "
-        f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}"
+        f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}{backends}"
     ]
     lines += [f"  failed {key}: {reason}" for key, reason in done.failed[:SHOWN_FAILURES]]
     if done.failures > SHOWN_FAILURES:

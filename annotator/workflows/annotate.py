@@ -90,10 +90,12 @@ def annotate_with(
     pickle_exactly()  # seeds
     rotation = rotation or project.config.settings.rotation
     try:
-        run = project.jobs.start(**_described(engine.start(), config, rotation, from_reviewed))
+        identity = engine.start()
+        run = project.jobs.start(**_described(identity, config, rotation, from_reviewed))
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
         frames = pending if limit is None else min(pending, limit)
-        batch = Batch(project, run, frames, recordings, AnnotateSummary(frames=frames, skipped=present - pending))
+        summary = AnnotateSummary(frames=frames, skipped=present - pending, backends=identity.backends)
+        batch = Batch(project, run, frames, recordings, summary)
         tasks = _tasks(batch, config, rotation, from_reviewed)
         _through(engine, tasks, batch, progress)
     except BaseException:

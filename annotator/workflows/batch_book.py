@@ -39,6 +39,7 @@ class AnnotateSummary:
         failed: key and reason of the first frames that could not be done.
         more_failed: how many further ones could not.
         seconds: in all.
+        backends: what ran the image and the view detector, such as ("openvino", "openvino").
     """
 
     frames: int = 0
@@ -49,6 +50,7 @@ class AnnotateSummary:
     failed: list[tuple[str, str]] = field(default_factory=list)
     more_failed: int = 0
     seconds: float = 0.0
+    backends: tuple[str, ...] = ()
 
     @property
     def failures(self) -> int:

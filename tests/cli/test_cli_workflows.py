@@ -186,6 +186,9 @@ def test_annotate_with_a_bad_frame_ends_with_1(
 
 def test_many_failures_are_not_all_listed() -> None:
     failed = [(f"{n:06d}", "no good") for n in range(SHOWN_FAILURES + 3)]
+    assert told(AnnotateSummary(backends=("openvino", "openvino")))[0].endswith("; detectors on openvino")
+    assert told(AnnotateSummary(backends=("openvino", "torch")))[0].endswith("; detectors on openvino, torch")
+    assert "detectors on" not in told(AnnotateSummary(backends=("", "")))[0]
     lines = told(AnnotateSummary(frames=20, failed=failed))
     assert len(lines) == 1 + SHOWN_FAILURES + 1
     assert lines[-1] == "  and 3 more"
