@@ -276,6 +276,21 @@ def test_a_frame_that_cannot_be_read_is_told_and_the_others_come(frame: Frame) -
     assert shown[-1] == "3"
 
 
+def test_a_pause_in_the_instant_of_a_stop_holds_nobody(frame: Frame) -> None:
+    made = Pipeline(Playback(Told(frame, (None,) * 40), rate=100.0), Slow(), Shown())
+    clear = made._running.clear
+
+    def stopped_meanwhile() -> None:
+        made.stop()
+        clear()
+
+    made._running.clear = stopped_meanwhile  # type: ignore[method-assign]
+    made.start()
+    made.pause(True)
+    assert not made.is_paused
+    assert made.wait(60.0)
+
+
 class Unplugged:
     """A camera that gives two frames and is gone."""
 

@@ -47,7 +47,8 @@ class Detected:
 def live_settings(config: RcvConfig) -> RcvConfig:
     """The settings as a live recursion has them: it ends with the wide step, unless they say otherwise themselves.
 
-    The step around the fit costs a fifth of the time and gains next to nothing (docs/benchmarks.md).
+    The steps around the fit are a fifth of the views, more for what a picture cuts off, and gain little
+    (docs/benchmarks.md).
     """
     if "refine_steps" in config.consensus.model_fields_set:
         return config

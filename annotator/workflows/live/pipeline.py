@@ -152,9 +152,9 @@ class Pipeline:
 
     def pause(self, paused: bool) -> None:
         """Takes no frame until it is told otherwise."""
-        if paused and not self._stop.is_set():
+        if paused:
             self._running.clear()
-        else:
+        if not paused or self._stop.is_set():  # asked after clearing: a stop in between is not to be undone
             self._running.set()
 
     def figures(self) -> Figures:
