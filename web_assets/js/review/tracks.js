@@ -47,7 +47,8 @@ export function createTracks(host, app, desk, { open }) {
   function draw(label, track_id) {
     const at = Math.max(0, known.boxes.findIndex(({ uid }) => uid === label.uid));
     const from = Math.max(0, Math.min(at - SHOWN / 2, known.boxes.length - SHOWN));
-    title.textContent = `Track ${track_id}: ${count(known.boxes.length, "box", "boxes")}`;
+    title.textContent = `Track ${track_id} (${known.boxes.length})`;
+    title.title = `${count(known.boxes.length, "box", "boxes")} in this recording`;
     title.style.color = trackColor(track_id);
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
     strip.replaceChildren(
