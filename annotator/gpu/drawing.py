@@ -39,10 +39,9 @@ def render_pairs(
         part = frames[begin : begin + together]
         along = _along(points, part)
         least, most = torch.stack([along.amin(dim=2), along.amax(dim=2)]).cpu().numpy()
-        windows = [
-            window for k, frame in enumerate(part) for window in pair_windows(frame, least[k], most[k], config, show)
-        ]
-        axes = [rows for frame in part for rows in (frame, side_axes(frame))]
+        rows_of = np.stack(part)
+        windows = pair_windows(rows_of, least, most, config, show)
+        axes = np.stack([rows_of, side_axes(rows_of)], axis=1).reshape(-1, 3, 3)
         pictures = _pictures(points, along, least, most, windows, config.max_splat_px)
         for rgb, rows, window in zip(pictures, axes, windows, strict=True):
             # a copy, so that a view does not keep the pictures of all others

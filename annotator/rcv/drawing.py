@@ -1,17 +1,18 @@
 """Points as a picture: each at its pixel, the nearest in front, near points as squares that close the gaps.
 
 One integer a point holds its depth and its number, so that a plain minimum over the points of a pixel finds the nearest
-and says which one it is. The integers are also the bits of positive floats, whose order is the same, so that OpenCV's
-minimum filter (which knows floats and no long integers) makes squares of the points.
+and says which one it is; the minimum over a neighbourhood makes squares of the points. The integers are also the bits
+of positive floats, whose order is the same: on a graphics processor (`annotator.gpu`) filters know floats only.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, UInt8, UInt32
+from jaxtyping import Float, Float32, Float64, UInt8, UInt32
 
 from annotator.rcv.config import ViewConfig
 
@@ -33,14 +34,16 @@ class Window:
     height_px: int
 
 
-def fit_window(low_m: Float64[np.ndarray, "2"], high_m: Float64[np.ndarray, "2"], config: ViewConfig) -> Window:
-    """The window that shows view coordinates from `low_m` to `high_m` with the configured border."""
-    extent = np.maximum(high_m - low_m, config.min_extent_m)
-    center = (low_m + high_m) / 2
-    extent = extent * (1 + 2 * config.padding)
-    scale = float(extent.max()) / config.size_px
-    size = np.clip(np.ceil(extent / scale), min(8, config.size_px), config.size_px).astype(int)
-    return Window(center - (size - 1) / 2 * scale, scale, int(size[0]), int(size[1]))
+def fit_windows(
+    low_m: Float64[np.ndarray, "v 2"], high_m: Float64[np.ndarray, "v 2"], config: ViewConfig
+) -> list[Window]:
+    """The windows that show view coordinates from `low_m` to `high_m` with the configured border."""
+    extent = np.maximum(high_m - low_m, config.min_extent_m) * (1 + 2 * config.padding)
+    scale = extent.max(axis=1) / config.size_px
+    size = np.clip(np.ceil(extent / scale[:, None]), min(8, config.size_px), config.size_px)
+    origin = (low_m + high_m) / 2 - (size - 1) / 2 * scale[:, None]
+    sides = size.astype(int).tolist()
+    return [Window(o, s, *side) for o, s, side in zip(origin, scale.tolist(), sides, strict=True)]
 
 
 def splat_px(n_points: int, window: Window, largest: int) -> int:
@@ -89,67 +92,38 @@ class KeyLayout:
         return (self.levels - 1) / max(far_m - near_m, 1e-6)
 
 
-def draw(
-    right_m: Float32[np.ndarray, "n"],
-    down_m: Float32[np.ndarray, "n"],
-    depth_m: Float32[np.ndarray, "n"],
+def draw_views(
+    xyz_m: Float32[np.ndarray, "3 n"],
     packed: UInt32[np.ndarray, "packed"] | None,
-    window: Window,
+    axes: Float32[np.ndarray, "v 3 3"],
+    windows: Sequence[Window],
+    depths_m: Float[np.ndarray, "v 2"],
     largest_splat_px: int,
-    depth_range_m: tuple[float, float] | None = None,
-) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture of points at view coordinates, `depth_m` into the page; the nearest point wins a pixel.
+) -> list[UInt8[np.ndarray, "_ _ 3"]]:
+    """One picture a view of the same points; the nearest point wins a pixel. The pictures share their memory.
 
     Args:
+        xyz_m: one row an axis.
         packed: from `pack_colors`; None shades by depth, near points light.
-        window: must contain all the points.
-        depth_range_m: least and largest depth, where they are known.
+        axes: of each view, rows = right, down, into the page.
+        windows: of each view; points outside are drawn at its border.
+        depths_m: least and largest depth of the points in each view.
     """
-    n = len(depth_m)
-    layout = KeyLayout.of(n)
-    index_bits = layout.index_bits
-    near, far = depth_range_m or (float(depth_m.min()), float(depth_m.max()))
-    depth = depth_m - np.float32(near)
-    depth *= np.float32(layout.scale(near, far))
-    level = depth.astype(np.uint32)
-    level <<= np.uint32(index_bits)
-    level += np.arange(LEAST_KEY, LEAST_KEY + n, dtype=np.uint32)
-    nearest = np.full((window.height_px, window.width_px), layout.empty, np.uint32)
-    np.minimum.at(nearest.reshape(-1), _pixel(right_m, down_m, window), level)
-    if (splat := splat_px(n, window, largest_splat_px)) > 1:
-        nearest = cv2.erode(nearest.view(np.float32), np.ones((splat, splat), np.uint8)).view(np.uint32)
-    nearest -= np.uint32(LEAST_KEY)
-    if packed is None:
-        return _shaded(nearest >> np.uint32(index_bits), layout.levels)
-    index = (nearest & np.uint32((1 << index_bits) - 1)).astype(np.intp)
-    # no index is out of range: "clip" only spares the copy that a check needs
-    colors = np.take(packed, index, out=nearest, mode="clip").view(np.uint8)
-    return cv2.cvtColor(colors.reshape(*index.shape, 4), cv2.COLOR_BGRA2BGR)
+    from annotator.rcv.kernels import drawing as kernel
 
-
-def _pixel(
-    right_m: Float32[np.ndarray, "n"], down_m: Float32[np.ndarray, "n"], window: Window
-) -> Int32[np.ndarray, "n"]:
-    """Which pixel of the picture, counted row by row, each point falls on."""
-    scale = np.float32(1 / window.metres_per_px)
-    # Adding a half and cutting off rounds to the nearest pixel, since no coordinate is negative.
-    left, top = (window.origin_m - window.metres_per_px / 2).astype(np.float32)
-    across = right_m - left
-    across *= scale
-    column = across.astype(np.int32)
-    np.subtract(down_m, top, out=across)
-    across *= scale
-    row = across.astype(np.int32)
-    # Without a border in the window, rounding can put the outermost point one pixel outside.
-    np.minimum(column, window.width_px - 1, out=column)
-    np.minimum(row, window.height_px - 1, out=row)
-    row *= window.width_px
-    row += column
-    return row
-
-
-def _shaded(level: UInt32[np.ndarray, "h w"], levels: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Grey by depth, near points light; no point has the last level, which is the background's."""
-    grey = (250 - 190 * (level.astype(np.float32) / levels)).astype(np.uint8)
-    grey[level == levels] = BACKGROUND
-    return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    n, layout = xyz_m.shape[1], KeyLayout.of(xyz_m.shape[1])
+    sizes = np.array([(w.width_px, w.height_px) for w in windows], np.int64).reshape(-1, 2)
+    corners = np.array([(*(w.origin_m - w.metres_per_px / 2), 1 / w.metres_per_px) for w in windows], np.float32)
+    depths = np.array([(near, layout.scale(near, far)) for near, far in depths_m.tolist()], np.float32)
+    splats = np.array([splat_px(n, window, largest_splat_px) for window in windows], np.int64)
+    bits = np.array([layout.index_bits, layout.levels, LEAST_KEY, BACKGROUND], np.int64)
+    lengths = sizes.prod(axis=1)
+    begins = np.cumsum(lengths) - lengths
+    pixels = np.empty((1, int(lengths.sum())), np.uint32)
+    colors = np.zeros(1, np.uint32) if packed is None else packed
+    kernel.draw_views(xyz_m, colors, axes, sizes, corners, depths, splats, bits, begins, pixels[0])
+    rgb = cv2.cvtColor(pixels.view(np.uint8).reshape(1, -1, 4), cv2.COLOR_BGRA2BGR)[0]
+    return [
+        rgb[begin : begin + length].reshape(w.height_px, w.width_px, 3)
+        for begin, length, w in zip(begins.tolist(), lengths.tolist(), windows, strict=True)
+    ]

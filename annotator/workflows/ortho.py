@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
-from annotator.rcv.drawing import BACKGROUND, Window, draw, pack_colors
+from annotator.rcv.drawing import BACKGROUND, Window, draw_views, pack_colors
 from annotator.rcv.pseudo_view import point_colors
 from annotator.types import OrientedBox, PointCloud, PseudoView
 from annotator.workflows.open_frame import OpenFrame
@@ -110,10 +110,11 @@ def _view(
     shown = (np.abs(along[0]) < half) & (np.abs(along[1]) < half) & (np.abs(along[2]) < depth * (0.5 + DEEP))
     picture = np.full((size_px, size_px, 3), BACKGROUND, np.uint8)
     if shown.any():
-        right, down, into = (np.ascontiguousarray(values[shown], np.float32) for values in along)
+        xyz = np.ascontiguousarray(along[:, shown], np.float32)
+        depths = np.array([[xyz[2].min(), xyz[2].max()]])
         window = Window(origin - center[:2], scale, size_px, size_px)
         packed = pack_colors(None if colors is None else np.ascontiguousarray(colors[shown]), int(shown.sum()))
-        picture = draw(right, down, into, packed, window, MAX_SPLAT_PX)
+        (picture,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], depths, MAX_SPLAT_PX)
     return PseudoView(picture, _right_handed(rows), scale, origin, cloud.xyz_m[shown])
 
 

@@ -1,0 +1,1 @@
+"""Compiled loops of the recursion. Import these modules on use: they load numba."""

@@ -1,0 +1,170 @@
+"""How far points reach along many axes, and the pictures of many views at once.
+
+Inner loops run over slices in functions of their own: only then can the compiler rule out that an index is negative,
+and use vector instructions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from annotator.compiled import compiled
+
+# Points that are worked on together: what is computed of them stays in the processor's nearest cache.
+BLOCK = 512
+
+
+@compiled
+def extents(xyz, frames, least, most):  # type: ignore[no-untyped-def]
+    """Least and most coordinate of points along the rows of frames.
+
+    Args:
+        xyz: (3, n) float32, n >= 1.
+        frames: (k, 3, 3) float32.
+        least, most: (k, 3) float32; are filled.
+    """
+    n = xyz.shape[1]
+    # each place of a block has extremes of its own: so the loop over a block is one of vector instructions
+    low, high = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    for k in range(frames.shape[0]):
+        for row in range(3):
+            axis = frames[k, row]
+            low[:] = np.inf
+            high[:] = -np.inf
+            for begin in range(0, n, BLOCK):
+                end = min(begin + BLOCK, n)
+                _widen(xyz[0, begin:end], xyz[1, begin:end], xyz[2, begin:end], axis, low, high)
+            least[k, row] = low.min()
+            most[k, row] = high.max()
+
+
+@compiled
+def _widen(x, y, z, axis, low, high):  # type: ignore[no-untyped-def]
+    a, b, c = axis[0], axis[1], axis[2]
+    for j in range(len(x)):
+        along = a * x[j] + b * y[j] + c * z[j]
+        low[j] = along if along < low[j] else low[j]
+        high[j] = along if along > high[j] else high[j]
+
+
+@compiled
+def draw_views(xyz, packed, axes, sizes, places, depths, splats, bits, begins, pictures):  # type: ignore[no-untyped-def]
+    """Draws all views of a cloud (`annotator.rcv.drawing` says how).
+
+    Args:
+        xyz: (3, n) float32.
+        packed: (n + 1,) uint32 colours, the background last; or (1,) where depth shades.
+        axes: (v, 3, 3) float32, rows right, down, into the page.
+        sizes: (v, 2) int64 width and height, pixels.
+        places: (v, 3) float32 left and top edge, metres, and pixels a metre.
+        depths: (v, 2) float32 the nearest point's depth, metres, and levels a metre.
+        splats: (v,) int64 odd side of a point's square, pixels.
+        bits: (4,) int64: bits of a point's number, levels, the least key, and the background's grey.
+        begins: (v,) int64, where each picture begins in `pictures`.
+        pictures: uint32, is filled with rows of colours.
+    """
+    n = xyz.shape[1]
+    empty = np.uint32(bits[2] + (bits[1] << bits[0]) + n)
+    largest = 0
+    for v in range(axes.shape[0]):
+        largest = max(largest, sizes[v, 0] * sizes[v, 1])
+    all_nearest, all_spread = np.empty(largest, np.uint32), np.empty(largest, np.uint32)
+    pixels, keys = np.empty(BLOCK, np.uint32), np.empty(BLOCK, np.uint32)
+    for v in range(axes.shape[0]):
+        width, height = sizes[v, 0], sizes[v, 1]
+        nearest = all_nearest[: width * height]
+        nearest[:] = empty
+        # Rounding can put the outermost points a little outside, of the depths too; and nothing may be drawn outside.
+        last = (np.float32(width - 1), np.float32(height - 1), np.float32(bits[1] - 1))
+        for begin in range(0, n, BLOCK):
+            end = min(begin + BLOCK, n)
+            x, y, z = xyz[0, begin:end], xyz[1, begin:end], xyz[2, begin:end]
+            _project(x, y, z, axes[v], places[v], depths[v], last, width, bits[0], bits[2] + begin, pixels, keys)
+            _keep_nearest(pixels[: end - begin], keys, nearest)
+        if splats[v] > 1:
+            spread = all_spread[: width * height]
+            _widen_rows(nearest.reshape(height, width), spread.reshape(height, width), splats[v] // 2)
+            _widen_columns(spread.reshape(height, width), nearest.reshape(height, width), splats[v] // 2)
+        picture = pictures[begins[v] : begins[v] + width * height]
+        if len(packed) > 1:
+            _colour(nearest, packed, bits[2], (1 << bits[0]) - 1, picture)
+        else:
+            _shade(nearest, bits[0], bits[1], bits[2], bits[3], picture)
+
+
+@compiled
+def _project(x, y, z, axes, place, depth, last, width, index_bits, first_key, pixels, keys):  # type: ignore[no-untyped-def]
+    """Which pixel of the picture, counted row by row, each point falls on, and its key."""
+    rx, ry, rz = axes[0, 0], axes[0, 1], axes[0, 2]
+    dx, dy, dz = axes[1, 0], axes[1, 1], axes[1, 2]
+    ix, iy, iz = axes[2, 0], axes[2, 1], axes[2, 2]
+    left, top, per_m = place[0], place[1], place[2]
+    near, levels_per_m = depth[0], depth[1]
+    last_column, last_row, last_level = last
+    zero = np.float32(0.0)
+    for j in range(len(x)):
+        # adding a half (it is in `place`) and cutting off rounds to the nearest pixel, since nothing is negative
+        column = (rx * x[j] + ry * y[j] + rz * z[j] - left) * per_m
+        row = (dx * x[j] + dy * y[j] + dz * z[j] - top) * per_m
+        level = (ix * x[j] + iy * y[j] + iz * z[j] - near) * levels_per_m
+        column = column if column > zero else zero
+        column = column if column < last_column else last_column
+        row = row if row > zero else zero
+        row = row if row < last_row else last_row
+        level = level if level > zero else zero
+        level = level if level < last_level else last_level
+        pixels[j] = np.int32(row) * width + np.int32(column)
+        keys[j] = (np.int32(level) << index_bits) + first_key + j
+
+
+@compiled
+def _keep_nearest(pixels, keys, nearest):  # type: ignore[no-untyped-def]
+    for j in range(len(pixels)):
+        pixel, key = pixels[j], keys[j]
+        if key < nearest[pixel]:
+            nearest[pixel] = key
+
+
+@compiled
+def _widen_rows(keys, spread, radius):  # type: ignore[no-untyped-def]
+    """The least key of each pixel and its neighbours to the left and right."""
+    height, width = keys.shape
+    reach = min(radius, width - 1)
+    for row in range(height):
+        spread[row] = keys[row]
+        for step in range(1, reach + 1):
+            _lower(spread[row, : width - step], keys[row, step:])
+            _lower(spread[row, step:], keys[row, : width - step])
+
+
+@compiled
+def _widen_columns(keys, spread, radius):  # type: ignore[no-untyped-def]
+    """The least key of each pixel and its neighbours above and below."""
+    height = len(keys)
+    for row in range(height):
+        spread[row] = keys[row]
+        for other in range(max(row - radius, 0), min(row + radius, height - 1) + 1):
+            _lower(spread[row], keys[other])
+
+
+@compiled
+def _lower(keys, others):  # type: ignore[no-untyped-def]
+    for i in range(len(keys)):
+        keys[i] = others[i] if others[i] < keys[i] else keys[i]
+
+
+@compiled
+def _colour(nearest, packed, least_key, index_mask, picture):  # type: ignore[no-untyped-def]
+    """The colours of the nearest points."""
+    for i in range(len(nearest)):
+        picture[i] = packed[np.uint32((nearest[i] - least_key) & index_mask)]
+
+
+@compiled
+def _shade(nearest, index_bits, levels, least_key, background, picture):  # type: ignore[no-untyped-def]
+    """Grey by depth, near points light; no point has the last level, which is the background's."""
+    for i in range(len(nearest)):
+        level = (nearest[i] - least_key) >> index_bits
+        grey = np.int32(np.float32(250.0) - np.float32(190.0) * (np.float32(level) / np.float32(levels)))
+        grey = grey if level < levels else np.int32(background)
+        picture[i] = (grey << 16) | (grey << 8) | grey
