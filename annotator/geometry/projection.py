@@ -86,11 +86,14 @@ def unproject_depth(
     require_image_size(camera, depth_m)
     rays = pixel_rays(camera)
     depth = np.asarray(depth_m, np.float32)
-    usable = np.isfinite(depth) & (depth > 0) & ~np.isnan(rays[..., 0])
+    usable = (depth > 0) & (depth < np.inf)
+    if (reached := _reached(camera_key(camera))) is not None:
+        usable &= reached
     index = np.flatnonzero(usable)
-    z = depth.reshape(-1)[index]
+    z = depth.reshape(-1).take(index)
     xyz = np.empty((len(index), 3), np.float32)
-    np.multiply(rays.reshape(-1, 2)[index], z[:, None], out=xyz[:, :2])
+    xyz[:, :2] = rays.reshape(-1, 2).take(index, axis=0)
+    xyz[:, :2] *= z[:, None]
     xyz[:, 2] = z
     return xyz, index.astype(np.int32)
 
@@ -113,3 +116,10 @@ def _pixel_rays(key: CameraKey) -> Float32[np.ndarray, "h w 2"]:
     rays = xy.reshape(camera.height_px, camera.width_px, 2).astype(np.float32)
     rays.flags.writeable = False
     return rays
+
+
+@lru_cache(maxsize=4)
+def _reached(key: CameraKey) -> Bool[np.ndarray, "h w"] | None:
+    """Which pixels have a ray; None where all have one."""
+    reached = ~np.isnan(_pixel_rays(key)[..., 0])
+    return None if reached.all() else reached

@@ -22,7 +22,8 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     import cv2
 
     bgr = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return np.ascontiguousarray(bgr[:, :, ::-1])
+    rgb: np.ndarray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    return rgb
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:

@@ -94,14 +94,14 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
 def _depth_m(path: Path, described: RgbdCamera) -> np.ndarray:
     raw = read_depth(path)
     _check_size(path, raw, described.camera, "the colour image")
-    return (raw / np.float32(described.depth_scale)).astype(np.float32)
+    return np.divide(raw, np.float32(described.depth_scale), dtype=np.float32)
 
 
 def _cloud(path: Path, camera: Camera, depth_m: np.ndarray, rgb: np.ndarray) -> PointCloud:
     xyz_m, pixel_index = unproject_depth(camera, depth_m)
     if len(xyz_m) == 0:
         raise FrameError(path, "no pixel has a depth, the cloud is empty", "record the frame again, or remove it")
-    return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3)[pixel_index], pixel_index=pixel_index)
+    return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel_index, axis=0), pixel_index=pixel_index)
 
 
 def _check_size(path: Path, image: np.ndarray, camera: Camera, other: str) -> None:
