@@ -70,24 +70,18 @@ def _yaw_grid(up: tuple[float, ...]) -> Float64[np.ndarray, "k 3 3"]:
     return _fixed(Rotation.from_rotvec(angles[:, None] * z).as_matrix() @ base)
 
 
+def grid_near(up: Float64[np.ndarray, "3"] | None, angle_rad: float) -> Bool[np.ndarray, "k k"]:
+    """`near_each_other` of the grid for boxes held at `up` or, without it, of the free one; the answer is kept."""
+    return _grid_near(None if up is None else tuple(up.tolist()), angle_rad)
+
+
+@lru_cache(maxsize=16)
+def _grid_near(up: tuple[float, ...] | None, angle_rad: float) -> Bool[np.ndarray, "k k"]:
+    return _fixed(near_each_other(free_grid() if up is None else _yaw_grid(up), angle_rad))
+
+
 def near_each_other(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Bool[np.ndarray, "k k"]:
-    """Which rotations are less than an angle apart, those that turn a box into itself counted as equal.
-
-    Args:
-        rotations: one of the grids above, whose answer is kept, or any few.
-        angle_rad: radians.
-    """
-    if rotations is free_grid():
-        return _near_on_free_grid(angle_rad)
-    return _near(rotations, angle_rad)
-
-
-@lru_cache(maxsize=2)
-def _near_on_free_grid(angle_rad: float) -> Bool[np.ndarray, "k k"]:
-    return _fixed(_near(free_grid(), angle_rad))
-
-
-def _near(rotations: np.ndarray, angle_rad: float) -> np.ndarray:
+    """Which rotations are less than an angle (radians) apart, those that turn a box into itself counted as equal."""
     # trace(A S B^T) for all pairs and symmetries: the columns of A, permuted and signed, against those of B
     flat = rotations.reshape(len(rotations), 9)
     best = np.full((len(rotations), len(rotations)), -np.inf)

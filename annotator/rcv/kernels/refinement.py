@@ -1,0 +1,247 @@
+"""Damped Gauss-Newton steps of a box through the ends of intervals, one equation an end.
+
+A low end lies at `d.c - r` and a high end at `d.c + r`, with the direction d, the centre c and the reach
+`r = sum_i s_i / 2 |d.r_i|` of sizes s and axes r_i. Functions that call each other are in one file: the cache of
+compiled code looks for changes only in the file of the function that is called from outside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.compiled import compiled
+
+# How long it refines: steps of a computation, which decide nothing about an object.
+ROUNDS = 12
+# After so many rounds only the best few are refined further.
+FIRST_ROUNDS, SURVIVORS = 4, 2
+# A round that lowers no cost by this share is the last.
+SETTLED = 1e-5
+# Keeps the normal equations solvable while a direction is not measured at all; such a fit is refused in the end.
+RIDGE = 1e-6
+# Numbers of unknowns: centre and sizes; with a turn about the box's z axis; with one about any axis.
+FIXED, HELD, FREE = 6, 7, 9
+
+# unit vectors (m, 3), low and high ends (m, 2), metres, and one over their expected errors (m, 2), 0 for an unknown end
+Measured = tuple[np.ndarray, np.ndarray, np.ndarray]
+# centre (3,), metres, rotation (3, 3), its columns the box's axes, and sizes (3,), metres
+Box = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@compiled
+def refine(
+    measured: Measured, rotations: Float64[np.ndarray, "k 3 3"], unknowns: int, delta: float, least: float
+) -> tuple[Box, float]:
+    """The best box that steps from any of several rotations lead to, and its robust cost.
+
+    Args:
+        rotations: where to start.
+        unknowns: `HELD` or `FREE`.
+        delta: from so many expected errors on, Huber's cost is linear.
+        least: no size is below it, metres.
+
+    Returns:
+        the box; and its cost, in units of the expected variance.
+    """
+    count = len(rotations)
+    rotation, center, size = rotations.copy(), np.zeros((count, 3)), np.zeros((count, 3))
+    new = (np.empty(3), np.empty((3, 3)), np.empty(3))
+    cost, damping, active = np.empty(count), np.full(count, 1e-3), np.ones(count, np.bool_)
+    for k in range(count):
+        box = (center[k], rotation[k], size[k])
+        # centre and sizes by least squares, and again with each end weighted by how well it fitted
+        for limit in (np.inf, delta):
+            _move(box, _step(measured, box, 0.0, FIXED, limit), least, box)
+        cost[k] = _cost(measured, box, delta)
+    for done in range(ROUNDS):
+        gained = False
+        for k in range(count):
+            if not active[k]:
+                continue
+            box = (center[k], rotation[k], size[k])
+            _move(box, _step(measured, box, damping[k], unknowns, delta), least, new)
+            new_cost = _cost(measured, new, delta)
+            gained |= cost[k] - new_cost > SETTLED * cost[k]
+            if new_cost < cost[k]:
+                _copy(new, box)
+                cost[k] = new_cost
+                damping[k] /= 4.0
+            else:
+                damping[k] *= 10.0
+        if not gained and done >= FIRST_ROUNDS:
+            break
+        if done + 1 == FIRST_ROUNDS:
+            for k in range(count):
+                active[k] = np.sum(cost < cost[k]) + np.sum(cost[:k] == cost[k]) < SURVIVORS
+    best = np.argmin(cost)
+    return (center[best], rotation[best], size[best]), cost[best]
+
+
+@compiled
+def determined(measured: Measured, box: Box, unknowns: int, limit: float) -> bool:
+    """Whether the smallest singular value of a box's equations, each unknown scaled to one, is above a limit.
+
+    It is where the Gram matrix, the limit's square taken off its diagonal, is still positive definite.
+    """
+    direction, _, inverse = measured
+    _, rotation, size = box
+    gram, row, scale = np.zeros((unknowns, unknowns)), np.empty(unknowns), np.empty(unknowns)
+    for i in range(len(direction)):
+        _derivative(direction, i, rotation, size, row)
+        _add(gram, row, inverse[i, 0] ** 2, inverse[i, 1] ** 2)
+    for a in range(unknowns):
+        if gram[a, a] == 0.0:
+            return False
+        scale[a] = np.sqrt(gram[a, a])
+    for a in range(unknowns):
+        for b in range(a + 1):
+            gram[a, b] /= scale[a] * scale[b]
+        gram[a, a] -= limit**2
+    return _factorised(gram)
+
+
+@compiled
+def _step(measured: Measured, box: Box, damping: float, unknowns: int, delta: float) -> np.ndarray:
+    """The change of all unknowns that the equations, linear around a box, ask for, with Levenberg's damping."""
+    direction, ends, inverse = measured
+    center, rotation, size = box
+    normal, right, row = np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.empty(unknowns)
+    for i in range(len(direction)):
+        _derivative(direction, i, rotation, size, row)
+        middle, reach = _middle_and_reach(row, center, size)
+        low, high = middle - reach - ends[i, 0], middle + reach - ends[i, 1]
+        # of the weights of Huber's cost, which is quadratic up to delta
+        low_weight = inverse[i, 0] ** 2 * min(1.0, delta / abs(low * inverse[i, 0]))
+        high_weight = inverse[i, 1] ** 2 * min(1.0, delta / abs(high * inverse[i, 1]))
+        _add(normal, row, low_weight, high_weight)
+        low_pull, high_pull = low_weight * low, high_weight * high
+        for a in range(unknowns):
+            right[a] -= row[a] * (high_pull + low_pull if a < 3 else high_pull - low_pull)
+    trace = 0.0
+    for a in range(unknowns):
+        trace += normal[a, a]
+    for a in range(unknowns):
+        normal[a, a] += RIDGE * trace / unknowns + damping * normal[a, a]
+    _factorised(normal)
+    # forward and back through the factor
+    for a in range(unknowns):
+        for b in range(a):
+            right[a] -= normal[a, b] * right[b]
+        right[a] /= normal[a, a]
+    for a in range(unknowns - 1, -1, -1):
+        for b in range(a + 1, unknowns):
+            right[a] -= normal[b, a] * right[b]
+        right[a] /= normal[a, a]
+    return right
+
+
+@compiled
+def _cost(measured: Measured, box: Box, delta: float) -> float:
+    """Huber's cost of a box, in units of the expected variance."""
+    direction, ends, inverse = measured
+    center, rotation, size = box
+    row, cost = np.empty(FIXED), 0.0
+    for i in range(len(direction)):
+        _derivative(direction, i, rotation, size, row)
+        middle, reach = _middle_and_reach(row, center, size)
+        low, high = abs(middle - reach - ends[i, 0]) * inverse[i, 0], abs(middle + reach - ends[i, 1]) * inverse[i, 1]
+        inner_low, inner_high = min(low, delta), min(high, delta)
+        cost += inner_low * (low - 0.5 * inner_low) + inner_high * (high - 0.5 * inner_high)
+    return cost
+
+
+@compiled
+def _derivative(direction: np.ndarray, i: int, rotation: np.ndarray, size: np.ndarray, row: np.ndarray) -> None:
+    """Fills in the derivatives of the middle by the centre, and of the reach by sizes and turn, along a direction.
+
+    In box axes the direction is a; a turn by u changes it by a x u, and so the reach by u . (g x a) with
+    g_i = s_i / 2 sign(a_i).
+    """
+    dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+    ax = dx * rotation[0, 0] + dy * rotation[1, 0] + dz * rotation[2, 0]
+    ay = dx * rotation[0, 1] + dy * rotation[1, 1] + dz * rotation[2, 1]
+    az = dx * rotation[0, 2] + dy * rotation[1, 2] + dz * rotation[2, 2]
+    row[0], row[1], row[2] = dx, dy, dz
+    row[3], row[4], row[5] = abs(ax) / 2.0, abs(ay) / 2.0, abs(az) / 2.0
+    if len(row) == FIXED:
+        return
+    gx, gy, gz = size[0] / 2.0 * np.sign(ax), size[1] / 2.0 * np.sign(ay), size[2] / 2.0 * np.sign(az)
+    row[-1] = gx * ay - gy * ax
+    if len(row) == FREE:
+        row[6], row[7] = gy * az - gz * ay, gz * ax - gx * az
+
+
+@compiled
+def _middle_and_reach(row: np.ndarray, center: np.ndarray, size: np.ndarray) -> tuple[float, float]:
+    """Of a box along a direction whose `_derivative` is given, metres."""
+    middle = row[0] * center[0] + row[1] * center[1] + row[2] * center[2]
+    return middle, row[3] * size[0] + row[4] * size[1] + row[5] * size[2]
+
+
+@compiled
+def _add(normal: np.ndarray, row: np.ndarray, low: float, high: float) -> None:
+    """Adds an interval's two ends, each with its weight, to the lower triangle of the normal equations.
+
+    Both ends move alike with the centre, and apart with all else: those two mix only by the difference of the weights.
+    """
+    both, odd = low + high, high - low
+    for a in range(3):
+        for b in range(a + 1):
+            normal[a, b] += both * row[a] * row[b]
+    for a in range(3, len(row)):
+        for b in range(3):
+            normal[a, b] += odd * row[a] * row[b]
+        for b in range(3, a + 1):
+            normal[a, b] += both * row[a] * row[b]
+
+
+@compiled
+def _factorised(matrix: np.ndarray) -> bool:
+    """Cholesky's factor in place of the lower triangle of a symmetric matrix; False where it is not positive."""
+    for a in range(len(matrix)):
+        for b in range(a + 1):
+            rest = matrix[a, b]
+            for c in range(b):
+                rest -= matrix[a, c] * matrix[b, c]
+            if a > b:
+                matrix[a, b] = rest / matrix[b, b]
+            elif rest > 0.0:
+                matrix[a, a] = np.sqrt(rest)
+            else:
+                return False
+    return True
+
+
+@compiled
+def _move(box: Box, step: np.ndarray, least: float, moved: Box) -> None:
+    """Fills in the box that is a step further; the turn is about the box's own axes (Rodrigues), radians."""
+    center, rotation, size = box
+    new_center, new_rotation, new_size = moved
+    for j in range(3):
+        new_center[j], new_size[j] = center[j] + step[j], max(size[j] + step[3 + j], least)
+    x, y, z = 0.0, 0.0, 0.0
+    if len(step) != FIXED:
+        z = step[-1]
+    if len(step) == FREE:
+        x, y = step[6], step[7]
+    angle = np.sqrt(x * x + y * y + z * z)
+    # sin(t) / t and (1 - cos(t)) / t**2 in forms that are exact near zero
+    by_cross = np.sin(angle) / angle if angle > 0.0 else 1.0
+    by_square = 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2 if angle > 0.0 else 0.5
+    for i in range(3):
+        a, b, c = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        # a row times the matrix of the cross product with the turn, once and twice
+        ka, kb, kc = b * z - c * y, c * x - a * z, a * y - b * x
+        kka, kkb, kkc = kb * z - kc * y, kc * x - ka * z, ka * y - kb * x
+        new_rotation[i, 0] = a + by_cross * ka + by_square * kka
+        new_rotation[i, 1] = b + by_cross * kb + by_square * kkb
+        new_rotation[i, 2] = c + by_cross * kc + by_square * kkc
+
+
+@compiled
+def _copy(box: Box, place: Box) -> None:
+    for i in range(3):
+        place[0][i], place[2][i] = box[0][i], box[2][i]
+        for j in range(3):
+            place[1][i, j] = box[1][i, j]
