@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry_strategies import boxes, rigid_transforms
+from geometry_strategies import boxes, random_boxes, rigid_transforms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
@@ -77,3 +77,18 @@ def test_nan_points_are_outside_and_no_points_are_no_mask(dtype: type) -> None:
 def test_the_surface_belongs_to_the_box() -> None:
     box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
     assert contains(box, np.array([[0.5, 0.5, 0.5], [0.5, 0.0, 0.0]])).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_inside_is_inside_along_each_axis(dtype: type) -> None:
+    rng = np.random.default_rng(0)
+    wide = rng.normal(size=(3000, 5)).astype(dtype)
+    wide[::7, 1] = np.nan
+    for points in (wide[:, :3].copy(), wide[:, :3], wide[::-2, :3]):
+        for box in random_boxes(5, 1):
+            along = (points.astype(np.float64) - box.center_m) @ box.rotation
+            off = np.abs(np.abs(along) - box.size_m / 2).min(axis=1)
+            expected = (np.abs(along) <= box.size_m / 2).all(axis=1)
+            assert expected.any()
+            clear = ~(off < 1e-5)  # the others are on the surface but for rounding
+            np.testing.assert_array_equal(contains(box, points)[clear], expected[clear])

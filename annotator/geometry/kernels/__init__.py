@@ -1,0 +1,1 @@
+"""Compiled loops of the geometry. Import these modules on use: they load numba."""
