@@ -21,7 +21,7 @@ from annotator.types import Box2D
 pytestmark = pytest.mark.slow
 
 EXPORTED: tuple[Backend, Backend] = ("openvino", "onnxruntime")
-SHAPES = ((3, 64, 96, 3), (1, 96, 96, 3), (2, 96, 32, 3))
+SHAPES = ((6, 64, 96, 3), (1, 96, 96, 3), (2, 96, 32, 3))
 
 
 def make(weights: Path, **settings: Any) -> YoloDetector:
@@ -106,6 +106,23 @@ def test_a_pictures_answer_is_its_own(random_weights: dict[str, Path], backend: 
     for batch, answer in zip(batches(), together, strict=True):
         np.testing.assert_array_equal(network.predict([batch[:1]])[0], answer[:1])
         np.testing.assert_array_equal(alone.predict([batch])[0], answer)
+
+
+def test_pictures_are_computed_alone_where_together_they_have_other_answers(
+    random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = opened(random_weights["yolo11n"], "openvino", threads=2)
+    many = [np.random.default_rng(0).integers(0, 256, (9, 64, 32, 3), np.uint8)]
+    wanted = network.predict(many)[0]
+    assert isinstance(network, openvino_network.OpenVinoNetwork)
+    assert {shape[0] for shape, _ in network._compiled} == {1, openvino_network.TOGETHER}
+
+    network._joins.clear()
+    plain = network._run
+    monkeypatch.setattr(
+        network, "_run", lambda parts, n: (a if len(a) == 1 else np.nextafter(a, 1) for a in plain(parts, n))
+    )
+    np.testing.assert_array_equal(network.predict(many)[0], wanted)
 
 
 def test_few_compiled_sizes_are_kept(random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:

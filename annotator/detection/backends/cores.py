@@ -1,7 +1,7 @@
-"""How backends that compute pictures one by one share the processor's cores out among them.
+"""How backends for the processor share its cores out among pictures.
 
-A picture is always computed by itself: so its answer cannot depend on what else is asked with it, and a runtime needs
-one shape a canvas. Small networks lose nothing by it, as they gain little from batches on a processor.
+Pictures are computed by themselves, or together with others where that is known to change nothing: so an answer cannot
+depend on what else is asked, and a runtime needs few shapes a canvas.
 """
 
 from __future__ import annotations
@@ -35,6 +35,12 @@ def single(batches: Sequence[Batch]) -> list[Picture]:
 
 
 def rejoined(answers: Iterable[Answer], batches: Sequence[Batch]) -> list[Answer]:
-    """The answers about `single(batches)`, one a batch again."""
+    """The answers about parts of batches, in order, one answer a batch again."""
     each = iter(answers)
-    return [np.concatenate([next(each) for _ in range(len(batch))]) for batch in batches]
+    whole: list[Answer] = []
+    for batch in batches:
+        parts: list[Answer] = []
+        while sum(len(part) for part in parts) < len(batch):
+            parts.append(next(each))
+        whole.append(np.concatenate(parts))
+    return whole
