@@ -50,9 +50,13 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
     Returns:
         The box, pixels; None where nothing of it is in the picture.
     """
-    faces = [_on_image(camera, face) for face in box_corners(box)[FACES]]
+    polygons = _seen_faces(camera, box_corners(box))
+    px, last_px = project(camera, _at_one_metre(np.concatenate(polygons))), _last_px(camera)
+    if not ((px >= -0.5) & (px <= last_px)).all():
+        ends = np.cumsum([len(polygon) for polygon in polygons])[:-1]
+        px = np.concatenate([_in_picture(polygon, last_px) for polygon in np.split(px, ends)])
     # the cut may miss the picture's edge by a rounding error
-    return _around(np.concatenate(faces).clip(-0.5, _last_px(camera)), label, min_side_px)
+    return _around(px.clip(-0.5, last_px), label, min_side_px)
 
 
 def points_on_image(
@@ -77,15 +81,31 @@ def _around(px: Float64[np.ndarray, "n 2"], label: str, min_side_px: float) -> B
     return Box2D(label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _on_image(camera: Camera, face: Float64[np.ndarray, "4 3"]) -> Float64[np.ndarray, "n 2"]:
-    """The part of a face that is in the picture, as a polygon in pixels; empty where there is none."""
-    seen = cut_polygon(face, field_of_view(camera_key(camera)))
-    xy = seen[:, :2] / seen[:, 2:]
-    if not camera.is_ideal:
-        xy = _subdivided(xy)
-    px = project(camera, np.column_stack([xy, np.ones(len(xy))]))
-    width_px, height_px = _last_px(camera)
-    return cut_polygon(px, np.array([[1, 0, -0.5], [-1, 0, -width_px], [0, 1, -0.5], [0, -1, -height_px]], np.float64))
+def _seen_faces(camera: Camera, corners_m: Float64[np.ndarray, "8 3"]) -> list[Float64[np.ndarray, "_ 2"]]:
+    """What the field of view leaves of each face, as polygons of (x/z, y/z); empty where it leaves nothing."""
+    faces, planes = corners_m[FACES], field_of_view(camera_key(camera))
+    if (corners_m @ planes[:, :3].T >= planes[:, 3]).all():
+        return list(_as_seen(camera, faces))
+    return [_as_seen(camera, cut_polygon(face, planes)) for face in faces]
+
+
+def _as_seen(camera: Camera, polygons_m: Float64[np.ndarray, "*k n 3"]) -> Float64[np.ndarray, "*k m 2"]:
+    """Polygons before the camera as (x/z, y/z), with as many corners as it takes to bend their edges."""
+    xy = polygons_m[..., :2] / polygons_m[..., 2:]
+    return xy if camera.is_ideal else _subdivided(xy)
+
+
+def _at_one_metre(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+    return np.column_stack([xy, np.ones(len(xy))])
+
+
+def _in_picture(
+    polygon_px: Float64[np.ndarray, "n 2"], last_px: Float64[np.ndarray, "2"]
+) -> Float64[np.ndarray, "m 2"]:
+    """What the picture leaves of a polygon; empty where it leaves nothing."""
+    width_px, height_px = last_px
+    edges = np.array([[1, 0, -0.5], [-1, 0, -width_px], [0, 1, -0.5], [0, -1, -height_px]], np.float64)
+    return cut_polygon(polygon_px, edges)
 
 
 def cut_polygon(polygon: Polygon, half_spaces: HalfSpaces) -> Polygon:
@@ -111,10 +131,11 @@ def cut_polygon(polygon: Polygon, half_spaces: HalfSpaces) -> Polygon:
     return polygon
 
 
-def _subdivided(polygon: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 2"]:
-    share = np.linspace(0.0, 1.0, STEPS_DISTORTED, endpoint=False)
-    along = np.roll(polygon, -1, axis=0) - polygon
-    return (polygon[:, None] + share[:, None] * along[:, None]).reshape(-1, 2)
+def _subdivided(polygons: Float64[np.ndarray, "*k n 2"]) -> Float64[np.ndarray, "*k m 2"]:
+    share = np.linspace(0.0, 1.0, STEPS_DISTORTED, endpoint=False)[:, None]
+    along = np.roll(polygons, -1, axis=-2) - polygons
+    steps = polygons[..., None, :] + share * along[..., None, :]
+    return steps.reshape(*polygons.shape[:-2], -1, 2)
 
 
 def _last_px(camera: Camera) -> Float64[np.ndarray, "2"]:
