@@ -142,24 +142,38 @@ def box_iou(a: Box2D, b: Box2D) -> float:
     return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
-def measured_intervals(view: PseudoView, box: Box2D, config: RcvConfig) -> Intervals:
-    """What a detection measures along the view's x and y, with the expected error of each end."""
-    noise = config.fit.edge_noise * view.extent_m[:, None] / np.sqrt(max(box.score, LEAST_SCORE))
-    sigma = np.repeat(noise, 2, axis=1)
+def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:
+    """What detections measure along their views' x and y, two intervals a view, with the expected error of each end.
+
+    Args:
+        views: one or more.
+        boxes: one a view.
+    """
+    metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
+    origins_m = np.array([view.origin_m for view in views])[:, :, None]
+    scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
+    noise_m = config.fit.edge_noise * _sizes_px(views) * metres_per_px / np.sqrt(scores)
     # A cut edge is known only not to lie further inside.
-    sigma[cut_edges(view, box, config)] *= config.fit.cut_doubt
-    return Intervals(view.axes[:2], view.interval_m(box), sigma)
+    sigma_m = noise_m * np.where(cut_edges(views, boxes, config), config.fit.cut_doubt, 1.0)
+    directions = np.concatenate([view.axes[:2] for view in views])
+    return Intervals(directions, (origins_m + _edges_px(boxes) * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
 
 
-def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> Bool[np.ndarray, "2 2"]:
-    """Which edges of a box lie on the picture's border: rows x and y, columns low and high."""
-    height_px, width_px = view.rgb.shape[:2]
-    return np.array(
-        [
-            [box.x_min <= config.border_px - 0.5, box.x_max >= width_px - 0.5 - config.border_px],
-            [box.y_min <= config.border_px - 0.5, box.y_max >= height_px - 0.5 - config.border_px],
-        ]
-    )
+def cut_edges(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Bool[np.ndarray, "n 2 2"]:
+    """Which edges of boxes, one a view, lie on the picture's border: for each rows x and y, columns low and high."""
+    edges_px, inner_px = _edges_px(boxes), config.border_px - 0.5
+    # the last pixel's centre is one less than the size
+    return np.stack([edges_px[..., 0] <= inner_px, edges_px[..., 1] >= _sizes_px(views)[..., 0] - 1 - inner_px], axis=2)
+
+
+def _edges_px(boxes: Sequence[Box2D]) -> Float64[np.ndarray, "n 2 2"]:
+    edges = np.array([(box.x_min, box.x_max, box.y_min, box.y_max) for box in boxes], np.float64)
+    return edges.reshape(-1, 2, 2)
+
+
+def _sizes_px(views: Sequence[PseudoView]) -> Float64[np.ndarray, "n 2 1"]:
+    """Widths and heights."""
+    return np.array([view.rgb.shape[1::-1] for view in views], np.float64).reshape(-1, 2, 1)
 
 
 def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> float:

@@ -87,9 +87,9 @@ def measure_consensus(
     seen = [(view, found[i]) for view, found, i in zip(views, boxes, used, strict=True) if i is not None]
     if not seen:
         return None
-    parts = [cross_view.measured_intervals(view, box, config) for view, box in seen]
+    parts = [cross_view.measured_intervals([view for view, _ in seen], [box for _, box in seen], config)]
     if seed is not None:
-        parts.append(_remembered(seed, Intervals.concatenate(parts), config))
+        parts.append(_remembered(seed, parts[0], config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
     fit = fit_box(intervals, up, None if last is None else last.rotation, config.fit)
     if fit is None:
@@ -131,10 +131,8 @@ def any_cut(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None], config: RcvConfig
 ) -> bool:
     """True where a used detection touches the border of its picture."""
-    return any(
-        i is not None and bool(cross_view.cut_edges(view, found[i], config).any())
-        for view, found, i in zip(views, boxes, used, strict=True)
-    )
+    seen = [(view, found[i]) for view, found, i in zip(views, boxes, used, strict=True) if i is not None]
+    return bool(cross_view.cut_edges([view for view, _ in seen], [box for _, box in seen], config).any())
 
 
 def _least_volume(

@@ -23,7 +23,7 @@ from annotator.project import Project
 from annotator.rcv.canonical import canonical_box
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import choose, make_pair, measured_intervals, pair_all
-from annotator.rcv.interval_fit import Intervals, fit_box
+from annotator.rcv.interval_fit import fit_box
 from annotator.rcv.operator import first_views, next_views
 from annotator.rcv.recursion import held_direction
 from annotator.types import Box2D, BoxKind, Detector, Frame, OrientedBox, PseudoView
@@ -142,8 +142,7 @@ def final_box(
     span = cross_box((views[2], views[3]), (boxes[2], boxes[3]), up)
     if kind is BoxKind.SILHOUETTE or up is None:
         return span
-    parts = [measured_intervals(view, box, config) for view, box in zip(views, boxes, strict=True)]
-    fit = fit_box(Intervals.concatenate(parts), up, span.rotation, config.fit)
+    fit = fit_box(measured_intervals(views, boxes, config), up, span.rotation, config.fit)
     if fit is None:
         return span
     return canonical_box(OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m), up)
