@@ -5,7 +5,8 @@
 With a project that `benchmarks.loop --project` has kept, its trained detectors work on a recording; without one,
 detectors that know a generated recording. All engines are started first, and then do the same frames in turn, several
 times: the medians are of the steady rate, and how long starting takes is told apart. "plain" is the engine without
-processes, whose libraries use all cores.
+processes, whose detectors use all cores, and "one core" the same with detectors on one core, as each of several workers
+has them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from annotator.workflows.recordings import register_recording
 from benchmarks.repeating import LABEL, generate, knowing, lengthen
 from benchmarks.report import Table, finish, guarded
 
-PLAIN, PROJECT = "plain", "loop"
+PLAIN, ONE_CORE, PROJECT = "plain", "one core", "loop"
 
 
 @dataclass
@@ -129,7 +130,7 @@ def run(args: Arguments) -> dict[str, object]:
         ConfigError: arguments of no use, or frames failed.
         AnnotatorError: of the engines.
     """
-    wanted = [(PLAIN, 0), *((name, workers) for name in args.engines for workers in args.workers)]
+    wanted = [(PLAIN, 0), (ONE_CORE, 0), *((name, workers) for name in args.engines for workers in args.workers)]
     taken: dict[tuple[str, int], list[float]] = {row: [] for row in wanted}
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
@@ -144,7 +145,6 @@ def run(args: Arguments) -> dict[str, object]:
                 took = seconds(engine, job)
                 if turn > 0:  # the first one wakes everything
                     taken[row].append(took)
-    plain = taken[PLAIN, 0]
     return {
         "frames": job.frames,
         "batch_frames": BATCH_FRAMES,
@@ -154,8 +154,8 @@ def run(args: Arguments) -> dict[str, object]:
                 "workers": workers,
                 "start_s": start_s[name, workers],
                 "fps": job.frames / statistics.median(took),
-                # turn by turn, since the machine may have been busier in one than in the next
-                "against_plain": statistics.median(p / t for p, t in zip(plain, took, strict=True)),
+                "against_plain": _faster(taken[PLAIN, 0], took),
+                "against_one_core": _faster(taken[ONE_CORE, 0], took),
             }
             for (name, workers), took in taken.items()
         ],
@@ -165,8 +165,9 @@ def run(args: Arguments) -> dict[str, object]:
 
 def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
     name, workers = row
-    if name == PLAIN:
-        engine = make_engine(EngineName.INLINE, job.source, frames=job.frames)
+    if name in (PLAIN, ONE_CORE):
+        threads = 1 if name == ONE_CORE else None
+        engine = make_engine(EngineName.INLINE, job.source, frames=job.frames, threads=threads)
     else:
         engine = make_engine(EngineName(name), job.source, frames=job.frames, workers=workers, threads=args.threads)
     if isinstance(engine, WorkerPool):
@@ -178,15 +179,18 @@ def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
 
 def _ray_against_local(taken: dict[tuple[str, int], list[float]], workers: int) -> float | None:
     ray, local = taken.get((EngineName.RAY.value, workers)), taken.get((EngineName.LOCAL.value, workers))
-    if not ray or not local:
-        return None
-    return statistics.median(ours / theirs for ours, theirs in zip(local, ray, strict=True))
+    return _faster(local, ray) if ray and local else None
+
+
+def _faster(before_s: list[float], after_s: list[float]) -> float:
+    """How many times as fast; turn by turn, since the machine may have been busier in one than in the next."""
+    return statistics.median(before / after for before, after in zip(before_s, after_s, strict=True))
 
 
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     result = run(args)
-    table = Table("engine", "workers", "start s", "frames a second", "times the plain loop")
+    table = Table("engine", "workers", "start s", "frames a second", "times the plain loop", "times one core")
     for row in result["results"]:  # type: ignore[attr-defined]
         table.add(*row.values())
     finish(result, args.json, table)

@@ -156,10 +156,12 @@ def test_memory() -> None:
 def test_batch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--frames", 4, "--different", 2, "--width", 160, "--steps", 1, "--engines", "local", "--workers", 1]
     result = in_process(batch, monkeypatch, capsys, *words, "--repeats", 2)
-    assert [(row["engine"], row["workers"]) for row in result["results"]] == [("plain", 0), ("local", 1)]
+    rows = [(row["engine"], row["workers"]) for row in result["results"]]
+    assert rows == [("plain", 0), ("one core", 0), ("local", 1)]
     assert all(row["fps"] > 0 and row["start_s"] > 0 for row in result["results"])
-    plain, local = (row["fps"] for row in result["results"])
-    assert result["results"][1]["against_plain"] == pytest.approx(local / plain, rel=0.5)
+    plain, one_core, local = (row["fps"] for row in result["results"])
+    assert result["results"][2]["against_plain"] == pytest.approx(local / plain, rel=0.5)
+    assert result["results"][2]["against_one_core"] == pytest.approx(local / one_core, rel=0.5)
     assert result["ray_against_local"] is None
 
 
