@@ -14,8 +14,9 @@ def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | 
         ValueError: another shape, naming `name`.
     """
     array = np.asarray(value, dtype=dtype)
-    matches = array.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    matches = array.shape == shape or (
+        array.ndim == len(shape)
+        and all(want is None or want == have for want, have in zip(shape, array.shape, strict=True))
     )
     if not matches:
         wanted = tuple("any" if n is None else n for n in shape)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES, box_corners, contains, contains_parts, corners
-from annotator.types import OrientedBox
+from annotator.types import Box2D, OrientedBox
 
 
 def test_the_order_of_the_corners() -> None:
@@ -92,3 +92,48 @@ def test_inside_is_inside_along_each_axis(dtype: type) -> None:
             assert expected.any()
             clear = ~(off < 1e-5)  # the others are on the surface but for rounding
             np.testing.assert_array_equal(contains(box, points)[clear], expected[clear])
+
+
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    "rotation",
+    [MIRROR, np.zeros((3, 3)), 1.01 * np.eye(3), 1e200 * np.eye(3), np.nan * np.eye(3), np.eye(3) + 0.01, -np.eye(3)],
+    ids=["mirror", "nothing", "longer", "huge", "no numbers", "slanted", "turned inside out"],
+)
+def test_a_matrix_that_is_no_rotation_is_no_box(rotation: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="proper rotation matrix"):
+        OrientedBox.from_parts(np.zeros(3), rotation, np.ones(3))
+
+
+@settings(deadline=None)
+@given(boxes(), st.integers(0, 2), st.integers(0, 2), st.floats(1e-9, 4e-4))
+def test_a_matrix_that_is_nearly_a_rotation_becomes_one(box: OrientedBox, row: int, column: int, error: float) -> None:
+    rotation = box.rotation.copy()
+    rotation[row, column] += error
+    made = OrientedBox.from_parts(box.center_m, rotation, box.size_m).rotation
+    np.testing.assert_allclose(made.T @ made, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(made, rotation, atol=2 * error)
+
+
+@pytest.mark.parametrize(
+    ("center", "size"),
+    [
+        ([0, 0, np.nan], [1, 1, 1]),
+        ([0, np.inf, 0], [1, 1, 1]),
+        ([0, 0, 0], [1, 0, 1]),
+        ([0, 0, 0], [np.nan, 1, 1]),
+        ([-2e9, 0, 0], [1, 1, 1]),
+        ([0, 0, 0], [1, 1, 2e9]),
+    ],
+)
+def test_what_is_no_place_or_size_is_no_box(center: list[float], size: list[float]) -> None:
+    with pytest.raises(ValueError, match=r"finite|positive|within"):
+        OrientedBox.from_parts(np.array(center, float), np.eye(3), np.array(size, float))
+
+
+@pytest.mark.parametrize("edges", [(0, 0, np.nan, 1), (0, -np.inf, 1, 1), (1, 0, 1, 1), (0, 2, 1, 1)])
+def test_a_2d_box_has_finite_edges_in_order(edges: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match=r"finite|positive width"):
+        Box2D("thing", *map(float, edges))
