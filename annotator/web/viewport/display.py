@@ -48,8 +48,10 @@ def shown_points(frame: Frame, most: int) -> PointCloud:
     keep = thin(len(cloud), most)
     if keep is None:
         return cloud
-    rgb, reflectance = (None if values is None else values[keep] for values in (cloud.rgb, cloud.reflectance))
-    return PointCloud(cloud.xyz_m[keep], rgb, reflectance)
+    rgb, reflectance = (
+        None if values is None else values.take(keep, axis=0) for values in (cloud.rgb, cloud.reflectance)
+    )
+    return PointCloud(cloud.xyz_m.take(keep, axis=0), rgb, reflectance)
 
 
 def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:
