@@ -51,6 +51,8 @@ def _overlapping(
     boxes: Sequence[OrientedBox], labels: Sequence[str], order: np.ndarray, iou_threshold: float
 ) -> set[tuple[int, int]]:
     """Pairs (better, worse) of one class that overlap by more than the threshold."""
+    if len(boxes) < 2:
+        return set()
     rank = np.argsort(order)
     classes = np.unique(np.asarray(labels, dtype=np.str_), return_inverse=True)[1].reshape(-1)
     better, worse = near_pairs(boxes, boxes)

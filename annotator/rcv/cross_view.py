@@ -80,8 +80,9 @@ def pair_all(
     Objects that stand on one floor agree on the shared axis in every combination, so agreement is not enough: a
     pair also counts by the share of the points of its front box that its side box confirms.
     """
-    # one row an axis: comparisons of rows of three numbers take several times as long
-    along = frame.astype(np.float32) @ cloud.xyz_m.T
+    from annotator.rcv.kernels.spans import count_within
+
+    axes, xyz_m = frame.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
     ranked: list[tuple[float, Pair]] = []
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
@@ -89,13 +90,11 @@ def pair_all(
             if pair.shared_overlap < config.min_shared_overlap:
                 continue
             margin = cut_margin_m(pair.box, views, config)
-            x, y, z = (
-                (row >= low - margin) & (row <= high + margin)
-                for row, (low, high) in zip(along, pair.spans_m, strict=True)
+            low, high = (
+                (pair.spans_m[:, 0] - margin).astype(np.float32),
+                (pair.spans_m[:, 1] + margin).astype(np.float32),
             )
-            of_front, of_side = x & y, y & z
-            both = int(np.count_nonzero(of_front & z))
-            front_only, side_only = int(np.count_nonzero(of_front)), int(np.count_nonzero(of_side))
+            both, front_only, side_only = count_within(xyz_m, axes, low, high)
             if both == 0:
                 continue
             support = both / max(front_only + side_only - both, 1)

@@ -39,12 +39,12 @@ def reach_costs(
     known = np.isfinite(sigma)
     # in multiples of the expected error, so that every weight begins at one
     scaled, target = directions[known] / sigma[known, None] / 2, half[known] / sigma[known]
-    # what follows runs along the rotations
-    turned, delta, least = rotations.transpose(1, 2, 0).copy(), config.huber_sigmas, config.min_size_m
+    delta, least = config.huber_sigmas, config.min_size_m
     if len(rotations) <= FEW:
-        return size_costs(scaled, target, turned, delta, least, 2)
-    count = int(len(rotations) * AGAIN)
-    again = np.argpartition(size_costs(scaled, target, turned, delta, least, 1), count)[:count]
-    costs = np.full(len(rotations), np.inf)
-    costs[again] = size_costs(scaled, target, turned.take(again, axis=2), delta, least, 2)
+        return size_costs(scaled, target, rotations.copy(), delta, least, 2)
+    # copies, since functions are compiled anew for arrays that are read-only
+    costs = size_costs(scaled, target, rotations.copy(), delta, least, 1)
+    again = np.argpartition(costs, int(len(costs) * AGAIN))[: int(len(costs) * AGAIN)]
+    costs[:] = np.inf
+    costs[again] = size_costs(scaled, target, rotations[again], delta, least, 2)
     return costs

@@ -296,5 +296,5 @@ def box_trace(box: OrientedBox | None) -> BoxTrace | None:
 
 
 def _matrix(m: np.ndarray) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in m)
-    return a, b, c
+    (a, b, c), (d, e, f), (g, h, i) = m.tolist()
+    return (a, b, c), (d, e, f), (g, h, i)

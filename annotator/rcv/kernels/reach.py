@@ -20,7 +20,7 @@ LEAST_DETERMINANT = 1e-9
 def size_costs(
     scaled: Float64[np.ndarray, "m 3"],
     target: Float64[np.ndarray, "m"],
-    rotations: Float64[np.ndarray, "3 3 k"],
+    rotations: Float64[np.ndarray, "k 3 3"],
     delta: float,
     least: float,
     rounds: int,
@@ -30,19 +30,19 @@ def size_costs(
     Args:
         scaled: directions over twice the expected error of half an interval, per metre.
         target: half the intervals' lengths over that error.
-        rotations: first axis: the frame of the directions; second: the box's axes.
+        rotations: columns = box axes in the frame of the directions.
         delta: from this residual on Huber's cost is linear.
         least: no size is below it, metres.
         rounds: how often the sizes are solved for: first with weights of one, then with Huber's.
     """
-    m, k = len(target), rotations.shape[2]
+    m, k, turned = len(target), len(rotations), rotations.transpose(1, 2, 0).copy()
     reach, weighted, sizes, sums = np.empty((3, k)), np.empty((3, k)), np.empty((3, k)), np.empty((9, k))
     residual, cost, weight = np.empty(k), np.zeros(k), np.ones((m, k))
-    for _ in range(rounds):
+    for done in range(rounds):
         sums[:] = 0.0
         cost[:] = 0.0
         for i in range(m):
-            _reach(scaled[i], rotations, reach)
+            _reach(scaled[i], turned, reach)
             place = 0
             for a in range(3):
                 for j in range(k):
@@ -55,25 +55,27 @@ def size_costs(
                     place += 1
         _solve(sums, least, sizes)
         for i in range(m):
-            _reach(scaled[i], rotations, reach)
+            _reach(scaled[i], turned, reach)
             for j in range(k):
                 predicted = sizes[0, j] * reach[0, j] + sizes[1, j] * reach[1, j] + sizes[2, j] * reach[2, j]
                 residual[j] = abs(predicted - target[i])
             for j in range(k):
                 inner = min(residual[j], delta)
                 cost[j] += inner * (residual[j] - 0.5 * inner)
+            if done + 1 == rounds:
+                continue
             for j in range(k):
                 weight[i, j] = min(1.0, delta / max(residual[j], 1e-6))
     return cost
 
 
 @compiled
-def _reach(direction: np.ndarray, rotations: np.ndarray, reach: np.ndarray) -> None:
-    """Fills in how far a unit of each size (3, k) reaches along a direction."""
+def _reach(direction: np.ndarray, turned: np.ndarray, reach: np.ndarray) -> None:
+    """Fills in how far a unit of each size (3, k) reaches along a direction, with rotations (3, 3, k)."""
     x, y, z = direction
     for a in range(3):
-        for j in range(rotations.shape[2]):
-            reach[a, j] = abs(x * rotations[0, a, j] + y * rotations[1, a, j] + z * rotations[2, a, j])
+        for j in range(turned.shape[2]):
+            reach[a, j] = abs(x * turned[0, a, j] + y * turned[1, a, j] + z * turned[2, a, j])
 
 
 @compiled

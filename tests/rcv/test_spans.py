@@ -1,0 +1,28 @@
+"""Points between pairs of planes, counted in one pass, against masks."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from annotator.rcv.kernels.spans import count_within
+
+
+def test_points_are_counted_as_masks_count_them() -> None:
+    rng = np.random.default_rng(0)
+    for count in (0, 1, 1000):
+        xyz = rng.normal(size=(count, 3)).astype(np.float32)
+        frame = Rotation.random(rng=rng).as_matrix().astype(np.float32)
+        low, high = rng.uniform(-2, 0, 3).astype(np.float32), rng.uniform(0, 2, 3).astype(np.float32)
+        along = xyz.astype(np.float64) @ frame.T
+        assert np.abs(along[:, None] - np.stack([low, high])).min(initial=1.0) > 1e-6
+        x, y, z = ((along >= low) & (along <= high)).T
+        expected = tuple(int(np.count_nonzero(mask)) for mask in (x & y & z, x & y, y & z))
+        assert count_within(xyz, frame, low, high) == expected
+        assert count < 1000 or min(expected) > 0
+
+
+def test_points_on_a_plane_are_within() -> None:
+    eye, ones = np.eye(3, dtype=np.float32), np.ones(3, np.float32)
+    xyz = np.array([[1, 1, 1], [-1, 0, 0], [0, 0, 1.001]], np.float32)
+    assert count_within(xyz, eye, -ones, ones) == (2, 3, 2)
