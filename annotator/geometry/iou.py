@@ -28,7 +28,9 @@ __all__ = [
 
 def iou_3d(a: OrientedBox, b: OrientedBox) -> float:
     """Exact intersection over union of two oriented boxes in the same frame, in 0..1."""
-    return float(iou_3d_pairs([a], [b])[0])
+    parts = [values[None] for box in (a, b) for values in (box.center_m, box.rotation, box.size_m)]
+    volume = float(intersection_volume_pairs(*parts)[0])
+    return min(volume / (a.volume_m3 + b.volume_m3 - volume), 1.0)
 
 
 def iou_3d_pairs(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]) -> Float64[np.ndarray, "n"]:
