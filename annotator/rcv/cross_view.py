@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
@@ -28,7 +29,7 @@ class Pair:
     disagreement: float
     score: float
 
-    @property
+    @cached_property
     def box(self) -> OrientedBox:
         return span_box(self.frame, self.spans_m)
 
@@ -148,34 +149,28 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
         views: one or more.
         boxes: one a view.
     """
+    # (view, axis, end)
     metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
     origins_m = np.array([view.origin_m for view in views])[:, :, None]
+    sizes_px = np.array([view.rgb.shape[1::-1] for view in views])[:, :, None]
+    edges_px = np.array([(box.x_min, box.x_max, box.y_min, box.y_max) for box in boxes]).reshape(-1, 2, 2)
     scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
-    noise_m = config.fit.edge_noise * _sizes_px(views) * metres_per_px / np.sqrt(scores)
+    is_cut = np.array([cut_edges(view, box, config) for view, box in zip(views, boxes, strict=True)])
+    noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
     # A cut edge is known only not to lie further inside.
-    sigma_m = noise_m * np.where(cut_edges(views, boxes, config), config.fit.cut_doubt, 1.0)
+    sigma_m = noise_m * np.where(is_cut.reshape(-1, 2, 2), config.fit.cut_doubt, 1.0)
     directions = np.concatenate([view.axes[:2] for view in views])
-    return Intervals(directions, (origins_m + _edges_px(boxes) * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
+    return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
 
 
-def cut_edges(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Bool[np.ndarray, "n 2 2"]:
-    """Which edges of boxes, one a view, lie on the picture's border: for each rows x and y, columns low and high."""
-    edges_px, inner_px = _edges_px(boxes), config.border_px - 0.5
-    # the last pixel's centre is one less than the size
-    return np.stack([edges_px[..., 0] <= inner_px, edges_px[..., 1] >= _sizes_px(views)[..., 0] - 1 - inner_px], axis=2)
-
-
-def _edges_px(boxes: Sequence[Box2D]) -> Float64[np.ndarray, "n 2 2"]:
-    edges = np.array([(box.x_min, box.x_max, box.y_min, box.y_max) for box in boxes], np.float64)
-    return edges.reshape(-1, 2, 2)
-
-
-def _sizes_px(views: Sequence[PseudoView]) -> Float64[np.ndarray, "n 2 1"]:
-    """Widths and heights."""
-    return np.array([view.rgb.shape[1::-1] for view in views], np.float64).reshape(-1, 2, 1)
+def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> tuple[bool, bool, bool, bool]:
+    """Which edges of a box lie on the picture's border: left, right, top, bottom."""
+    height_px, width_px = view.rgb.shape[:2]
+    near, right, bottom = config.border_px - 0.5, width_px - 0.5 - config.border_px, height_px - 0.5 - config.border_px
+    return bool(box.x_min <= near), bool(box.x_max >= right), bool(box.y_min <= near), bool(box.y_max >= bottom)
 
 
 def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> float:
     """How far outside of a step's box points are kept, metres: a share of the box, and of what the detector blurs."""
-    extent = max(float(view.extent_m.max()) for view in views)
+    extent = max(max(view.rgb.shape[:2]) * view.metres_per_px for view in views)
     return config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent

@@ -131,8 +131,10 @@ def any_cut(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None], config: RcvConfig
 ) -> bool:
     """True where a used detection touches the border of its picture."""
-    seen = [(view, found[i]) for view, found, i in zip(views, boxes, used, strict=True) if i is not None]
-    return bool(cross_view.cut_edges([view for view, _ in seen], [box for _, box in seen], config).any())
+    return any(
+        i is not None and any(cross_view.cut_edges(view, found[i], config))
+        for view, found, i in zip(views, boxes, used, strict=True)
+    )
 
 
 def _least_volume(

@@ -218,7 +218,7 @@ def _advance(
         return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
     box = canonical_box(measured.box, state.up)
     cloud = cut_cloud(state.cloud, box, plan.views, config)
-    inside = int(contains(box, cloud.xyz_m).sum())
+    inside = int(np.count_nonzero(contains(box, cloud.xyz_m)))
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
     turned = np.inf if state.box is None else frame_angle(measured.frame, state.axes)
     stop = _stop(state, len(cloud), turned, change, measured.cut, config)

@@ -48,11 +48,13 @@ def refine(
     rotation, center, size = rotations.copy(), np.zeros((count, 3)), np.zeros((count, 3))
     new = (np.empty(3), np.empty((3, 3)), np.empty(3))
     cost, damping, active = np.empty(count), np.full(count, 1e-3), np.ones(count, np.bool_)
+    # a variable, since `_step` would be compiled once more for a constant
+    placed = min(FIXED, unknowns)
     for k in range(count):
         box = (center[k], rotation[k], size[k])
         # centre and sizes by least squares, and again with each end weighted by how well it fitted
         for limit in (np.inf, delta):
-            _move(box, _step(measured, box, 0.0, FIXED, limit), least, box)
+            _move(box, _step(measured, box, 0.0, placed, limit), least, box)
         cost[k] = _cost(measured, box, delta)
     for done in range(ROUNDS):
         gained = False
