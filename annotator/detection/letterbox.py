@@ -11,6 +11,8 @@ from jaxtyping import Float, Float64, Int64, UInt8
 
 # The border's grey; networks are trained with it, and pseudo-views have it as background.
 GREY = 114
+# Below, the border around a narrow picture costs less than it does to have canvases of several sizes side by side.
+SQUARE_UP_TO_PX = 128
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,13 @@ class Placement:
 
 def place(size: tuple[int, int], longer_side_px: int, stride: int) -> Placement:
     """A picture of (height, width) with its longer side scaled to the given length, on the smallest canvas around it
-    whose sides are multiples of `stride`."""
+    whose sides are multiples of `stride`; small ones on a square, so that all of a call can be computed alike."""
     height_px, width_px = size
     scale = longer_side_px / max(height_px, width_px)
     scaled_width_px, scaled_height_px = max(round(width_px * scale), 1), max(round(height_px * scale), 1)
     canvas = (-(-scaled_width_px // stride) * stride, -(-scaled_height_px // stride) * stride)
+    if longer_side_px <= SQUARE_UP_TO_PX:
+        canvas = (max(canvas), max(canvas))
     return Placement(width_px, height_px, scaled_width_px, scaled_height_px, canvas)
 
 
