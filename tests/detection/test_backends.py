@@ -21,7 +21,7 @@ from annotator.types import Box2D
 pytestmark = pytest.mark.slow
 
 EXPORTED: tuple[Backend, Backend] = ("openvino", "onnxruntime")
-SHAPES = ((6, 64, 96, 3), (1, 96, 96, 3), (2, 96, 32, 3))
+SHAPES = ((3, 64, 96, 3), (1, 96, 96, 3), (2, 96, 32, 3))
 
 
 def make(weights: Path, **settings: Any) -> YoloDetector:
@@ -112,10 +112,12 @@ def test_pictures_are_computed_alone_where_together_they_have_other_answers(
     random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = opened(random_weights["yolo11n"], "openvino", threads=2)
-    many = [np.random.default_rng(0).integers(0, 256, (9, 64, 32, 3), np.uint8)]
+    many = [np.random.default_rng(0).integers(0, 256, (19, 64, 32, 3), np.uint8)]
     wanted = network.predict(many)[0]
     assert isinstance(network, openvino_network.OpenVinoNetwork)
-    assert {shape[0] for shape, _ in network._compiled} == {1, openvino_network.TOGETHER}
+    assert network._lengths(many[0], 2) == [6, 6, 3, 3, 1]
+    assert network._lengths(many[0], 4) == [3, 3, 3, 3, 1, 1, 1, 1, 1, 1, 1]
+    assert {shape[0] for shape, _ in network._compiled} == {1, *openvino_network.TOGETHER}
 
     network._joins.clear()
     plain = network._run
@@ -137,7 +139,7 @@ def test_few_compiled_sizes_are_kept(random_weights: dict[str, Path], monkeypatc
 
 @pytest.mark.shared
 def test_boxes_on_real_pseudo_views_agree_with_torch(shared: Path, random_weights: dict[str, Path]) -> None:
-    from annotator.rcv.config import RcvConfig
+    from annotator.rcv.config import RcvConfig, ViewConfig
     from annotator.rcv.teach import TaughtObject, teach_views
     from annotator.recordings import open_recording
     from annotator.types import BoxKind
@@ -146,7 +148,8 @@ def test_boxes_on_real_pseudo_views_agree_with_torch(shared: Path, random_weight
     recording = open_recording(shared / "data" / "hand_gesture")
     frame = recording.frame(0)
     objects = [TaughtObject(truth.label, truth.box) for truth in load_truth(recording, 0, frame)]
-    taught = teach_views(frame, objects, BoxKind.BOX, 4, RcvConfig(), None, np.random.default_rng(0))
+    config = RcvConfig(view=ViewConfig(size_px=128))
+    taught = teach_views(frame, objects, BoxKind.BOX, 4, config, None, np.random.default_rng(0))
     views = [view.view for view in taught]
     assert len({view.rgb.shape for view in views}) > 3
     for weights in random_weights.values():
