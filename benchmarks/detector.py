@@ -48,7 +48,7 @@ class Arguments:
     """A recording with true 3D boxes."""
     model: str = "yolo11n"
     """An ultralytics detection model; always from random weights."""
-    size: int = 128
+    size: int = 96
     """Longer side of a picture in the network, pixels."""
     epochs: int | None = None
     """Passes over the pictures; by default what TrainingConfig says."""

@@ -36,7 +36,7 @@ from benchmarks.report import Table, finish, guarded
 
 WORSE = 1
 POINTS = 50_000
-PICTURE_PX = 128
+PICTURE_PX = 96
 SORTED = 50_000
 
 

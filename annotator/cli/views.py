@@ -6,6 +6,7 @@ from pathlib import Path
 
 from annotator.cli.output import print_line
 from annotator.cli.projects import Root, open_named
+from annotator.workflows.labelling import to_draw_on
 from annotator.workflows.rcv_settings import rcv_config
 from annotator.workflows.views_out import COCO, write_views
 
@@ -22,7 +23,7 @@ def run(project: str, out: Path, /, *, step: int = 1, root: Root = None) -> None
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     with open_named(project, root) as opened:
-        written = write_views(opened, out, step, rcv_config(opened))
+        written = write_views(opened, out, step, to_draw_on(rcv_config(opened)))
     print_line(f"{written.pictures} pictures in {out}")
     for line in written.unreadable:
         print_line(f"left out: frame {line}")

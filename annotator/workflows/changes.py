@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from annotator.project import Change, Project, Receipt
 from annotator.project.overview import read_page
 from annotator.project.payloads import ImageBoxesSet, LabelChange, Payload
-from annotator.workflows.labelling import frame_config
+from annotator.workflows.labelling import label_config
 from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.remeasure import remeasured
 from annotator.workflows.view_followers import changes_kind, image_follower, view_followers
@@ -51,5 +51,5 @@ def _following(
     found += view_followers(page, on_image)
     if changes_kind(page, on_image):
         opened = open_frame()
-        found += remeasured(page, opened, frame_config(project, opened.frame), on_image)
+        found += remeasured(page, opened, label_config(project, opened.frame), on_image)
     return found

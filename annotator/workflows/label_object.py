@@ -20,7 +20,7 @@ from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors_ready import ReadyDetector
-from annotator.workflows.labelling import VIEWS_A_STEP, Boxes, Labelling, frame_config, label_steps
+from annotator.workflows.labelling import VIEWS_A_STEP, Boxes, Labelling, label_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.remeasure import remeasured, same_box
 from annotator.workflows.view_followers import changes_kind, view_followers
@@ -87,7 +87,7 @@ def save_object(
     uid = None
     wanted: list[ViewBoxesSet] = []
     if drawn is not None:
-        config = frame_config(project, opened.frame)
+        config = label_config(project, opened.frame)
         labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
         wanted = _view_boxes(project, page, drawn, kind, labelling)
         label = _label_change(page, drawn, labelling, wanted)
@@ -96,7 +96,7 @@ def save_object(
     redrawn = None if drawn is None else drawn.image_box
     payloads += view_followers(page, on_image, redrawn=redrawn, kept={entry.view for entry in wanted})
     if changes_kind(page, on_image):
-        others = remeasured(page, opened, frame_config(project, opened.frame), on_image)
+        others = remeasured(page, opened, label_config(project, opened.frame), on_image)
         payloads += [entry for entry in others if entry.uid != uid]
     if not payloads:
         return Saved(None, uid)

@@ -37,6 +37,8 @@ Boxes = Sequence[Box2D | None]
 
 VIEWS_A_STEP = 2
 MOST_BOXES = 4
+# Longer side of the views that people draw on: on smaller ones a pixel is too coarse for a hand.
+LABEL_VIEW_PX = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,17 @@ def frame_config(project: Project, frame: Frame) -> RcvConfig:
     """The recursion's settings for a frame of a project."""
     orientation = orientation_for(project.config.settings.rotation, frame)
     return rcv_config(project).model_copy(update={"orientation": orientation})
+
+
+def label_config(project: Project, frame: Frame) -> RcvConfig:
+    """The same for views that people draw on."""
+    return to_draw_on(frame_config(project, frame))
+
+
+def to_draw_on(config: RcvConfig) -> RcvConfig:
+    """Settings with large views, however small the detector's are."""
+    size_px = max(config.view.size_px, LABEL_VIEW_PX)
+    return config.model_copy(update={"view": config.view.model_copy(update={"size_px": size_px})})
 
 
 def label_steps(

@@ -22,7 +22,7 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_view import show_frame
 from annotator.workflows.label_object import ObjectDrawn, save_object
-from annotator.workflows.labelling import Labelling, frame_config, label_steps
+from annotator.workflows.labelling import LABEL_VIEW_PX, Labelling, frame_config, label_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
 from annotator.workflows.samples import gather
 from annotator.workflows.simulate import _draw, _image_box, visible_objects
@@ -38,7 +38,7 @@ class Desk:
         self.frame_id = project.frames.of()[0].id
         self.objects: list[TaughtObject] = visible_objects(recording, 0, self.frame, project.config.classes)
         self.opened = OpenFrame(self.frame)
-        self.config = frame_config(project, self.frame)
+        self.config = label_config(project, self.frame)
 
     def image_box(self, number: int = 0) -> Box2D:
         box = _image_box(self.frame, self.objects[number], self.kind)
@@ -307,3 +307,9 @@ def test_what_cannot_be_kept_is_said_and_changes_nothing(desk: Desk) -> None:
     with pytest.raises(StaleRevisionError, match="is at revision 0, the change was made on revision 3"):
         desk.save([image_box], None, revision=3)
     assert desk.revision == 0
+
+
+def test_views_to_draw_on_are_large_however_small_the_detectors_are(desk: Desk) -> None:
+    assert frame_config(desk.project, desk.frame).view.size_px < LABEL_VIEW_PX
+    views = label_steps(desk.opened, desk.image_box(), [], desk.config).views
+    assert {max(view.rgb.shape) for view in views} == {LABEL_VIEW_PX}

@@ -29,7 +29,7 @@ from annotator.web.wire import (
     Wire,
 )
 from annotator.workflows.label_object import ObjectDrawn, save_object, suggested_image_boxes
-from annotator.workflows.labelling import frame_config, label_steps
+from annotator.workflows.labelling import frame_config, label_config, label_steps
 
 router = APIRouter(tags=["label"])
 
@@ -111,7 +111,7 @@ def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) ->
     ready = ctx.annotation.detectors.look(project, Role.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
     detector = ready.detector if body.suggest else None
     boxes = [None if box is None else box.box() for box in body.boxes]
-    config = frame_config(project, opened.frame)
+    config = label_config(project, opened.frame)
     found = label_steps(opened, body.image_box.box(), boxes, config, body.box_kind, detector)
     return StepsOut(
         steps=[

@@ -22,7 +22,7 @@ from annotator.web.viewport.workbench import Workbench
 from annotator.web.viewport.workbenches import Workbenches
 from annotator.web.wire import MOST_BOXES, Box2DJson, Box3DJson, ClassName, RowId, Uid, Wire
 from annotator.workflows.frame_view import present_page
-from annotator.workflows.labelling import frame_config, label_steps
+from annotator.workflows.labelling import label_config, label_steps
 from annotator.workflows.open_frame import OpenFrame
 
 
@@ -188,5 +188,5 @@ def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:
     """The views of the present step are those that the page was given: drawn once."""
     image_box = body.image_box.box()
     drawn = [None if box is None else box.box() for box in body.boxes]
-    found = label_steps(opened, image_box, drawn, frame_config(project, opened.frame), body.box_kind)
+    found = label_steps(opened, image_box, drawn, label_config(project, opened.frame), body.box_kind)
     return Draft(image_box, found.steps[-1].views if found.steps else (), found.box)
