@@ -145,7 +145,7 @@ def detector_ratios(folder: Path) -> list[Ratio]:
         return lambda: detector.detect(views)
 
     fastest = asked("auto")
-    return [Ratio("six pictures by the default backend / torch", fastest, asked("torch"), 0.55)]
+    return [Ratio("six pictures by the default backend / torch", fastest, asked("torch"), 0.7)]
 
 
 def _views() -> list[PseudoView]:
