@@ -23,7 +23,7 @@ def run(project: str, out: Path, /, *, step: int = 1, root: Root = None) -> None
         root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
     """
     with open_named(project, root) as opened:
-        written = write_views(opened, out, step, to_draw_on(rcv_config(opened)))
+        written = write_views(opened, out, step, to_draw_on(opened, rcv_config(opened)))
     print_line(f"{written.pictures} pictures in {out}")
     for line in written.unreadable:
         print_line(f"left out: frame {line}")

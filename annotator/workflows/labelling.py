@@ -87,11 +87,14 @@ def frame_config(project: Project, frame: Frame) -> RcvConfig:
 
 def label_config(project: Project, frame: Frame) -> RcvConfig:
     """The same for views that people draw on."""
-    return to_draw_on(frame_config(project, frame))
+    return to_draw_on(project, frame_config(project, frame))
 
 
-def to_draw_on(config: RcvConfig) -> RcvConfig:
-    """Settings with large views, however small the detector's are."""
+def to_draw_on(project: Project, config: RcvConfig) -> RcvConfig:
+    """Settings with large views, however small the detector's are; where the project says a size itself, with that."""
+    said = project.config.settings.rcv.get("view")
+    if isinstance(said, dict) and "size_px" in said:
+        return config
     size_px = max(config.view.size_px, LABEL_VIEW_PX)
     return config.model_copy(update={"view": config.view.model_copy(update={"size_px": size_px})})
 
