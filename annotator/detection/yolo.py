@@ -21,7 +21,7 @@ from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
 from annotator.detection.selection import candidates
 from annotator.detection.suppression import suppress
-from annotator.types import Box2D, Image
+from annotator.types import Box2D, Image, PseudoView
 from annotator.types.errors import DetectionError
 
 # At most this many pixels of scaled pictures are worked on at once; it bounds the memory.
@@ -93,7 +93,10 @@ class YoloDetector:
         """
         pictures = [_checked(image.rgb) for image in images]
         stride = self._network.facts.stride
-        placements = [place(picture.shape[:2], self._config.image_size_px, stride) for picture in pictures]
+        placements = [
+            place(picture.shape[:2], self._looked_at(image), stride)
+            for picture, image in zip(pictures, images, strict=True)
+        ]
         found: list[list[Box2D]] = [[] for _ in pictures]
         for part in _parts(placements):
             # Pictures that need the same canvas share a batch, so narrow ones are not computed with wide borders.
@@ -107,6 +110,10 @@ class YoloDetector:
             for index, box in self._boxes(groups, answers, placements):
                 found[index].append(box)
         return found
+
+    def _looked_at(self, image: Image) -> int:
+        """The longer side of a picture in the network, pixels."""
+        return max(self._config.image_size_px, image.look_px if isinstance(image, PseudoView) else 0)
 
     def _boxes(
         self, groups: Sequence[Sequence[int]], answers: Sequence[Answer], placements: Sequence[Placement]

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.types import BoxKind
 
 # Part of what decides whether a frame has been done: raise it when the same settings would give other boxes.
-REVISION = 4
+REVISION = 5
 
 
 class Strategy(StrEnum):
@@ -38,6 +38,12 @@ class ViewConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     size_px: int = Field(96, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
+    deep_size_px: int = Field(
+        224, ge=32, le=2048, description="the same of the first step's views, where a frustum is deep, pixels"
+    )
+    deep: float = Field(
+        2.0, gt=0, description="a frustum that is so many times as deep as wide and high shows its object small, factor"
+    )
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
     min_extent_m: float = Field(0.02, gt=0, description="a view never shows less than this, metres")
     max_splat_px: int = Field(9, ge=1, le=31, description="largest square that one point is drawn as, pixels")

@@ -25,6 +25,8 @@ class PseudoView:
         metres_per_px: one uniform scale.
         origin_m: (2,) view coordinates, metres, of the centre of pixel (0, 0).
         xyz_m: (N, 3) the points that were drawn, in the camera frame.
+        look_px: longer side, pixels, that a detector should at least look at it with; 0: with its own. For pictures in
+            which objects are small.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -32,6 +34,7 @@ class PseudoView:
     metres_per_px: float
     origin_m: Float64[np.ndarray, "2"]
     xyz_m: Float32[np.ndarray, "n 3"]
+    look_px: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rgb", as_array("rgb", self.rgb, np.uint8, (None, None, 3)))

@@ -15,7 +15,7 @@ from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.yolo import YoloDetector
-from annotator.types import Detector
+from annotator.types import Detector, PseudoView
 from annotator.types.errors import DetectionError
 
 pytestmark = pytest.mark.slow
@@ -70,6 +70,14 @@ def test_the_answer_does_not_depend_on_what_else_is_asked(detector: YoloDetector
         for a, b in zip(alone, boxes, strict=True):
             np.testing.assert_allclose(a.xyxy, b.xyxy, atol=0.01)
             assert a.score == pytest.approx(b.score, abs=1e-4)
+
+
+def test_a_view_is_looked_at_as_large_as_it_asks(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    rgb = scene(3, (192, 160)).rgb
+    view = PseudoView(rgb, np.eye(3), 0.01, np.zeros(2), np.zeros((1, 3), np.float32), look_px=192)
+    small, large = (make(detector.weights, confidence=0.001, image_size_px=size) for size in (96, 192))
+    (asked,), (plain,), (wanted,) = small.detect([view]), small.detect([Picture(rgb)]), large.detect([Picture(rgb)])
+    assert asked == wanted != plain
 
 
 def test_it_agrees_with_ultralytics_own_predictor(

@@ -1,0 +1,43 @@
+"""The first step's pictures where a frustum is much deeper than wide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.operator import first_views
+from annotator.rcv.recursion import is_deep, plan_step, start
+from annotator.types import Box2D, Camera, Frame, PointCloud
+
+CONFIG = RcvConfig(view=ViewConfig(size_px=96, deep_size_px=224, deep=2.0))
+
+
+def frustum(depth_m: float) -> PointCloud:
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-1, 1) for z in (5.0, 5.0 + depth_m)])
+    return PointCloud(corners.astype(np.float32))
+
+
+@pytest.mark.parametrize(("depth_m", "size_px", "look_px"), [(3.9, 96, 0), (4.1, 224, 224), (60.0, 224, 224)])
+def test_a_deep_frustum_is_drawn_larger_and_looked_at_larger(depth_m: float, size_px: int, look_px: int) -> None:
+    cloud = frustum(depth_m)
+    assert is_deep(cloud, CONFIG) == (size_px == 224)
+    views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, CONFIG), CONFIG).views
+    assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}
+
+
+def test_views_are_never_smaller_than_the_rest() -> None:
+    large = CONFIG.model_copy(update={"view": ViewConfig(size_px=320)})
+    views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), frustum(60.0), None, large), large).views
+    assert {max(view.rgb.shape) for view in views} == {320}
+
+
+def test_views_to_draw_on_are_looked_at_alike() -> None:
+    camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    box = Box2D("a", 20.0, 15.0, 40.0, 30.0)
+    for depth_m, look_px in ((2.0, 0), (60.0, 224)):
+        z = np.linspace(5.0, 5.0 + depth_m, 40)
+        cloud = PointCloud(np.stack([np.linspace(-0.5, 0.5, 40), np.zeros(40), z], axis=1).astype(np.float32))
+        views = first_views(Frame("0", 0, camera, np.zeros((48, 64, 3), np.uint8), cloud), box, CONFIG)
+        assert views is not None
+        assert [view.look_px for view in views] == [look_px, look_px]
