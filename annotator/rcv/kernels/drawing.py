@@ -15,7 +15,7 @@ BLOCK = 512
 
 
 @compiled
-def extents(xyz, frames, least, most):  # type: ignore[no-untyped-def]
+def extents(xyz: np.ndarray, frames: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
     """Least and most coordinate of points along the rows of frames.
 
     Args:
@@ -39,7 +39,7 @@ def extents(xyz, frames, least, most):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _widen(x, y, z, axis, low, high):  # type: ignore[no-untyped-def]
+def _widen(x: np.ndarray, y: np.ndarray, z: np.ndarray, axis: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
     a, b, c = axis[0], axis[1], axis[2]
     for j in range(len(x)):
         along = a * x[j] + b * y[j] + c * z[j]
@@ -48,7 +48,18 @@ def _widen(x, y, z, axis, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def draw_views(xyz, packed, axes, sizes, places, depths, splats, bits, begins, pictures):  # type: ignore[no-untyped-def]
+def draw_views(
+    xyz: np.ndarray,
+    packed: np.ndarray,
+    axes: np.ndarray,
+    sizes: np.ndarray,
+    places: np.ndarray,
+    depths: np.ndarray,
+    splats: np.ndarray,
+    bits: np.ndarray,
+    begins: np.ndarray,
+    pictures: np.ndarray,
+) -> None:
     """Draws all views of a cloud (`annotator.rcv.drawing` says how).
 
     Args:
@@ -93,7 +104,20 @@ def draw_views(xyz, packed, axes, sizes, places, depths, splats, bits, begins, p
 
 
 @compiled
-def _project(x, y, z, axes, place, depth, last, width, index_bits, first_key, pixels, keys):  # type: ignore[no-untyped-def]
+def _project(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    axes: np.ndarray,
+    place: np.ndarray,
+    depth: np.ndarray,
+    last: tuple[np.float32, np.float32, np.float32],
+    width: int,
+    index_bits: int,
+    first_key: int,
+    pixels: np.ndarray,
+    keys: np.ndarray,
+) -> None:
     """Which pixel of the picture, counted row by row, each point falls on, and its key."""
     rx, ry, rz = axes[0, 0], axes[0, 1], axes[0, 2]
     dx, dy, dz = axes[1, 0], axes[1, 1], axes[1, 2]
@@ -118,7 +142,7 @@ def _project(x, y, z, axes, place, depth, last, width, index_bits, first_key, pi
 
 
 @compiled
-def _keep_nearest(pixels, keys, nearest):  # type: ignore[no-untyped-def]
+def _keep_nearest(pixels: np.ndarray, keys: np.ndarray, nearest: np.ndarray) -> None:
     for j in range(len(pixels)):
         pixel, key = pixels[j], keys[j]
         if key < nearest[pixel]:
@@ -126,7 +150,7 @@ def _keep_nearest(pixels, keys, nearest):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _widen_rows(keys, spread, radius):  # type: ignore[no-untyped-def]
+def _widen_rows(keys: np.ndarray, spread: np.ndarray, radius: int) -> None:
     """The least key of each pixel and its neighbours to the left and right."""
     height, width = keys.shape
     reach = min(radius, width - 1)
@@ -138,7 +162,7 @@ def _widen_rows(keys, spread, radius):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _widen_columns(keys, spread, radius):  # type: ignore[no-untyped-def]
+def _widen_columns(keys: np.ndarray, spread: np.ndarray, radius: int) -> None:
     """The least key of each pixel and its neighbours above and below."""
     height = len(keys)
     for row in range(height):
@@ -148,20 +172,22 @@ def _widen_columns(keys, spread, radius):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lower(keys, others):  # type: ignore[no-untyped-def]
+def _lower(keys: np.ndarray, others: np.ndarray) -> None:
     for i in range(len(keys)):
         keys[i] = others[i] if others[i] < keys[i] else keys[i]
 
 
 @compiled
-def _colour(nearest, packed, least_key, index_mask, picture):  # type: ignore[no-untyped-def]
+def _colour(nearest: np.ndarray, packed: np.ndarray, least_key: int, index_mask: int, picture: np.ndarray) -> None:
     """The colours of the nearest points."""
     for i in range(len(nearest)):
         picture[i] = packed[np.uint32((nearest[i] - least_key) & index_mask)]
 
 
 @compiled
-def _shade(nearest, index_bits, levels, least_key, background, picture):  # type: ignore[no-untyped-def]
+def _shade(
+    nearest: np.ndarray, index_bits: int, levels: int, least_key: int, background: int, picture: np.ndarray
+) -> None:
     """Grey by depth, near points light; no point has the last level, which is the background's."""
     for i in range(len(nearest)):
         level = (nearest[i] - least_key) >> index_bits
