@@ -78,7 +78,7 @@ class OpenVinoNetwork:
         # One call at a time: it keeps all cores busy by itself.
         self._lock = threading.Lock()
         self._compiled: OrderedDict[tuple[tuple[int, ...], int], list[_Request]] = OrderedDict()
-        self._joins: dict[tuple[int, ...], bool] = {}
+        self._joins: dict[tuple[tuple[int, ...], int], bool] = {}
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
         """As `Network.predict`; sizes that come for the first time are compiled before.
@@ -90,10 +90,7 @@ class OpenVinoNetwork:
         streams = min(self._threads, MAX_STREAMS) if side_by_side(count, self._threads) else 1
         try:
             with self._lock:
-                wanted = [(batch, self._lengths(batch, streams)) for batch in batches]
-                # all at once, since sizes are compiled side by side
-                self._requests({(n, *batch.shape[1:]) for batch, lengths in wanted for n in lengths}, streams)
-                parts = [part for batch, lengths in wanted for part in _cut(batch, lengths)]
+                parts = [part for batch in batches for part in _cut(batch, self._lengths(batch, streams))]
                 return rejoined(self._run(parts, streams), batches)
         except Exception as error:
             raise DetectionError(
@@ -111,21 +108,21 @@ class OpenVinoNetwork:
         return lengths + [1] * left
 
     def _may_join(self, size: tuple[int, ...], streams: int) -> bool:
-        """Whether pictures of a size have the same answers together as alone, to the bit: asked once a size.
+        """Whether pictures of a size have the same answers together as alone, to the bit: tried once.
 
         They have where the runtime adds up in the same order for one picture as for several, which it does not promise.
         """
         if size[0] * size[1] > SMALL_PX:
             return False
-        if size not in self._joins:
+        if (size, streams) not in self._joins:
             some = np.random.default_rng(0).integers(0, 256, (max(TOGETHER), *size), np.uint8)
-            self._requests({(n, *size) for n in (*TOGETHER, 1)}, streams)
+            self._requests({(n, *size) for n in (*TOGETHER, 1)}, streams)  # compiles them side by side
             alone = np.concatenate(list(self._run(single([some]), streams)))
             answers = [answer for n in TOGETHER for answer in self._run([some[:n]], streams)]
-            self._joins[size] = all(np.array_equal(answer, alone[: len(answer)]) for answer in answers)
-            if not self._joins[size]:
+            self._joins[size, streams] = all(np.array_equal(answer, alone[: len(answer)]) for answer in answers)
+            if not self._joins[size, streams]:
                 LOG.info("pictures of %s are computed one by one: together their answers differ", size)
-        return self._joins[size]
+        return self._joins[size, streams]
 
     def _run(self, parts: Sequence[Batch], streams: int) -> Iterator[Answer]:
         """One answer a part. As many are under way as keep all streams busy while the oldest answer is taken."""
