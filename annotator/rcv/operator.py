@@ -7,7 +7,7 @@ steps: five 2D boxes an object.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool
@@ -20,7 +20,7 @@ from annotator.rcv.cross_view import make_pair
 from annotator.rcv.measure import any_cut
 from annotator.rcv.normals import with_normals
 from annotator.rcv.pseudo_view import render_pairs
-from annotator.rcv.recursion import cut_cloud, held_direction, is_deep, shown_box
+from annotator.rcv.recursion import cut_cloud, held_direction, is_deep, looked_at_larger, shown_box
 from annotator.types import Box2D, Frame, PseudoView
 
 LABELLED_STEPS = 2
@@ -82,9 +82,9 @@ def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | No
     cloud = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, image_box))
     if len(cloud) < config.min_points:
         return None
-    front, side = render_pairs(cloud, [camera_frame(held_direction(frame.up, config))], config.view)
-    if is_deep(cloud, config):  # a detector that suggests boxes looks as the recursion's does
-        front, side = (replace(view, look_px=config.view.deep_size_px) for view in (front, side))
+    views = render_pairs(cloud, [camera_frame(held_direction(frame.up, config))], config.view)
+    # a detector that suggests boxes looks as the recursion's does
+    front, side = looked_at_larger(views, config) if is_deep(cloud, config) else views
     return front, side
 
 

@@ -131,9 +131,8 @@ def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -
     if not state.steps:
         fallback = state.notes + fallback
     if state.is_first and is_deep(state.cloud, config):
-        size_px = max(config.view.size_px, config.view.deep_size_px)
-        large = config.view.model_copy(update={"size_px": size_px})
-        views = [replace(view, look_px=size_px) for view in compute.render_pairs(state.cloud, frames, large, show)]
+        large = config.view.model_copy(update={"size_px": max(config.view.size_px, config.view.deep_size_px)})
+        views = looked_at_larger(compute.render_pairs(state.cloud, frames, large, show), config)
     else:
         views = compute.render_pairs(state.cloud, frames, config.view, show)
     return StepPlan(strategy, fallback, tuple(frames), tuple(views))
@@ -146,6 +145,11 @@ def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
     """
     across, along, into = (float(np.ptp(cloud.xyz_m[:, axis])) for axis in range(3))
     return into > config.view.deep * max(across, along)
+
+
+def looked_at_larger(views: Sequence[PseudoView], config: RcvConfig) -> list[PseudoView]:
+    """Views of a deep frustum, as detectors shall look at them."""
+    return [replace(view, look_px=config.view.deep_size_px) for view in views]
 
 
 def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:

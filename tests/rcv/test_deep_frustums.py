@@ -29,7 +29,7 @@ def test_a_deep_frustum_is_drawn_larger_and_looked_at_larger(depth_m: float, siz
 def test_views_are_never_smaller_than_the_rest() -> None:
     large = CONFIG.model_copy(update={"view": ViewConfig(size_px=320)})
     views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), frustum(60.0), None, large), large).views
-    assert {max(view.rgb.shape) for view in views} == {320}
+    assert {(max(view.rgb.shape), view.look_px) for view in views} == {(320, 224)}
 
 
 def test_views_to_draw_on_are_looked_at_alike() -> None:
