@@ -12,6 +12,7 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose
+from annotator.rcv.seeds import Seed
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -19,15 +20,22 @@ POINTS = 2000
 
 
 def warm_up() -> list[FrameProposals]:
-    """Proposes boxes on a made-up frame with a detector that knows it: once each for free and for upright boxes."""
+    """Proposes boxes on a made-up frame with a detector that knows it: free and upright ones, without and with a box of
+    the moment before."""
     rng = np.random.default_rng(0)
     box = OrientedBox.from_parts(np.array([0.05, 0.0, 1.5]), np.eye(3), np.array([0.4, 0.3, 0.2]))
     xyz = rng.uniform(-0.5, 0.5, (POINTS, 3)) * box.size_m + box.center_m
     cloud = PointCloud(xyz.astype(np.float32), rng.integers(0, 255, (POINTS, 3)).astype(np.uint8))
     frame = Frame("0", 0, CAMERA, np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8), cloud)
     detector = PerfectDetector.for_frame(frame, [Truth("thing", box)])
-    configs = (RcvConfig(orientation=orientation) for orientation in (Orientation.FREE, Orientation.UPRIGHT))
-    return [found for config in configs for found in propose([frame], detector, detector, config)]
+    configs = [RcvConfig(orientation=orientation) for orientation in (Orientation.FREE, Orientation.UPRIGHT)]
+    seeds: tuple[list[Seed], ...] = ([], [Seed("thing", box)])
+    return [
+        found
+        for config in configs
+        for given in seeds
+        for found in propose([frame], detector, detector, config, [given])
+    ]
 
 
 if __name__ == "__main__":

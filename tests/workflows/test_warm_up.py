@@ -6,13 +6,15 @@ import pkgutil
 from importlib import import_module
 
 from annotator.geometry import kernels as of_geometry
+from annotator.geometry.kernels.points_in_box import points_in_box
 from annotator.rcv import kernels as of_rcv
+from annotator.rcv.seeds import is_warm
 from annotator.workflows.warm_up import warm_up
 
 
 def test_all_compiled_functions_are_called() -> None:
     found = warm_up()
-    assert [len(result.proposals) for result in found] == [1, 1]
+    assert [[is_warm(proposal) for proposal in result.proposals] for result in found] == [[False], [True]] * 2
     checked = []
     for package in (of_geometry, of_rcv):
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
@@ -22,3 +24,5 @@ def test_all_compiled_functions_are_called() -> None:
                     assert value.signatures, f"{module.name}.{name}"
                     checked.append(name)
     assert {"draw_views", "refine", "intersection_volumes"} <= set(checked)
+    # of clouds, and of corners
+    assert {str(types[0].dtype) for types in points_in_box.signatures} == {"float32", "float64"}
