@@ -42,6 +42,7 @@ class TrainingSample:
         group: key of the frame it comes from; pictures of one group are never split between training and measuring.
         origin: how the boxes came about, such as "drawn", "imported" or "projected".
         label_uids: the labels that the boxes come from, where they have uids.
+        look_px: longer side, pixels, that a detector will look at it with; 0: with what it is trained at (`tiles`).
     """
 
     rgb: Rgb | Callable[[], Rgb] | Path
@@ -49,6 +50,7 @@ class TrainingSample:
     group: str
     origin: str
     label_uids: tuple[str, ...] = ()
+    look_px: int = 0
 
     def load(self) -> Rgb:
         """The picture.

@@ -105,6 +105,7 @@ class ViewGeometry(BaseModel):
         origin_m: view coordinates, metres, of the centre of pixel (0, 0).
         image_box: the box on the camera image whose frustum the view shows, where known; it tells whose views belong
             together.
+        look_px: as in `PseudoView`.
     """
 
     model_config = EXACT
@@ -113,12 +114,13 @@ class ViewGeometry(BaseModel):
     metres_per_px: Positive
     origin_m: tuple[Finite, Finite]
     image_box: Box2D | None = None
+    look_px: int = Field(0, ge=0)
 
     @classmethod
     def of(cls, view: PseudoView) -> ViewGeometry:
         """The geometry of a pseudo-view."""
         values = {"axes": view.axes.tolist(), "metres_per_px": view.metres_per_px, "origin_m": view.origin_m.tolist()}
-        return cls.model_validate(values)
+        return cls.model_validate(values | {"look_px": view.look_px})
 
 
 _BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)

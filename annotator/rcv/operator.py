@@ -17,10 +17,11 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.rcv.axes import camera_frame, find_axes
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.cross_view import make_pair
+from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.measure import any_cut
 from annotator.rcv.normals import with_normals
 from annotator.rcv.pseudo_view import render_pairs
-from annotator.rcv.recursion import cut_cloud, held_direction, is_deep, looked_at_larger, shown_box
+from annotator.rcv.recursion import cut_cloud, held_direction, shown_box
 from annotator.types import Box2D, Frame, PseudoView
 
 LABELLED_STEPS = 2
@@ -82,10 +83,7 @@ def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | No
     cloud = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, image_box))
     if len(cloud) < config.min_points:
         return None
-    views = render_pairs(cloud, [camera_frame(held_direction(frame.up, config))], config.view)
-    # a detector that suggests boxes looks as the recursion's does
-    front, side = looked_at_larger(views, config) if is_deep(cloud, config) else views
-    return front, side
+    return frustum_views(cloud, camera_frame(held_direction(frame.up, config)), config)
 
 
 def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: RcvConfig) -> Views | None:
@@ -104,7 +102,7 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
         return None
     frustum = with_normals(frame, mask, config).select(mask)
     # As the recursion does it, so that the drawn views look like those that a detector will be shown.
-    front, side = render_pairs(frustum, [axes], config.view)
+    front, side = frustum_views(frustum, axes, config)
     label = image_box.label
     drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
     box = make_pair(axes, (front, side), drawn[0], drawn[1], 0, 0).box

@@ -19,6 +19,7 @@ from annotator.rcv.axes import camera_frame, find_axes, frame_angle
 from annotator.rcv.canonical import canonical_box
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.hypotheses import beside_frames, near_frames, wide_frames
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
@@ -127,29 +128,15 @@ def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -
     else:
         axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
         strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
-    show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
     if not state.steps:
         fallback = state.notes + fallback
-    if state.is_first and is_deep(state.cloud, config):
-        large = config.view.model_copy(update={"size_px": max(config.view.size_px, config.view.deep_size_px)})
-        views = looked_at_larger(compute.render_pairs(state.cloud, frames, large, show), config)
+    views: Sequence[PseudoView]
+    if state.is_first:
+        views = frustum_views(state.cloud, frames[0], config, compute)
     else:
+        show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
         views = compute.render_pairs(state.cloud, frames, config.view, show)
     return StepPlan(strategy, fallback, tuple(frames), tuple(views))
-
-
-def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
-    """Whether the points of a frustum reach so much further into the scene than across that its object is small in it.
-
-    What lies behind a pedestrian in a street makes the side view 60 m wide: of 96 pixels he has two.
-    """
-    across, along, into = (float(np.ptp(cloud.xyz_m[:, axis])) for axis in range(3))
-    return into > config.view.deep * max(across, along)
-
-
-def looked_at_larger(views: Sequence[PseudoView], config: RcvConfig) -> list[PseudoView]:
-    """Views of a deep frustum, as detectors shall look at them."""
-    return [replace(view, look_px=config.view.deep_size_px) for view in views]
 
 
 def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:

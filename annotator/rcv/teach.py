@@ -19,6 +19,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv.axes import camera_frame
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import span_box
+from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.hypotheses import look_from_camera
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
@@ -161,7 +162,9 @@ def _draw(
         keep, axes, show = contains(crop, xyz), look_from_camera(_near_turn(crop, up, rng), up), box_corners(crop)
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return []
-    views = render_pairs(scene.frame.cloud.select(keep), [axes], config.view, show)
+    cloud = scene.frame.cloud.select(keep)
+    is_frustum = show is None
+    views = frustum_views(cloud, axes, config) if is_frustum else render_pairs(cloud, [axes], config.view, show)
     totals = [int(mask.sum()) for mask in whole.masks]
     return [_label(view, scene, keep, totals, kind) for view in views]
 

@@ -144,7 +144,9 @@ def view_samples(
     groups = {stored.id: _group(stored) for stored in project.frames.of()}
     for view in material.views:
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
-        yield TrainingSample(project.views.load(view.view_id), view.boxes, group, DRAWN, _drawn_uids(view))
+        look_px = 0 if view.geometry is None else view.geometry.look_px
+        picture = project.views.load(view.view_id)
+        yield TrainingSample(picture, view.boxes, group, DRAWN, _drawn_uids(view), look_px)
     drags = drawn_objects(material)
     total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
     if total == 0:
@@ -162,7 +164,8 @@ def view_samples(
         doubtful = [label.box for label in material.open.get(stored.id, ())]
         for taught in teach_views(frame, known, material.kind, draws, settings, up, rng, doubtful):
             uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
-            yield TrainingSample(taught.view.rgb, taught.boxes, _group(stored), TAUGHT, uids)
+            drawn = taught.view
+            yield TrainingSample(drawn.rgb, taught.boxes, _group(stored), TAUGHT, uids, drawn.look_px)
 
 
 def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:

@@ -14,6 +14,7 @@ from annotator.detection.dataset import write_dataset
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
 from annotator.detection.pretrained import check_start
 from annotator.detection.progress import TrainingProgress
+from annotator.detection.tiles import tiled
 from annotator.detection.trained import MODEL_NAME, TrainedModel
 from annotator.detection.training import train_detector
 from annotator.project import Project, Role, StoredFrame, StoredModel
@@ -131,7 +132,8 @@ def _train_one(
         if material.untold:
             left_out.append(f"{material.untold} camera images with proposals that nobody has reviewed")
     else:
-        samples, kind, config = view_samples(project, material, rcv, plan.samples, skip), material.kind, plan.view
+        views = view_samples(project, material, rcv, plan.samples, skip)
+        samples, kind, config = tiled(views, plan.view.image_size_px), material.kind, plan.view
         if material.left_out:
             left_out.append(f"{material.left_out} pseudo-views whose boxes are not of the kind {kind}, as most are")
     manifest = write_dataset(folder / DATASET, samples, classes, plan.val_share, plan.seed, kind)

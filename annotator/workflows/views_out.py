@@ -152,14 +152,7 @@ def read_places(pictures: Path) -> dict[str, ViewPlace]:
 
 def geometry_of(view: PseudoView, image_box: Box2D) -> ViewGeometry:
     """How a pseudo-view of a box's frustum lies in space, for the store."""
-    return ViewGeometry.model_validate(
-        {
-            "axes": view.axes.tolist(),
-            "metres_per_px": view.metres_per_px,
-            "origin_m": view.origin_m.tolist(),
-            "image_box": image_box,
-        }
-    )
+    return ViewGeometry.of(view).model_copy(update={"image_box": image_box})
 
 
 class _Frames:

@@ -69,10 +69,11 @@ def test_a_proposal_from_before_it_was_compared_with_the_image_is_read() -> None
 
 def test_the_geometry_of_a_view_is_kept() -> None:
     axes = np.eye(3)[[1, 2, 0]]
-    view = PseudoView(np.zeros((4, 5, 3), np.uint8), axes, 0.01, np.array([-1.0, 0.5]), np.zeros((0, 3), np.float32))
+    picture, no_points = np.zeros((4, 5, 3), np.uint8), np.zeros((0, 3), np.float32)
+    view = PseudoView(picture, axes, 0.01, np.array([-1.0, 0.5]), no_points, look_px=224)
     geometry = ViewGeometry.model_validate_json(ViewGeometry.of(view).model_dump_json())
     assert np.array_equal(np.array(geometry.axes), axes)
-    assert (geometry.metres_per_px, geometry.origin_m) == (0.01, (-1.0, 0.5))
+    assert (geometry.metres_per_px, geometry.origin_m, geometry.look_px) == (0.01, (-1.0, 0.5), 224)
 
 
 NEW = LabelCreated(uid="a", label="hand", box=BoxRecord.of(OrientedBox(RigidTransform.identity(), np.ones(3))))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.frustum_views import is_deep
 from annotator.rcv.operator import first_views
-from annotator.rcv.recursion import is_deep, plan_step, start
+from annotator.rcv.recursion import plan_step, start
 from annotator.types import Box2D, Camera, Frame, PointCloud
 
 CONFIG = RcvConfig(view=ViewConfig(size_px=96, deep_size_px=224, deep=2.0))

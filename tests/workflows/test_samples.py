@@ -49,8 +49,10 @@ def simulate(project: Project, kind: BoxKind, every: int = 2) -> Material:
     return gather(project)
 
 
-def views(project: Project, material: Material, number: int = 24, seed: int = 0) -> list[TrainingSample]:
-    return list(view_samples(project, material, CONFIG, SampleConfig(views=number, seed=seed), never))
+def views(
+    project: Project, material: Material, number: int = 24, seed: int = 0, config: RcvConfig = CONFIG
+) -> list[TrainingSample]:
+    return list(view_samples(project, material, config, SampleConfig(views=number, seed=seed), never))
 
 
 def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
@@ -240,6 +242,18 @@ def test_drawn_views_come_as_they_were_drawn(people: Project) -> None:
         np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
         assert view.frame_id is not None
         assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
+
+
+def test_views_of_deep_frustums_are_taught_as_they_are_looked_at(people: Project) -> None:
+    deep = CONFIG.model_copy(update={"view": CONFIG.view.model_copy(update={"deep": 0.1})})
+    (recording,) = people.recordings.all()
+    simulate_recording(people, recording.id, BoxKind.BOX, deep, 2)
+    samples = views(people, gather(people), 120, config=deep)
+    for origin in (DRAWN, TAUGHT):
+        looked_at = {sample.look_px: sample for sample in samples if sample.origin == origin}
+        assert set(looked_at) == {0, CONFIG.view.deep_size_px}
+        sizes = {look_px: max(sample.load().shape) for look_px, sample in looked_at.items()}
+        assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
 
 
 def test_views_from_elsewhere_are_groups_of_their_own(people: Project) -> None:

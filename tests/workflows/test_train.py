@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,12 +14,12 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import read_manifest
 from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Change, Project, Role
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind
 from annotator.types.detector import Image
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows import train as workflow
-from annotator.workflows.samples import SampleConfig
+from annotator.workflows.samples import SampleConfig, gather, view_samples
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.train import TrainPlan, run_name, train
 
@@ -144,6 +144,17 @@ def test_other_labels_or_settings_are_another_run(people: Project, trainings: li
     assert people.models.active(Role.VIEW) is None
     back = train(people, PLAN, roles=(Role.IMAGE,))[0]
     assert back.model.id == last.model.id
+
+
+def test_pictures_of_deep_frustums_are_taught_as_tiles(
+    people: Project, trainings: list[tuple[str, Path, Path]]
+) -> None:
+    deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
+    simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
+    (trained,) = train(people, replace(PLAN, rcv=deep), roles=(Role.VIEW,))
+    samples = list(view_samples(people, gather(people), deep, PLAN.samples, lambda *skipped: None))
+    tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
+    assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
 def test_run_names_depend_on_labels_and_settings_alone(

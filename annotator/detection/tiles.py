@@ -1,0 +1,111 @@
+"""Pictures that a detector will look at larger than it is trained at, as tiles of the size that it is trained at.
+
+In such a picture objects are small; scaled down for training, they would be a pixel or two. Tiles show them as large as
+the detector will see them: one around each object, and one of anything, of each picture.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.detection.dataset import TrainingSample
+from annotator.types import Box2D
+
+# An object of which less than this share is on a tile is not labelled there.
+MIN_SHARE = 0.3
+# Around an object that fits into none, one is cut that is so many times as large.
+ROOM = 1.15
+
+
+def tiled(samples: Iterable[TrainingSample], size_px: int) -> Iterator[TrainingSample]:
+    """The samples; in place of each that is looked at with more than `size_px`, its tiles.
+
+    Where the tiles lie is random, but depends on nothing but the picture and its boxes.
+
+    Args:
+        size_px: longer side that pictures are trained at.
+    """
+    for sample in samples:
+        if sample.look_px <= size_px:
+            yield sample
+        else:
+            yield from _tiles(sample, size_px)
+
+
+def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
+    rgb = sample.load()
+    height_px, width_px = rgb.shape[:2]
+    scale = sample.look_px / max(height_px, width_px)
+    if scale != 1:
+        size = (max(round(width_px * scale), 1), max(round(height_px * scale), 1))
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    boxes = [(_scaled(box, scale), uid) for box, uid in _with_uids(sample)]
+    rng = np.random.default_rng(list(hashlib.sha256(rgb.tobytes() + repr(sample.boxes).encode()).digest()))
+    for box, _ in boxes:
+        yield _tile(sample, rgb, boxes, _corner_around(rgb, box, size_px, rng))
+    yield _tile(sample, rgb, boxes, _corner_anywhere(rgb, size_px, rng))
+
+
+def _with_uids(sample: TrainingSample) -> list[tuple[Box2D, str | None]]:
+    """Each box with the label that it comes from, where each comes from one."""
+    if len(sample.label_uids) == len(sample.boxes):
+        return list(zip(sample.boxes, sample.label_uids, strict=True))
+    return [(box, None) for box in sample.boxes]
+
+
+def _scaled(box: Box2D, scale: float) -> Box2D:
+    """Box edges count from the first pixel's centre, pictures from its corner."""
+    x_min, y_min, x_max, y_max = ((edge + 0.5) * scale - 0.5 for edge in box.xyxy)
+    return replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max)
+
+
+Corner = tuple[int, int, int]
+"""First column and row of a tile, and its side, pixels; what lies outside the picture is left away."""
+
+
+def _corner_around(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D, size_px: int, rng: np.random.Generator) -> Corner:
+    """Somewhere that shows all of a box that is on the picture; larger than `size_px` for a larger one."""
+    spans = [(box.x_min, box.x_max), (box.y_min, box.y_max)]
+    longest = max(high - low for low, high in spans)
+    side = size_px if longest <= size_px else round(ROOM * longest)
+    begins = []
+    for (low, high), length in zip(spans, rgb.shape[1::-1], strict=True):
+        most = max(length - side, 0)
+        first, last = np.clip([np.ceil(high + 0.5) - side, np.floor(low + 0.5)], 0, most).astype(int)
+        begins.append(int(rng.integers(first, last, endpoint=True)))
+    return begins[0], begins[1], side
+
+
+def _corner_anywhere(rgb: UInt8[np.ndarray, "h w 3"], size_px: int, rng: np.random.Generator) -> Corner:
+    x, y = (int(rng.integers(0, max(length - size_px, 0), endpoint=True)) for length in rgb.shape[1::-1])
+    return x, y, size_px
+
+
+def _tile(
+    sample: TrainingSample, rgb: UInt8[np.ndarray, "h w 3"], boxes: list[tuple[Box2D, str | None]], corner: Corner
+) -> TrainingSample:
+    x, y, side = corner
+    cut = np.ascontiguousarray(rgb[y : y + side, x : x + side])
+    shown: list[Box2D] = []
+    uids: list[str] = []
+    for box, uid in boxes:
+        moved = replace(box, x_min=box.x_min - x, x_max=box.x_max - x, y_min=box.y_min - y, y_max=box.y_max - y)
+        if _share_on(cut, moved) >= MIN_SHARE:
+            shown.append(moved)
+            uids += [] if uid is None else [uid]
+    return replace(sample, rgb=cut, boxes=tuple(shown), label_uids=tuple(uids), look_px=0)
+
+
+def _share_on(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D) -> float:
+    """The share of a box's area that is on a picture."""
+    height_px, width_px = rgb.shape[:2]
+    across = min(box.x_max, width_px - 0.5) - max(box.x_min, -0.5)
+    along = min(box.y_max, height_px - 0.5) - max(box.y_min, -0.5)
+    area = (box.x_max - box.x_min) * (box.y_max - box.y_min)
+    return max(across, 0.0) * max(along, 0.0) / area if area > 0 else 0.0

@@ -1,0 +1,83 @@
+"""Pictures that are looked at larger than detectors are trained at, cut into tiles."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.detection.dataset import TrainingSample
+from annotator.detection.tiles import tiled
+from annotator.types import Box2D
+
+SIZE_PX = 64
+
+
+def picture(height_px: int, width_px: int, box: Box2D | None = None) -> np.ndarray:
+    """Grey, an object white."""
+    rgb = np.full((height_px, width_px, 3), 114, np.uint8)
+    if box is not None:
+        rgb[round(box.y_min + 0.5) : round(box.y_max + 0.5), round(box.x_min + 0.5) : round(box.x_max + 0.5)] = 255
+    return rgb
+
+
+def white(rgb: np.ndarray) -> tuple[float, ...]:
+    """The box around what is white, edges of pixels."""
+    rows, columns = np.nonzero(rgb.min(axis=2) > 200)
+    return columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5
+
+
+def test_pictures_that_are_looked_at_as_they_are_trained_stay_whole() -> None:
+    samples = [TrainingSample(picture(40, 224), (), "g", "drawn", look_px=look) for look in (0, 32, SIZE_PX)]
+    assert list(tiled(samples, SIZE_PX)) == samples
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(20, 224), st.integers(2, 60), st.integers(2, 60), st.data())
+def test_a_tile_shows_its_object_whole_and_as_large_as_it_will_be_seen(
+    height_px: int, across: int, along: int, data: st.DataObject
+) -> None:
+    along = min(along, height_px)
+    x, y = data.draw(st.integers(0, 224 - across)), data.draw(st.integers(0, height_px - along))
+    box = Box2D("a", x - 0.5, y - 0.5, x + across - 0.5, y + along - 0.5)
+    sample = TrainingSample(picture(height_px, 224, box), (box,), "g", "drawn", ("uid",), look_px=224)
+    around, anywhere = tiled([sample], SIZE_PX)
+    assert around.load().shape == (min(height_px, SIZE_PX), SIZE_PX, 3)
+    (shown,) = around.boxes
+    assert shown.xyxy == white(around.load())
+    assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (across, along)
+    assert (around.label_uids, around.group, around.origin, around.look_px) == (("uid",), "g", "drawn", 0)
+    assert anywhere.load().shape == around.load().shape
+    for cut in anywhere.boxes:  # what is labelled there is there, if not whole
+        assert (cut.x_max - cut.x_min, cut.y_max - cut.y_min) == (across, along)
+        low_x, low_y, high_x, high_y = white(anywhere.load())
+        assert max(cut.x_min, -0.5) == low_x and min(cut.x_max, SIZE_PX - 0.5) == high_x
+        assert max(cut.y_min, -0.5) == low_y and min(cut.y_max, anywhere.load().shape[0] - 0.5) == high_y
+
+
+def test_a_drawn_picture_is_brought_to_the_size_that_it_is_looked_at_with() -> None:
+    box = Box2D("a", 99.5, 19.5, 107.5, 39.5)
+    sample = TrainingSample(picture(80, 448, box), (box,), "g", "drawn", look_px=224)
+    shown = next(tiled([sample], SIZE_PX)).boxes[0]
+    assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (4, 10)
+
+
+def test_an_object_larger_than_a_tile_gets_a_larger_one() -> None:
+    box = Box2D("a", 50.0, 10.0, 150.0, 60.0)
+    shown, *_ = tiled([TrainingSample(picture(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
+    assert max(shown.load().shape) == 115
+    assert shown.boxes[0].x_min >= -0.5 and shown.boxes[0].x_max <= 114.5
+
+
+def test_a_neighbour_cut_off_is_labelled_only_if_enough_of_it_is_left() -> None:
+    boxes = (Box2D("a", 100.0, 10.0, 110.0, 20.0), Box2D("b", 0.0, 0.0, 5.0, 5.0))
+    sample = TrainingSample(picture(30, 224), boxes, "g", "drawn", ("first", "second"), look_px=224)
+    first, second, _ = tiled([sample], SIZE_PX)
+    assert ([box.label for box in first.boxes], first.label_uids) == (["a"], ("first",))
+    assert ([box.label for box in second.boxes], second.label_uids) == (["b"], ("second",))
+
+
+def test_tiles_of_a_picture_are_always_the_same() -> None:
+    box = Box2D("a", 100.0, 10.0, 110.0, 20.0)
+    twice = [list(tiled([TrainingSample(picture(30, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)) for _ in "ab"]
+    assert [tile.boxes for tile in twice[0]] == [tile.boxes for tile in twice[1]]
