@@ -124,8 +124,8 @@ def test_a_rate_and_the_default_of_a_format(frame: Frame) -> None:
     assert Playback(unknown).rate == pytest.approx(30)
     unknown.format = "kitti_raw"
     assert Playback(unknown).rate == pytest.approx(10)
-    taken = list(played(Playback(unknown, rate=50.0)))
-    assert [b.taken_s - a.taken_s for a, b in itertools.pairwise(taken)] == pytest.approx([0.02, 0.02])
+    taken = list(played(Playback(unknown, rate=20.0)))
+    assert [b.taken_s - a.taken_s for a, b in itertools.pairwise(taken)] == pytest.approx([0.05, 0.05])
     for rate in (0.0, -1.0, math.nan):
         with pytest.raises(ConfigError, match="frames a second"):
             Playback(unknown, rate=rate)
@@ -148,6 +148,45 @@ def test_who_comes_late_misses_frames_as_with_a_camera(frame: Frame) -> None:
     third = playback.read(NEVER)
     assert third is not None
     assert third.frame.index == second.frame.index + 1
+
+
+class Clock(threading.Event):
+    """Time that passes only when somebody waits; stands for the module `time` and for the event that ends a wait."""
+
+    now_s = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now_s
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.now_s += timeout or 0.0
+        return False
+
+
+@pytest.mark.parametrize(
+    ("rate", "asked_s", "index", "waited_s"),
+    [
+        (25.0, 0.029, 0, 0.0),  # the next one is due in 11 ms
+        (25.0, 0.031, 1, 0.009),
+        (100.0, 0.007, 0, 0.0),  # of 10 ms between two frames, 3 are much
+        (100.0, 0.008, 1, 0.002),
+        (100.0, 0.018, 2, 0.002),
+        (math.inf, 0.018, 0, 0.0),
+    ],
+)
+def test_who_comes_just_before_a_frame_waits_for_it(
+    frame: Frame, monkeypatch: pytest.MonkeyPatch, rate: float, asked_s: float, index: int, waited_s: float
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
+    playback = Playback(Told(frame, (None,) * 9), rate=rate)
+    first = playback.read(clock)
+    assert first is not None
+    clock.now_s = asked_s + (0.0 if math.isinf(rate) else 1 / rate)
+    taken = playback.read(clock)
+    assert taken is not None
+    assert (taken.frame.index, playback.skipped) == (index + 1, index)
+    assert clock.now_s == pytest.approx(asked_s + (0.0 if math.isinf(rate) else 1 / rate) + waited_s)
 
 
 @pytest.mark.parametrize(

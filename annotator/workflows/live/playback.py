@@ -20,6 +20,9 @@ RATE_BY_FORMAT = {"kitti_object": 10.0, "kitti_tracking": 10.0, "kitti_raw": 10.
 DEFAULT_RATE = 30.0
 # A longer pause within a recording is shortened to this, seconds.
 LONGEST_GAP_S = 1.0
+# Who asks when a frame is nearly as old as the next one is far gets the next one: seconds, and a share of the time
+# between the two. At 30 frames a second that makes frames a third younger on average and costs one in forty of them.
+PATIENCE_S, PATIENCE_SHARE = 0.010, 0.25
 
 
 class Repeat(StrEnum):
@@ -32,7 +35,7 @@ class Repeat(StrEnum):
 
 
 class Playback:
-    """A `Source` that plays a recording. A frame whose successor is due already is left out, as by a camera.
+    """A `Source` that plays a recording. A frame whose successor is due, or nearly so, is left out.
 
     Attributes:
         recording: what is played.
@@ -106,7 +109,7 @@ class Playback:
         """Recordings hold nothing open."""
 
     def _await_turn(self, stop: threading.Event) -> tuple[int, float] | None:
-        """The next frame's number and when it was due, once it is; those whose successors are due as well are left out.
+        """The next frame's number and when it was due, once it is; those whose successors are nearly due are left out.
 
         None at the end, or when `stop` is set.
         """
@@ -117,7 +120,7 @@ class Playback:
             self._next = next(self._order, None)
             gap_s = 0.0 if self._next is None else self._gap(index, self._next)
             self._due_s = due_s + gap_s
-            if gap_s and self._due_s <= now:
+            if gap_s and self._due_s <= now + min(PATIENCE_S, PATIENCE_SHARE * gap_s):
                 self.skipped += 1
                 continue
             if stop.wait(max(due_s - now, 0.0)):
