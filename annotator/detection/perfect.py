@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32, Float64, Int64
 
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image, points_on_image
-from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Truth
+from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Region, Truth
 from annotator.types.errors import DetectionError
 
 # A detected box is never thinner than this, pixels.
@@ -47,9 +47,9 @@ class Scene:
 class PerfectDetector:
     """Image detector and pseudo-view detector in one, from the true 3D boxes of the frames it is given.
 
-    On a `Frame` it answers with what each object's 3D box (or, for silhouettes, its points) spans on the image; on a
-    `PseudoView` with the same on the view, for each object of which enough points are drawn there. Boxes are clipped
-    to the picture, as a real detector cannot answer outside it. It knows only frames it was made for.
+    On a `Frame` or a `Region` of one it answers with what each object's 3D box (or, for silhouettes, its points) spans
+    on the image; on a `PseudoView` with the same on the view, for each object of which enough points are drawn there.
+    Boxes are clipped to the picture, as a real detector cannot answer outside it. It knows only frames it was made for.
     """
 
     def __init__(
@@ -125,6 +125,8 @@ class PerfectDetector:
         for image in images:
             if isinstance(image, Frame):
                 found.append(self._on_image(image))
+            elif isinstance(image, Region) and isinstance(image.of, Frame):
+                found.append([box for whole in self._on_image(image.of) if (box := _on_region(image, whole))])
             elif isinstance(image, PseudoView):
                 known = counted.get(id(image.xyz_m))
                 if known is None:
@@ -197,6 +199,13 @@ class PerfectDetector:
         """Noise that depends on the seed, the picture and the object alone."""
         digest = hashlib.sha256(picture + f" {index} {self._seed}".encode()).digest()
         return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+
+
+def _on_region(region: Region, box: Box2D) -> Box2D | None:
+    """A box on the whole image as it is on a part of it."""
+    span = np.array(box.xyxy).reshape(2, 2) - (region.x_px, region.y_px)
+    size = (region.width_px, region.height_px)
+    return _answer(box.label, span, np.zeros(2), size, np.random.default_rng(0))
 
 
 def _answer(

@@ -21,7 +21,7 @@ from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
 from annotator.detection.selection import candidates
 from annotator.detection.suppression import suppress
-from annotator.types import Box2D, Image, PseudoView
+from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
 # At most this many pixels of scaled pictures are worked on at once; it bounds the memory.
@@ -113,6 +113,8 @@ class YoloDetector:
 
     def _looked_at(self, image: Image) -> int:
         """The longer side of a picture in the network, pixels."""
+        if isinstance(image, Region):
+            return max(round(self._config.image_size_px * image.share), 1)
         return max(self._config.image_size_px, image.look_px if isinstance(image, PseudoView) else 0)
 
     def _boxes(

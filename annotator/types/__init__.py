@@ -2,7 +2,7 @@
 
 from annotator.types.boxes import Box2D, OrientedBox
 from annotator.types.camera import Camera
-from annotator.types.detector import Detector, Image
+from annotator.types.detector import Detector, Image, Region
 from annotator.types.frame import Frame
 from annotator.types.label import BoxKind, Label, ReviewState, Source, Truth
 from annotator.types.point_cloud import PointCloud
@@ -32,6 +32,7 @@ __all__ = [
     "Proposal",
     "PseudoView",
     "Quality",
+    "Region",
     "ReviewState",
     "Source",
     "StepTrace",

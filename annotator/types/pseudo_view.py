@@ -24,7 +24,7 @@ class PseudoView:
         axes: (3, 3) rows = the view's x, y, z axes as unit vectors in the camera frame (= R_view_camera).
         metres_per_px: one uniform scale.
         origin_m: (2,) view coordinates, metres, of the centre of pixel (0, 0).
-        xyz_m: (N, 3) the points that were drawn, in the camera frame.
+        xyz_m: (N, 3) the points that it shows, in the camera frame; of a dense cloud not each was drawn.
         look_px: longer side, pixels, that a detector should at least look at it with; 0: with its own. For pictures in
             which objects are small.
     """

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import NEAR_M, box_on_image
-from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, PseudoView, Truth
+from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
 from annotator.types.errors import DetectionError
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
@@ -105,6 +105,20 @@ def test_image_box_is_that_of_the_visible_part(camera: Camera) -> None:
     assert boxes == [box_on_image(camera, wall.box, "wall")]
 
 
+def test_a_region_shows_what_of_the_image_is_on_it() -> None:
+    frame = make_frame([NEAR, FAR], [50, 50])
+    detector = PerfectDetector.for_frame(frame, [NEAR, FAR])
+    whole = {box.label: box for box in detector.detect([frame])[0]}
+    near = whole["Car"]
+    x, y = int(near.x_min) + 3, max(int(near.y_min) - 4, 0)
+    region = Region(frame, x, y, 200 - x, 160 - y)
+    (on_region,) = detector.detect([region])
+    shown = {box.label: box for box in on_region}["Car"]
+    assert shown.xyxy == (-0.5, near.y_min - y, near.x_max - x, near.y_max - y)
+    corner = Region(frame, 0, 0, 2, 2)
+    assert detector.detect([corner]) == [[]]
+
+
 def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen() -> None:
     behind = Truth("a", make_box((0.0, 0.0, -3.0), (1.0, 1.0, 1.0)))
     beside = Truth("b", make_box((9.0, 0.0, 3.0), (1.0, 1.0, 1.0)))
@@ -147,6 +161,8 @@ def test_what_it_was_not_made_for_is_an_error() -> None:
     detector = PerfectDetector.for_frame(make_frame([NEAR], [50]), [NEAR])
     with pytest.raises(DetectionError, match="000009"):
         detector.detect([make_frame([NEAR], [50], "000009")])
+    with pytest.raises(DetectionError, match="Region"):
+        detector.detect([Region(make_view(fill(NEAR.box, 30)), 0, 0, 9, 9)])
     several = PerfectDetector([Scene.of(make_frame([t], [50], key), [t]) for t, key in ((NEAR, "1"), (FAR, "2"))])
     with pytest.raises(DetectionError, match="pseudo-view"):
         several.detect([make_view(fill(make_box((0, 0, 9), (1, 1, 1)), 30))])

@@ -15,7 +15,7 @@ from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.yolo import YoloDetector
-from annotator.types import Detector, PseudoView
+from annotator.types import Detector, PseudoView, Region
 from annotator.types.errors import DetectionError
 
 pytestmark = pytest.mark.slow
@@ -78,6 +78,15 @@ def test_a_view_is_looked_at_as_large_as_it_asks(detector: YoloDetector, scene: 
     small, large = (make(detector.weights, confidence=0.001, image_size_px=size) for size in (96, 192))
     (asked,), (plain,), (wanted,) = small.detect([view]), small.detect([Picture(rgb)]), large.detect([Picture(rgb)])
     assert asked == wanted != plain
+
+
+def test_a_region_is_looked_at_as_a_part_of_its_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    own = scene(102)
+    whole = np.full((150, 192, 3), 114, np.uint8)
+    whole[40:136, 60:156] = own.rgb
+    region = Region(Picture(whole), 60, 40, 96, 96)
+    (found,) = make(detector.weights, image_size_px=192).detect([region])
+    assert found == detector.detect([own])[0] != []
 
 
 def test_it_agrees_with_ultralytics_own_predictor(

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
-from annotator.rcv.propose import propose
+from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.seeds import Seed
 from annotator.types import Box2D, Detector, Frame, Image
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frames import orientation_for
+from annotator.workflows.live.looking import Looking
 from annotator.workflows.live.source import Taken
 
 # Boxes of a frame that is longer ago than this say nothing of where an object is now, seconds.
@@ -66,6 +67,7 @@ class LiveDetection:
             warm_start: begin each recursion with the box that the object had in the frame before.
         """
         self._image, self._view = _Timed(detectors.image), _Timed(detectors.view)
+        self._looking = Looking(self._image)
         self._compute = detectors.compute
         self._config = live_settings(config).model_copy(update={"box_kind": detectors.box_kind})
         self._rotation = rotation
@@ -88,8 +90,11 @@ class LiveDetection:
             self._config = self._config.model_copy(update={"orientation": orientation})
         is_recent = abs(taken.taken_s - self._seeds_of_s) <= OLDEST_SEED_S
         seeds = self._seeds if self._warm_start and is_recent else ()
+        boxes = self._looking.boxes(taken.frame, seeds, self._config)
         given = [seeds] if seeds else None
-        (found,) = propose([taken.frame], self._image, self._view, self._config, given, self._compute)
+        (found,) = propose_from_boxes([taken.frame], [boxes], self._view, self._config, given, self._compute)
+        if len(found.proposals) < len(seeds):
+            self._looking.lost()
         self._seeds = tuple(Seed(proposal.label, proposal.box) for proposal in found.proposals)
         self._seeds_of_s = taken.taken_s
         in_all = time.perf_counter() - begin
