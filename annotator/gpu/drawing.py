@@ -16,7 +16,7 @@ from jaxtyping import Float, Float32, Float64, UInt8
 from annotator.gpu.points import DeviceCloud, DevicePoints
 from annotator.rcv.config import ViewConfig
 from annotator.rcv.drawing import BACKGROUND, LEAST_KEY, KeyLayout, Window, splat_px
-from annotator.rcv.pseudo_view import pair_windows, side_axes
+from annotator.rcv.pseudo_view import drawn_points, pair_windows, side_axes
 from annotator.types import PseudoView
 
 # At most this many points or pixels are worked on at once; it bounds the memory, some 50 bytes each.
@@ -32,8 +32,9 @@ def render_pairs(
     """As `annotator.rcv.pseudo_view.render_pairs`; points that fall between two pixels may be drawn on the other."""
     import torch
 
-    points = cloud.on_device()
-    together = max(MAX_AT_ONCE // (2 * max(len(cloud), config.size_px**2)), 1)
+    drawn = DeviceCloud.of(drawn_points(cloud, config), cloud.held.xyz.device)
+    points = drawn.on_device()
+    together = max(MAX_AT_ONCE // (2 * max(len(drawn), config.size_px**2)), 1)
     views: list[PseudoView] = []
     for begin in range(0, len(frames), together):
         part = frames[begin : begin + together]

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.types import BoxKind
 
 # Part of what decides whether a frame has been done: raise it when the same settings would give other boxes.
-REVISION = 5
+REVISION = 6
 
 
 class Strategy(StrEnum):
@@ -43,6 +43,9 @@ class ViewConfig(BaseModel):
     )
     deep: float = Field(
         2.0, gt=0, description="a frustum that is so many times as deep as wide and high shows its object small, factor"
+    )
+    points_per_px: float = Field(
+        4.0, gt=0, description="clouds with more points for each pixel of a square picture are drawn thinned out"
     )
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
     min_extent_m: float = Field(0.02, gt=0, description="a view never shows less than this, metres")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
+from annotator.geometry.thinning import thin
 from annotator.rcv.config import ViewConfig
 from annotator.rcv.drawing import Window, draw_views, fit_windows, pack_colors
 from annotator.types import PointCloud, PseudoView
@@ -47,8 +48,9 @@ def render_pairs(
 
     if not frames:
         return []
+    drawn = drawn_points(cloud, config)
     # One row an axis: everything that follows runs along contiguous memory.
-    xyz = np.array(cloud.xyz_m.T, order="C")
+    xyz = np.array(drawn.xyz_m.T, order="C")
     rows = np.stack(frames)
     least, most = np.empty((2, len(rows), 3), np.float32)
     kernel.extents(xyz, rows.astype(np.float32), least, most)
@@ -56,12 +58,18 @@ def render_pairs(
     axes = np.stack([rows, side_axes(rows)], axis=1).reshape(-1, 3, 3)
     # the side view looks along -a1
     depths = np.stack([least[:, 2], most[:, 2], -most[:, 0], -least[:, 0]], axis=1).reshape(-1, 2)
-    packed = pack_colors(point_colors(cloud), len(cloud))
+    packed = pack_colors(point_colors(drawn), len(drawn))
     pictures = draw_views(xyz, packed, axes.astype(np.float32), windows, depths, config.max_splat_px)
     return [
         PseudoView(picture, own, window.metres_per_px, window.origin_m, cloud.xyz_m)
         for picture, own, window in zip(pictures, axes, windows, strict=True)
     ]
+
+
+def drawn_points(cloud: PointCloud, config: ViewConfig) -> PointCloud:
+    """The part of a cloud that its pictures are made of: as much as can be seen in them."""
+    keep = thin(len(cloud), max(round(config.points_per_px * config.size_px**2), 1))
+    return cloud if keep is None else cloud.select(keep)
 
 
 def pair_windows(

@@ -40,7 +40,7 @@ def some_cloud(count: int, rng: np.random.Generator, shade: str) -> PointCloud:
 
 
 @pytest.mark.parametrize("shade", ["rgb", "reflectance", "depth"])
-@pytest.mark.parametrize("count", [1, 40, 3000])
+@pytest.mark.parametrize("count", [1, 40, 3000, 40_000])  # of the last, not each point is drawn
 def test_the_pictures_are_numpys(shade: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(count)
     whole = some_cloud(2 * count, rng, shade)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.rcv.config import ViewConfig
 from annotator.rcv.drawing import BACKGROUND
-from annotator.rcv.pseudo_view import render_pairs
+from annotator.rcv.pseudo_view import drawn_points, render_pairs
 from annotator.types import Box2D, PointCloud
 
 VIEW = ViewConfig(size_px=100, padding=0.05)
@@ -85,6 +85,25 @@ def test_sparse_points_are_drawn_larger_than_dense_ones() -> None:
 
     assert covered(50) > 20
     assert covered(20_000) < 1.5
+
+
+def test_a_dense_cloud_is_drawn_thinned_out_and_looks_the_same() -> None:
+    """A wall in two colours, as a depth camera scans it: thirteen points a pixel, of which four are drawn."""
+    column, row = np.meshgrid(np.linspace(-1, 1, 380), np.linspace(-1, 1, 350))
+    xyz = np.stack([column, row, 3 + 0.2 * column], axis=-1).reshape(-1, 3).astype(np.float32)
+    rgb = np.where(xyz[:, :1] < 0.2, [[200, 40, 40]], [[40, 40, 200]]).astype(np.uint8)
+    cloud = PointCloud(xyz, rgb)
+    all_of = VIEW.model_copy(update={"points_per_px": 1000.0})
+    for thin, full in zip(
+        render_pairs(cloud, [np.eye(3)], VIEW), render_pairs(cloud, [np.eye(3)], all_of), strict=True
+    ):
+        assert len(drawn_points(cloud, VIEW)) == 4 * VIEW.size_px**2 < len(drawn_points(cloud, all_of)) == len(cloud)
+        assert np.shares_memory(thin.xyz_m, xyz) and len(thin.xyz_m) == len(cloud)
+        assert thin.rgb.shape == full.rgb.shape
+        np.testing.assert_allclose(thin.origin_m, full.origin_m, atol=thin.metres_per_px)
+        assert (thin.rgb == full.rgb).all(axis=2).mean() > 0.97
+    few = PointCloud(xyz[:50])
+    assert drawn_points(few, VIEW) is few
 
 
 def test_a_near_splat_covers_a_far_one() -> None:

@@ -6,13 +6,12 @@ import math
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64, UInt8
+from jaxtyping import Float, Float32, Float64, UInt8
 
+from annotator.geometry.thinning import thin
 from annotator.types import Frame, PointCloud
 from annotator.web.viewport.content import FirstView, PointColor
 
-# Which point of a run is shown; any number does, always the same one keeps a frame looking the same.
-SEED = 20231
 # Depth and height colours run over what lies between these percentiles, so that a far outlier does not flatten them.
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
 # A point's size as a share of the cloud's median distance: about the spacing of an RGB-D camera's points, thinned.
@@ -27,19 +26,6 @@ BEHIND, ABOVE = 0.2, 0.2
 EMPTY_DISTANCE_M = 3.0
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
-
-
-def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
-    """Numbers of the points that are shown, ascending; None = all of them.
-
-    One point at random of each of `most` equal runs. Points that follow each other in a scan or an image lie next to
-    each other, so the picture thins out evenly; and it costs nothing for any size of cloud.
-    """
-    if n_points <= most:
-        return None
-    edges = np.arange(most + 1, dtype=np.int64) * n_points // most
-    inside = np.random.default_rng(SEED).random(most)
-    return edges[:-1] + (inside * np.diff(edges)).astype(np.int64)
 
 
 def shown_points(frame: Frame, most: int) -> PointCloud:

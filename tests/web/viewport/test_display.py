@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from annotator.recordings import open_recording
 from annotator.types import Camera, Frame, PointCloud
 from annotator.web.viewport.content import PointColor
-from annotator.web.viewport.display import first_view, point_colors, point_size_m, shown_points, thin
+from annotator.web.viewport.display import first_view, point_colors, point_size_m, shown_points
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -21,30 +21,6 @@ def frame_of(xyz: np.ndarray, rgb: np.ndarray | None = None, reflectance: np.nda
     camera = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
     cloud = PointCloud(xyz.astype(np.float32), rgb, reflectance)
     return Frame("0", 0, camera, np.zeros((6, 8, 3), np.uint8), cloud)
-
-
-@given(st.integers(0, 5000), st.integers(1, 1000))
-def test_thinning_keeps_the_bound_and_picks_each_point_once_in_order(n_points: int, most: int) -> None:
-    keep = thin(n_points, most)
-    if n_points <= most:
-        assert keep is None
-        return
-    assert keep is not None
-    assert len(keep) == most
-    assert (np.diff(keep) > 0).all()
-    assert keep[0] >= 0
-    assert keep[-1] < n_points
-
-
-def test_thinning_is_even_over_the_scan_and_always_the_same() -> None:
-    keep = thin(1_000_000, 1000)
-    assert keep is not None
-    counts, _ = np.histogram(keep, bins=100, range=(0, 1_000_000))
-    assert counts.min() >= 9
-    assert counts.max() <= 11
-    again = thin(1_000_000, 1000)
-    assert again is not None
-    np.testing.assert_array_equal(keep, again)
 
 
 def test_a_thinned_point_keeps_its_own_colour() -> None:
