@@ -19,7 +19,7 @@ from annotator.types import Box2D, Detector, Frame, Region
 # A new object waits at most so many frames until it is seen.
 WHOLE_EVERY = 5
 # A region is so many times as large as its object was: it has moved, and detectors want to see what is around it.
-ROOM = 2.0
+ROOM = 1.5
 # Sides of regions are so many parts of the image's longer side, and no less than three: networks compute whole steps of
 # 32 px, and look at an image with 256.
 PARTS, LEAST_PARTS = 8, 3
