@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.cross_view import box_iou
 from annotator.rcv.seeds import Seed
 from annotator.types import Box2D, Camera, Frame, Image, OrientedBox, PointCloud, Region
 from annotator.workflows.live.looking import WHOLE_EVERY, Looking, region_around
@@ -23,8 +24,8 @@ def frame() -> Frame:
     return Frame("0", 0, CAMERA, np.zeros((480, 640, 3), np.uint8), cloud)
 
 
-def seed(x_m: float, y_m: float = 0.0, label: str = "hand") -> Seed:
-    return Seed(label, OrientedBox(RigidTransform.from_translation([x_m, y_m, 1.0]), np.full(3, 0.1)))
+def seed(x_m: float, y_m: float = 0.0, size_m: float = 0.1) -> Seed:
+    return Seed("hand", OrientedBox(RigidTransform.from_translation([x_m, y_m, 1.0]), np.full(3, size_m)))
 
 
 def outline(of: Seed) -> Box2D:
@@ -107,7 +108,6 @@ def test_when_one_is_gone_the_whole_image_is_looked_at() -> None:
     "seen",
     [
         pytest.param([], id="not found there"),
-        pytest.param([shifted(outline(seed(0.0)), 45.0)], id="cut off by the region's border"),
         pytest.param([shifted(outline(seed(0.0)), 40.0)], id="too far away"),
         pytest.param([shifted(outline(seed(0.0)), 0.0, score=0.1)], id="not sure"),
         pytest.param([shifted(outline(seed(0.0)), 0.0, label="foot")], id="another class"),
@@ -120,6 +120,19 @@ def test_an_object_not_found_where_it_was_is_looked_for_everywhere(seen: list[Bo
     sees.boxes = seen
     assert looking.boxes(frame(), (seed(0.0),), CONFIG) == seen
     assert sees.regions == [False, True, False]
+
+
+def test_an_object_that_its_region_cuts_off_is_looked_for_everywhere() -> None:
+    near = seed(0.0, size_m=0.36)
+    for x_px, regions in ((40.0, [True]), (50.0, [True, False])):
+        moved = shifted(outline(near), x_px)
+        assert box_iou(moved, outline(near)) > 0.5
+        sees = Sees(moved)
+        looking = Looking(sees)
+        looking.boxes(frame(), (), CONFIG)
+        (found,) = looking.boxes(frame(), (near,), CONFIG)
+        assert found.xyxy == pytest.approx(moved.xyxy)
+        assert sees.regions == [False, *regions]
 
 
 def test_two_that_find_the_same_object_are_looked_for_everywhere() -> None:

@@ -18,13 +18,14 @@ from annotator.types import Box2D, Detector, Frame, Region
 
 # A new object waits at most so many frames until it is seen.
 WHOLE_EVERY = 5
-# A region is so many times as large as its object was: it has moved, and detectors want to see what is around it.
-ROOM = 1.5
+# A region is at least so many times as large as its object was, which has moved; where that is not enough, the whole
+# image is looked at.
+ROOM = 1.3
 # Sides of regions are so many parts of the image's longer side, and no less than three: networks compute whole steps of
 # 32 px, and look at an image with 256.
 PARTS, LEAST_PARTS = 8, 3
 # Regions that make up more of the image than this share save nothing.
-MOST_SHARE = 0.5
+MOST_SHARE = 0.6
 # An edge this near to the border of a region, pixels of the image, may lie beyond it.
 BORDER_PX = 2.0
 # Two boxes that overlap more are one object, found twice.
