@@ -21,13 +21,14 @@ def frustum_views(
         cloud: at least one point, camera frame.
         frame: as in `render_pairs`.
     """
+    # Each point is drawn: of a far object among many near points too few would be left.
+    view = config.view.model_copy(update={"points_per_px": float(len(cloud))})
     if not is_deep(cloud, config):
-        front, side = compute.render_pairs(cloud, [frame], config.view, None)
+        front, side = compute.render_pairs(cloud, [frame], view, None)
         return front, side
-    large = config.view.model_copy(update={"size_px": max(config.view.size_px, config.view.deep_size_px)})
+    large = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})
     front, side = compute.render_pairs(cloud, [frame], large, None)
-    look_px = config.view.deep_size_px
-    return replace(front, look_px=look_px), replace(side, look_px=look_px)
+    return replace(front, look_px=view.deep_size_px), replace(side, look_px=view.deep_size_px)
 
 
 def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:

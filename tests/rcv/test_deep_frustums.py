@@ -27,6 +27,20 @@ def test_a_deep_frustum_is_drawn_larger_and_looked_at_larger(depth_m: float, siz
     assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}
 
 
+def test_all_points_of_a_frustum_are_drawn() -> None:
+    """A far object of few points among many near ones: none of its pixels may go missing."""
+    near = np.random.default_rng(0).uniform([-0.5, -1, 5], [-0.1, 1, 5.1], (100_000, 3))
+    row, column = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(0.1, 0.5, 10))
+    far = np.stack([column, row, np.full_like(row, 6.0)], axis=-1).reshape(-1, 3)
+    blue, red = np.full((len(near), 3), [0, 0, 255], np.uint8), np.full((len(far), 3), [255, 0, 0], np.uint8)
+    cloud = PointCloud(np.concatenate([near, far]).astype(np.float32), np.concatenate([blue, red]))
+    sparse = CONFIG.model_copy(update={"view": ViewConfig(size_px=96, points_per_px=1.0)})
+    front, _ = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, sparse), sparse).views
+    shown = {tuple(np.rint((front.axes[:2] @ p - front.origin_m) / front.metres_per_px).astype(int)) for p in far}
+    assert len(shown) > 300
+    assert all((front.rgb[y, x] == red[0]).all() for x, y in shown)
+
+
 def test_views_are_never_smaller_than_the_rest() -> None:
     large = CONFIG.model_copy(update={"view": ViewConfig(size_px=320)})
     views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), frustum(60.0), None, large), large).views
