@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.geometry.transforms import unit
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig
 from annotator.types import PointCloud, PseudoView
@@ -34,7 +35,11 @@ def frustum_views(
 def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
     """Whether the points of a frustum reach so much further into the scene than across that its object is small in it.
 
-    What lies behind a pedestrian in a street makes the side view 60 m wide: of 96 pixels he has two.
+    What lies behind a pedestrian in a street makes the side view 60 m wide: of 96 pixels he has two. Into the scene is
+    along the frustum, which may lie at any angle to the camera's axis.
     """
-    across, along, into = (float(np.ptp(cloud.xyz_m[:, axis])) for axis in range(3))
-    return into > config.view.deep * max(across, along)
+    into = unit(cloud.xyz_m.mean(axis=0, dtype=np.float64))
+    across = unit(np.cross([0.0, 1.0, 0.0], into))
+    axes = np.stack([across, np.cross(into, across), into])
+    reach = np.ptp(cloud.xyz_m @ axes.T.astype(np.float32), axis=0)
+    return float(reach[2]) > config.view.deep * float(reach[:2].max())

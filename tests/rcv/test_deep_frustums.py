@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.rcv.frustum_views import is_deep
@@ -25,6 +26,14 @@ def test_a_deep_frustum_is_drawn_larger_and_looked_at_larger(depth_m: float, siz
     assert is_deep(cloud, CONFIG) == (size_px == 224)
     views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, CONFIG), CONFIG).views
     assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}
+
+
+@pytest.mark.parametrize("degrees", [-60, -35, 0, 35, 60])
+@pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
+def test_depth_is_along_the_frustum(degrees: float, axis: list[float]) -> None:
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix().astype(np.float32)
+    for depth_m, deep in ((3.0, False), (6.0, True), (60.0, True)):
+        assert is_deep(PointCloud(frustum(depth_m).xyz_m @ turn.T), CONFIG) == deep
 
 
 def test_all_points_of_a_frustum_are_drawn() -> None:
