@@ -25,9 +25,10 @@ from rich.console import Console
 from annotator.detection.config import Backend, DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.progress import TrainingProgress
+from annotator.detection.tiles import tiled
 from annotator.detection.training import train_detector
 from annotator.detection.yolo import YoloDetector
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind
@@ -48,8 +49,8 @@ class Arguments:
     """A recording with true 3D boxes."""
     model: str = "yolo11n"
     """An ultralytics detection model; always from random weights."""
-    size: int = 96
-    """Longer side of a picture in the network, pixels."""
+    size: int = RcvConfig().view.size_px
+    """Longer side of a view, drawn and in the network, pixels."""
     epochs: int | None = None
     """Passes over the pictures; by default what TrainingConfig says."""
     optimizer: str = "MuSGD"
@@ -76,7 +77,7 @@ def make_views(
     recording: Recording, indices: Sequence[int], args: Arguments, seed: int
 ) -> list[tuple[str, TaughtView]]:
     """Views of all true objects of some frames, with the frame's key."""
-    rng = np.random.default_rng(seed)
+    rng, config = np.random.default_rng(seed), RcvConfig(view=ViewConfig(size_px=args.size))
     views: list[tuple[str, TaughtView]] = []
     for index in indices:
         frame = recording.frame(index)
@@ -86,7 +87,7 @@ def make_views(
         if up is None and args.upright and truths:
             # A box's third axis is its height, and so gravity where an upright recording does not say.
             up = truths[0].box.rotation[:, 2]
-        taught = teach_views(frame, objects, BoxKind.BOX, args.draws, RcvConfig(), None if args.free else up, rng)
+        taught = teach_views(frame, objects, BoxKind.BOX, args.draws, config, None if args.free else up, rng)
         views.extend((frame.key, view) for view in taught)
     return views
 
@@ -168,8 +169,11 @@ def run(args: Arguments) -> dict[str, Any]:
     )
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        samples = (TrainingSample(view.view.rgb, view.boxes, key, "projected") for key, view in taught)
-        write_dataset(folder / "set", samples, classes, seed=args.seed, kind=BoxKind.BOX)
+        samples = (
+            TrainingSample(view.view.rgb, view.boxes, key, "projected", look_px=view.view.look_px)
+            for key, view in taught
+        )
+        write_dataset(folder / "set", tiled(samples, args.size), classes, seed=args.seed, kind=BoxKind.BOX)
         trained = train_detector(folder / "set", folder / "run", config, report)
         figures = measured(trained.weights, asked, args)
     return {

@@ -41,7 +41,7 @@ class TrainingSample:
         boxes: its labels, in its own pixels; none means that it shows no object.
         group: key of the frame it comes from; pictures of one group are never split between training and measuring.
         origin: how the boxes came about, such as "drawn", "imported" or "projected".
-        label_uids: the labels that the boxes come from, where they have uids.
+        label_uids: the labels that the boxes come from, as far as these have uids: of the first boxes.
         look_px: longer side, pixels, that a detector will look at it with; 0: with what it is trained at (`tiles`).
     """
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
+from annotator.geometry.image_shares import cut_to_picture
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Region, Truth
@@ -48,7 +49,7 @@ class PerfectDetector:
     """Image detector and pseudo-view detector in one, from the true 3D boxes of the frames it is given.
 
     On a `Frame` or a `Region` of one it answers with what each object's 3D box (or, for silhouettes, its points) spans
-    on the image; on a `PseudoView` with the same on the view, for each object of which enough points are drawn there.
+    on the image; on a `PseudoView` with the same on the view, for each object of which it shows enough points.
     Boxes are clipped to the picture, as a real detector cannot answer outside it. It knows only frames it was made for.
     """
 
@@ -69,7 +70,7 @@ class PerfectDetector:
                 (on a camera image: of the box's own extent there).
             seed: of the jitter, which depends on the picture and not on the order of calls.
             min_points: objects with fewer points in the whole cloud are not seen.
-            min_view_share: objects of which a view draws fewer than this share of their points (and fewer than 3
+            min_view_share: objects of which a view shows fewer than this share of their points (and fewer than 3
                 points) are not seen on it.
 
         Raises:
@@ -116,8 +117,8 @@ class PerfectDetector:
         """One list of boxes an image; the object with most points first.
 
         Raises:
-            DetectionError: a frame that the detector was not made for, or a picture that is neither a `Frame` nor a
-                `PseudoView`.
+            DetectionError: a frame that the detector was not made for, or a picture that is neither a `Frame`, a
+                `Region` of one nor a `PseudoView`.
         """
         # The views of one step share their points, so each cloud is looked up once.
         counted: dict[int, tuple[Scene | None, Int64[np.ndarray, "k"]]] = {}
@@ -133,7 +134,9 @@ class PerfectDetector:
                     known = counted[id(image.xyz_m)] = self._count(image.xyz_m)
                 found.append(self._on_view(image, *known))
             else:
-                raise DetectionError(f"a perfect detector sees frames and pseudo-views, not {type(image).__name__}")
+                raise DetectionError(
+                    f"a perfect detector sees frames, regions of them and pseudo-views, not {type(image).__name__}"
+                )
         return found
 
     def _on_image(self, frame: Frame) -> list[Box2D]:
@@ -203,9 +206,9 @@ class PerfectDetector:
 
 def _on_region(region: Region, box: Box2D) -> Box2D | None:
     """A box on the whole image as it is on a part of it."""
-    span = np.array(box.xyxy).reshape(2, 2) - (region.x_px, region.y_px)
-    size = (region.width_px, region.height_px)
-    return _answer(box.label, span, np.zeros(2), size, np.random.default_rng(0))
+    x, y = region.x_px, region.y_px
+    moved = replace(box, x_min=box.x_min - x, x_max=box.x_max - x, y_min=box.y_min - y, y_max=box.y_max - y)
+    return cut_to_picture(moved, region.width_px, region.height_px, MIN_SIDE_PX)
 
 
 def _answer(

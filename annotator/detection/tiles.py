@@ -1,14 +1,17 @@
 """Pictures that a detector will look at larger than it is trained at, as tiles of the size that it is trained at.
 
 In such a picture objects are small; scaled down for training, they would be a pixel or two. Tiles show them as large as
-the detector will see them: one around each object, and one of anything, of each picture.
+the detector will see them: one around each object, and one of anything, of each picture. The few that are larger than a
+tile are scaled down to fill most of one.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import zip_longest
 
 import cv2
 import numpy as np
@@ -45,23 +48,18 @@ def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
     if scale != 1:
         size = (max(round(width_px * scale), 1), max(round(height_px * scale), 1))
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    boxes = [(_scaled(box, scale), uid) for box, uid in _with_uids(sample)]
+    scales = (rgb.shape[1] / width_px, rgb.shape[0] / height_px)  # of the rounded size
+    boxes = [(_scaled(box, *scales), uid) for box, uid in zip_longest(sample.boxes, sample.label_uids)]
     rng = np.random.default_rng(list(hashlib.sha256(rgb.tobytes() + repr(sample.boxes).encode()).digest()))
     for box, _ in boxes:
         yield _tile(sample, rgb, boxes, _corner_around(rgb, box, size_px, rng))
     yield _tile(sample, rgb, boxes, _corner_anywhere(rgb, size_px, rng))
 
 
-def _with_uids(sample: TrainingSample) -> list[tuple[Box2D, str | None]]:
-    """Each box with the label that it comes from, where each comes from one."""
-    if len(sample.label_uids) == len(sample.boxes):
-        return list(zip(sample.boxes, sample.label_uids, strict=True))
-    return [(box, None) for box in sample.boxes]
-
-
-def _scaled(box: Box2D, scale: float) -> Box2D:
+def _scaled(box: Box2D, across: float, along: float) -> Box2D:
     """Box edges count from the first pixel's centre, pictures from its corner."""
-    x_min, y_min, x_max, y_max = ((edge + 0.5) * scale - 0.5 for edge in box.xyxy)
+    x_min, x_max = ((x + 0.5) * across - 0.5 for x in (box.x_min, box.x_max))
+    y_min, y_max = ((y + 0.5) * along - 0.5 for y in (box.y_min, box.y_max))
     return replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max)
 
 
@@ -71,13 +69,14 @@ Corner = tuple[int, int, int]
 
 def _corner_around(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D, size_px: int, rng: np.random.Generator) -> Corner:
     """Somewhere that shows all of a box that is on the picture; larger than `size_px` for a larger one."""
-    spans = [(box.x_min, box.x_max), (box.y_min, box.y_max)]
-    longest = max(high - low for low, high in spans)
+    # the columns and rows that it touches: from the first up to, and without, the last
+    edges = ((box.x_min, box.x_max), (box.y_min, box.y_max))
+    spans = [(math.floor(low + 0.5), math.ceil(high + 0.5)) for low, high in edges]
+    longest = max(end - begin for begin, end in spans)
     side = size_px if longest <= size_px else round(ROOM * longest)
     begins = []
-    for (low, high), length in zip(spans, rgb.shape[1::-1], strict=True):
-        most = max(length - side, 0)
-        first, last = np.clip([np.ceil(high + 0.5) - side, np.floor(low + 0.5)], 0, most).astype(int)
+    for (begin, end), length in zip(spans, rgb.shape[1::-1], strict=True):
+        first, last = np.clip([end - side, begin], 0, max(length - side, 0))
         begins.append(int(rng.integers(first, last, endpoint=True)))
     return begins[0], begins[1], side
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -55,6 +56,28 @@ def test_a_tile_shows_its_object_whole_and_as_large_as_it_will_be_seen(
         assert max(cut.y_min, -0.5) == low_y and min(cut.y_max, anywhere.load().shape[0] - 0.5) == high_y
 
 
+@settings(deadline=None, max_examples=200)
+@given(st.floats(-0.5, 150), st.floats(-0.5, 30), st.floats(1, 70), st.floats(1, 70))
+def test_objects_of_any_size_and_place_fit_into_their_tile(x: float, y: float, across: float, along: float) -> None:
+    box = Box2D("a", x, y, min(x + across, 223.5), min(y + along, 79.5))
+    around, _ = tiled([TrainingSample(picture(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
+    height, width = around.load().shape[:2]
+    assert SIZE_PX <= width <= 1.15 * 71 + 1
+    (shown,) = around.boxes
+    assert shown.width_px == pytest.approx(box.width_px)
+    assert -0.5 - 1e-9 <= shown.x_min < shown.x_max <= width - 0.5 + 1e-9
+    assert -0.5 - 1e-9 <= shown.y_min < shown.y_max <= height - 0.5 + 1e-9
+
+
+def test_boxes_keep_their_place_in_a_picture_whose_size_is_rounded() -> None:
+    """61 rows become 53, not 53.4."""
+    box = Box2D("a", 99.5, 40.5, 119.5, 60.5)
+    sample = TrainingSample(picture(61, 256, box), (box,), "g", "drawn", look_px=224)
+    around = next(tiled([sample], SIZE_PX))
+    assert around.load().shape[0] == 53
+    assert around.boxes[0].y_max == pytest.approx(52.5)
+
+
 def test_a_drawn_picture_is_brought_to_the_size_that_it_is_looked_at_with() -> None:
     box = Box2D("a", 99.5, 19.5, 107.5, 39.5)
     sample = TrainingSample(picture(80, 448, box), (box,), "g", "drawn", look_px=224)
@@ -63,7 +86,7 @@ def test_a_drawn_picture_is_brought_to_the_size_that_it_is_looked_at_with() -> N
 
 
 def test_an_object_larger_than_a_tile_gets_a_larger_one() -> None:
-    box = Box2D("a", 50.0, 10.0, 150.0, 60.0)
+    box = Box2D("a", 49.5, 9.5, 149.5, 59.5)
     shown, *_ = tiled([TrainingSample(picture(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
     assert max(shown.load().shape) == 115
     assert shown.boxes[0].x_min >= -0.5 and shown.boxes[0].x_max <= 114.5
@@ -75,6 +98,8 @@ def test_a_neighbour_cut_off_is_labelled_only_if_enough_of_it_is_left() -> None:
     first, second, _ = tiled([sample], SIZE_PX)
     assert ([box.label for box in first.boxes], first.label_uids) == (["a"], ("first",))
     assert ([box.label for box in second.boxes], second.label_uids) == (["b"], ("second",))
+    some = TrainingSample(picture(30, 224), boxes, "g", "drawn", ("first",), look_px=224)
+    assert [tile.label_uids for tile in tiled([some], SIZE_PX)][:2] == [("first",), ()]
 
 
 def test_tiles_of_a_picture_are_always_the_same() -> None:
