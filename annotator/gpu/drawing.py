@@ -32,7 +32,8 @@ def render_pairs(
     """As `annotator.rcv.pseudo_view.render_pairs`; points that fall between two pixels may be drawn on the other."""
     import torch
 
-    drawn = DeviceCloud.of(drawn_points(cloud, config), cloud.held.xyz.device)
+    keep = drawn_points(len(cloud), config)
+    drawn = cloud if keep is None else cloud.select(keep)
     points = drawn.on_device()
     together = max(MAX_AT_ONCE // (2 * max(len(drawn), config.size_px**2)), 1)
     views: list[PseudoView] = []

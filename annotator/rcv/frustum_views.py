@@ -38,8 +38,13 @@ def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
     What lies behind a pedestrian in a street makes the side view 60 m wide: of 96 pixels he has two. Into the scene is
     along the frustum, which may lie at any angle to the camera's axis.
     """
-    into = unit(cloud.xyz_m.mean(axis=0, dtype=np.float64))
+    from annotator.rcv.kernels import drawing as kernel
+
+    xyz = np.array(cloud.xyz_m.T, order="C")
+    into = unit(xyz.mean(axis=1, dtype=np.float64))
     across = unit(np.cross([0.0, 1.0, 0.0], into))
-    axes = np.stack([across, np.cross(into, across), into])
-    reach = np.ptp(cloud.xyz_m @ axes.T.astype(np.float32), axis=0)
-    return float(reach[2]) > config.view.deep * float(reach[:2].max())
+    axes = np.stack([across, np.cross(into, across), into]).astype(np.float32)
+    least, most = np.empty((2, 1, 3), np.float32)
+    kernel.extents(xyz, axes[None], least, most)
+    reach = (most - least)[0].tolist()
+    return bool(reach[2] > config.view.deep * max(reach[:2]))

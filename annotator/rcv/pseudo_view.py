@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, UInt8
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from annotator.geometry.thinning import thin
 from annotator.rcv.config import ViewConfig
@@ -48,7 +48,8 @@ def render_pairs(
 
     if not frames:
         return []
-    drawn = drawn_points(cloud, config)
+    keep = drawn_points(len(cloud), config)
+    drawn = cloud if keep is None else cloud.select(keep)
     # One row an axis: everything that follows runs along contiguous memory.
     xyz = np.array(drawn.xyz_m.T, order="C")
     rows = np.stack(frames)
@@ -66,10 +67,9 @@ def render_pairs(
     ]
 
 
-def drawn_points(cloud: PointCloud, config: ViewConfig) -> PointCloud:
-    """The part of a cloud that its pictures are made of: as much as can be seen in them."""
-    keep = thin(len(cloud), max(round(config.points_per_px * config.size_px**2), 1))
-    return cloud if keep is None else cloud.select(keep)
+def drawn_points(n_points: int, config: ViewConfig) -> Int64[np.ndarray, "m"] | None:
+    """Numbers of the points of a cloud that its pictures are made of, as many as can be seen in them; None = all."""
+    return thin(n_points, max(round(config.points_per_px * config.size_px**2), 1))
 
 
 def pair_windows(
