@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.outline import box_on_image
@@ -13,7 +15,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.seeds import Seed
 from annotator.types import Box2D, Camera, Frame, Image, OrientedBox, PointCloud, Region
-from annotator.workflows.live.looking import WHOLE_EVERY, Looking, region_around
+from annotator.workflows.live.looking import WHOLE_EVERY, Looking, regions_around
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
 CONFIG = RcvConfig()
@@ -24,8 +26,8 @@ def frame() -> Frame:
     return Frame("0", 0, CAMERA, np.zeros((480, 640, 3), np.uint8), cloud)
 
 
-def seed(x_m: float, y_m: float = 0.0, size_m: float = 0.1) -> Seed:
-    return Seed("hand", OrientedBox(RigidTransform.from_translation([x_m, y_m, 1.0]), np.full(3, size_m)))
+def seed(x_m: float, y_m: float = 0.0, size_m: float = 0.1, label: str = "hand") -> Seed:
+    return Seed(label, OrientedBox(RigidTransform.from_translation([x_m, y_m, 1.0]), np.full(3, size_m)))
 
 
 def outline(of: Seed) -> Box2D:
@@ -42,9 +44,11 @@ class Sees:
     def __init__(self, *boxes: Box2D) -> None:
         self.boxes = list(boxes)
         self.asked: list[Image] = []
+        self.calls: list[tuple[Image, int]] = []
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         self.asked += images
+        self.calls += [(image, len(images)) for image in images]
         return [[box for whole in self.boxes if (box := on_part(image, whole))] for image in images]
 
     @property
@@ -118,8 +122,12 @@ def test_an_object_not_found_where_it_was_is_looked_for_everywhere(seen: list[Bo
     looking = Looking(sees)
     looking.boxes(frame(), (), CONFIG)
     sees.boxes = seen
-    assert looking.boxes(frame(), (seed(0.0),), CONFIG) == seen
-    assert sees.regions == [False, True, False]
+    for _ in range(WHOLE_EVERY):
+        assert looking.boxes(frame(), (seed(0.0),), CONFIG) == seen
+    assert sees.regions == [False, True, *[False] * WHOLE_EVERY], "regions are not tried again at once"
+    sees.boxes = [outline(seed(0.0))]
+    looking.boxes(frame(), (seed(0.0),), CONFIG)
+    assert sees.regions == [True]
 
 
 def test_an_object_that_its_region_cuts_off_is_looked_for_everywhere() -> None:
@@ -141,6 +149,30 @@ def test_two_that_find_the_same_object_are_looked_for_everywhere() -> None:
     looking.boxes(frame(), (), CONFIG)
     assert looking.boxes(frame(), (seed(0.0), seed(0.02)), CONFIG) == sees.boxes
     assert sees.regions == [False, True, True, False]
+
+
+def test_objects_of_two_classes_may_be_at_the_same_place() -> None:
+    both = [outline(seed(0.0)), outline(seed(0.02, label="foot"))]
+    sees = Sees(*both)
+    looking = Looking(sees)
+    looking.boxes(frame(), (), CONFIG)
+    found = looking.boxes(frame(), (seed(0.0), seed(0.02, label="foot")), CONFIG)
+    assert [box.label for box in found] == ["hand", "foot"]
+    assert sees.regions == [False, True, True]
+
+
+@given(st.lists(st.tuples(*[st.floats(-0.4, 0.4)] * 2, st.floats(0.01, 0.6)), min_size=1, max_size=4))
+def test_networks_are_ready_for_each_region_that_is_looked_at(places: list[tuple[float, float, float]]) -> None:
+    """On two cores: one picture is computed by both, of several each by one."""
+    seeds = [seed(x, y, size_m=size) for x, y, size in places]
+    sees = Sees()
+    looking = Looking(sees)
+    looking.get_ready(frame())
+    ready = {(call > 1, *image.rgb.shape) for image, call in sees.calls}
+    sees.calls.clear()
+    looking.boxes(frame(), (), CONFIG)
+    looking.boxes(frame(), seeds, CONFIG)
+    assert {(call > 1, *image.rgb.shape) for image, call in sees.calls if isinstance(image, Region)} <= ready
 
 
 @pytest.mark.parametrize(
@@ -168,7 +200,7 @@ def test_regions_that_would_not_do_are_not_looked_at(seeds: list[Seed]) -> None:
     ],
 )
 def test_regions_are_around_their_box_and_within_the_image(box: Box2D, place: tuple[int, ...]) -> None:
-    region = region_around(frame(), box)
+    (region,) = regions_around(frame(), [box])
     assert (region.x_px, region.y_px, region.width_px, region.height_px) == place
     assert region.rgb.shape == (place[3], place[2], 3)
     assert region.share == max(place[2:]) / 640

@@ -6,7 +6,7 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,16 @@ import pytest
 from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
+from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.seeds import is_warm
 from annotator.recordings import Recording, open_recording
-from annotator.types import Frame
+from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.live import detection, looking
 from annotator.workflows.live.detection import OLDEST_SEED_S, Detected, LiveDetection
 from annotator.workflows.live.figures import Drops, Meter, told
+from annotator.workflows.live.looking import WHOLE_EVERY
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback, Repeat
 from annotator.workflows.live.slot import Slot
@@ -405,6 +408,68 @@ def test_the_last_boxes_are_seeds_as_long_as_they_are_new(hands: Recording, know
     assert all(len(each.found.proposals) == 2 for each in found)
     assert found[0].stages_s["read"] == 0.01
     assert found[0].detect_s > 0
+
+
+@dataclass
+class Recorded:
+    """A detector, and for each call whether it was asked about regions."""
+
+    detector: Detector
+    calls: list[bool] = field(default_factory=list)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self.detector.labels
+
+    @property
+    def fingerprint(self) -> str:
+        return self.detector.fingerprint
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        self.calls.append(isinstance(images[0], Region))
+        return self.detector.detect(images)
+
+
+@pytest.mark.parametrize("warm_start", [False, True])
+def test_followed_objects_are_looked_for_where_they_were(
+    hands: Recording, knowing: Any, warm_start: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(looking, "MOST_SHARE", 2.0)  # two hands fill this image
+    known = knowing("hands")
+    image = Recorded(known.image)
+    detectors = replace(known, image=image)
+    live = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=warm_start)
+    frame = hands.frame(0)
+    asked = []
+    for number in range(WHOLE_EVERY + 1):
+        found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
+        assert len(found.proposals) == 2
+        asked.append(image.calls[:] if number else image.calls[-1:])  # it gets ready on the first one
+        image.calls.clear()
+    followed = [[warm_start]] * (WHOLE_EVERY - 1)
+    assert asked == [[False], *followed, [False]]
+
+
+def test_when_an_object_gets_lost_the_next_look_is_at_the_whole_image(
+    hands: Recording, knowing: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(looking, "MOST_SHARE", 2.0)
+    known = knowing("hands")
+    image, frame = Recorded(known.image), hands.frame(0)
+    live = LiveDetection(replace(known, image=image), SHORT, BoxRotation.AUTO, warm_start=True)
+    asked = []
+    for number in range(4):
+        with monkeypatch.context() as patch:
+            if number == 1:
+                patch.setattr(detection, "propose_from_boxes", losing_one)
+            found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
+        assert len(found.proposals) == (1 if number == 1 else 2)
+        asked.append(image.calls[-1])
+    assert asked == [False, True, False, True]
+
+
+def losing_one(*args: Any) -> list[FrameProposals]:
+    return [replace(found, proposals=found.proposals[1:]) for found in propose_from_boxes(*args)]
 
 
 def test_figures_look_back_over_their_window_only() -> None:

@@ -90,10 +90,12 @@ class LiveDetection:
             self._config = self._config.model_copy(update={"orientation": orientation})
         is_recent = abs(taken.taken_s - self._seeds_of_s) <= OLDEST_SEED_S
         seeds = self._seeds if self._warm_start and is_recent else ()
+        if self._is_first and self._warm_start:
+            self._looking.get_ready(taken.frame)
         boxes = self._looking.boxes(taken.frame, seeds, self._config)
         given = [seeds] if seeds else None
         (found,) = propose_from_boxes([taken.frame], [boxes], self._view, self._config, given, self._compute)
-        if len(found.proposals) < len(seeds):
+        if found.lost or len(found.proposals) < len(seeds):
             self._looking.lost()
         self._seeds = tuple(Seed(proposal.label, proposal.box) for proposal in found.proposals)
         self._seeds_of_s = taken.taken_s
