@@ -27,7 +27,7 @@ class Arguments:
 
     points: tuple[int, ...] = (5_000, 20_000, 50_000, 200_000, 500_000)
     """Sizes of the cloud."""
-    size_px: tuple[int, ...] = (96, 224, 320)
+    size_px: tuple[int, ...] = (64, 224, 320)
     """Longer sides of the pictures."""
     repeats: int = 30
     """Runs of each; medians are printed."""

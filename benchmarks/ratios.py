@@ -36,7 +36,7 @@ from benchmarks.report import Table, finish, guarded
 
 WORSE = 1
 POINTS = 50_000
-PICTURE_PX = 96
+PICTURE_PX = 64
 SORTED = 50_000
 
 
@@ -118,7 +118,7 @@ def cpu_ratios() -> list[Ratio]:
         return np.argsort(numbers, kind="stable")  # which no processor has a special way of doing
 
     return [
-        Ratio("six views of 50,000 points / sorting", lambda: render_pairs(cloud, frames, view), sort, 1.3),
+        Ratio("six views of a cloud of 50,000 / sorting", lambda: render_pairs(cloud, frames, view), sort, 0.7),
         Ratio("box through 60 intervals / sorting", lambda: fit_box(intervals, None), sort, 0.55),
         Ratio("the same near a known one / sorting", lambda: fit_box(intervals, None, true.rotation), sort, 0.55),
     ]
@@ -145,7 +145,7 @@ def detector_ratios(folder: Path) -> list[Ratio]:
         return lambda: detector.detect(views)
 
     fastest = asked("auto")
-    return [Ratio("six pictures by the default backend / torch", fastest, asked("torch"), 0.7)]
+    return [Ratio("six pictures by the default backend / torch", fastest, asked("torch"), 0.5)]
 
 
 def _views() -> list[PseudoView]:

@@ -21,8 +21,8 @@ DEFAULT_RATE = 30.0
 # A longer pause within a recording is shortened to this, seconds.
 LONGEST_GAP_S = 1.0
 # Who asks when a frame is nearly as old as the next one is far gets the next one: seconds, and a share of the time
-# between the two. Asked for at any moment, frames of a source of 30 a second are 9 ms old on average in place of 17; the
-# wait for them is 1 ms.
+# between the two. Frames of a source of 30 a second that is asked at any moment are 9 ms old on average in place of 17,
+# for 1 ms of waiting.
 PATIENCE_S, PATIENCE_SHARE = 0.010, 0.25
 
 
