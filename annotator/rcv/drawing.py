@@ -42,6 +42,7 @@ def fit_windows(
     scale = extent.max(axis=1) / config.size_px
     size = np.clip(np.ceil(extent / scale[:, None]), min(8, config.size_px), config.size_px)
     origin = (low_m + high_m) / 2 - (size - 1) / 2 * scale[:, None]
+    origin.flags.writeable = False
     sides = size.astype(int).tolist()
     return [Window(o, s, *side) for o, s, side in zip(origin, scale.tolist(), sides, strict=True)]
 
@@ -123,6 +124,7 @@ def draw_views(
     colors = np.zeros(1, np.uint32) if packed is None else packed
     kernel.draw_views(xyz_m, colors, axes, sizes, corners, depths, splats, bits, begins, pixels[0])
     rgb = cv2.cvtColor(pixels.view(np.uint8).reshape(1, -1, 4), cv2.COLOR_BGRA2BGR)[0]
+    rgb.flags.writeable = False  # at once, since views of it would be made read-only one by one
     return [
         rgb[begin : begin + length].reshape(w.height_px, w.width_px, 3)
         for begin, length, w in zip(begins.tolist(), lengths.tolist(), windows, strict=True)

@@ -57,6 +57,7 @@ def render_pairs(
     kernel.extents(xyz, rows.astype(np.float32), least, most)
     windows = pair_windows(rows, least, most, config, show)
     axes = np.stack([rows, side_axes(rows)], axis=1).reshape(-1, 3, 3)
+    axes.flags.writeable = False
     # the side view looks along -a1
     depths = np.stack([least[:, 2], most[:, 2], -most[:, 0], -least[:, 0]], axis=1).reshape(-1, 2)
     packed = pack_colors(point_colors(drawn), len(drawn))
