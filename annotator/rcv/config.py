@@ -37,7 +37,7 @@ class ViewConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    size_px: int = Field(96, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
+    size_px: int = Field(64, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
     deep_size_px: int = Field(
         224, ge=32, le=2048, description="the same of the first step's views, where a frustum is deep, pixels"
     )

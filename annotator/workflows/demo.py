@@ -48,7 +48,7 @@ class DemoPlan:
     every: int = 2
     seed: int = 0
     image_pictures: int = 1500
-    view_pictures: int = 14000
+    view_pictures: int = 19000
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from annotator.workflows.validation_pictures import write_validation_pictures
 DATASET = "dataset"
 # A camera image shows its objects small, and there are fewer of them than of pseudo-views.
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
-VIEW_DEFAULTS = TrainingConfig(image_size_px=96, pictures_seen=36000)
+VIEW_DEFAULTS = TrainingConfig(image_size_px=64, pictures_seen=48000)
 
 ProgressCallback = Callable[[Role, TrainingProgress], None]
 
