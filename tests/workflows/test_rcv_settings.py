@@ -76,7 +76,7 @@ def test_a_project_from_before_there_were_such_settings_opens(project: Project) 
 def test_what_is_shown_can_be_given_back(project: Project, tmp_path: Path) -> None:
     keep(project, max_steps=7, fit={"edge_noise": 0.05})
     shown = editable(rcv_config(project))
-    assert json.loads(shown)["view"]["size_px"] == 96
+    assert json.loads(shown)["view"]["size_px"] == ViewConfig().size_px
     keep(project)
     assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, fit=FitConfig(edge_noise=0.05))
 
