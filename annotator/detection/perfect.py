@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
@@ -206,9 +206,7 @@ class PerfectDetector:
 
 def _on_region(region: Region, box: Box2D) -> Box2D | None:
     """A box on the whole image as it is on a part of it."""
-    x, y = region.x_px, region.y_px
-    moved = replace(box, x_min=box.x_min - x, x_max=box.x_max - x, y_min=box.y_min - y, y_max=box.y_max - y)
-    return cut_to_picture(moved, region.width_px, region.height_px, MIN_SIDE_PX)
+    return cut_to_picture(box.shifted(-region.x_px, -region.y_px), region.width_px, region.height_px, MIN_SIDE_PX)
 
 
 def _answer(

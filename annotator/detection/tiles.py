@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.detection.dataset import TrainingSample
+from annotator.geometry.image_shares import cut_to_picture
 from annotator.types import Box2D
 
 # An object of which less than this share is on a tile is not labelled there.
@@ -94,7 +95,7 @@ def _tile(
     shown: list[Box2D] = []
     uids: list[str] = []
     for box, uid in boxes:
-        moved = replace(box, x_min=box.x_min - x, x_max=box.x_max - x, y_min=box.y_min - y, y_max=box.y_max - y)
+        moved = box.shifted(-x, -y)
         if _share_on(cut, moved) >= MIN_SHARE:
             shown.append(moved)
             uids += [] if uid is None else [uid]
@@ -103,8 +104,5 @@ def _tile(
 
 def _share_on(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D) -> float:
     """The share of a box's area that is on a picture."""
-    height_px, width_px = rgb.shape[:2]
-    across = min(box.x_max, width_px - 0.5) - max(box.x_min, -0.5)
-    along = min(box.y_max, height_px - 0.5) - max(box.y_min, -0.5)
-    area = (box.x_max - box.x_min) * (box.y_max - box.y_min)
-    return max(across, 0.0) * max(along, 0.0) / area if area > 0 else 0.0
+    cut = cut_to_picture(box, rgb.shape[1], rgb.shape[0])
+    return 0.0 if cut is None else cut.width_px * cut.height_px / (box.width_px * box.height_px)

@@ -68,6 +68,11 @@ class Box2D:
     def xyxy(self) -> tuple[float, float, float, float]:
         return (self.x_min, self.y_min, self.x_max, self.y_max)
 
+    def shifted(self, x_px: int, y_px: int) -> Box2D:
+        """The same box so many whole pixels further to the right and down, as a part of a picture lies in the whole."""
+        edges = (self.x_min + x_px, self.y_min + y_px, self.x_max + x_px, self.y_max + y_px)
+        return Box2D(self.label, *edges, self.score)
+
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
@@ -117,9 +116,8 @@ def _is_worth_it(frame: Frame, regions: Sequence[Region]) -> bool:
 
 def _same_object(outline: Box2D, region: Region, boxes: Sequence[Box2D], config: RcvConfig) -> Box2D | None:
     """The box, on the whole image, that is most likely where the object is now."""
-    x, y = region.x_px, region.y_px
     on_image = [
-        replace(box, x_min=box.x_min + x, y_min=box.y_min + y, x_max=box.x_max + x, y_max=box.y_max + y)
+        box.shifted(region.x_px, region.y_px)
         for box in boxes
         if box.label == outline.label and box.score >= config.min_image_score
     ]
