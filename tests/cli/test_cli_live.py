@@ -20,6 +20,7 @@ from annotator.types.errors import RecordingError
 from annotator.web.live import run as live_run
 from annotator.web.live import serve as live_serve
 from annotator.web.serve import Running
+from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.recorder import Recorder
 
 Capture = pytest.CaptureFixture[str]
@@ -82,16 +83,22 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
 def test_a_polite_kill_keeps_what_was_recorded(
     live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    show = live_run.LiveView.show
+    """However often it comes: with each frame, and again while it is ending."""
+    show, end = live_run.LiveView.show, Pipeline.end
 
     def showing(view: Any, detected: Any) -> None:
         show(view, detected)
         signal.raise_signal(signal.SIGTERM)
 
+    def ending(pipeline: Pipeline) -> None:
+        signal.raise_signal(signal.SIGTERM)
+        end(pipeline)
+
     def killed(number: int, stack: object) -> None:
         raise AssertionError("the process would be gone")
 
     monkeypatch.setattr(live_run.LiveView, "show", showing)
+    monkeypatch.setattr(Pipeline, "end", ending)
     before = signal.signal(signal.SIGTERM, killed)
     try:
         assert live("--loop", "--record", tmp_path / "seen") == 0

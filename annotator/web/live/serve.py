@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 
 from fastapi import FastAPI, Request, Response, WebSocket
 
@@ -56,25 +57,34 @@ def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline) -> 
     pipeline.at_end(stop_serving)
     sys.stdout.write(f"live at {link(server.address, settings.token)}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
-    pipeline.start()
-    try:
-        # the last Ctrl-C is how it ends, and no accident
-        with suppress(KeyboardInterrupt), _terminated_as_interrupted():
-            server.serve_until_stopped()
-    finally:
-        pipeline.end()
+    with _terminated_as_interrupted():
+        try:
+            # the last Ctrl-C is how it ends, and no accident
+            with suppress(KeyboardInterrupt):
+                pipeline.start()
+                server.serve_until_stopped()
+        finally:
+            pipeline.end()
 
 
 @contextmanager
 def _terminated_as_interrupted() -> Iterator[None]:
     """SIGTERM (`kill`, a service manager, a container that is stopped) is as Ctrl-C: what was recorded is to be kept.
 
-    The web server ends in order on either, and then raises it anew.
+    The web server ends in order on either, and then raises it anew. Further ones change nothing: it is ending already.
     """
+    ending = False
+
+    def interrupt(number: int, stack: FrameType | None) -> None:
+        nonlocal ending
+        if not ending:
+            ending = True
+            raise KeyboardInterrupt
+
     if threading.current_thread() is not threading.main_thread():  # no other one may ask for signals
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    before = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
     finally:
