@@ -53,8 +53,8 @@ class Arguments:
     """Use the detectors of a project that `benchmarks.loop --project` has kept here, or keep this one's."""
     warm_start: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Begin each recursion with the boxes of the frame before."""
-    backend: Backend = "auto"
-    """What runs the detectors."""
+    backend: Backend = "fastest"
+    """What runs the detectors; the default of `annotator live`."""
     image_size: int | None = None
     """The longer side of a camera image in the network, pixels; None = as trained."""
     view_size: int | None = None

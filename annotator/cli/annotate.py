@@ -67,7 +67,8 @@ def run(
             the same results; auto takes local where there are several cores and enough frames.
         workers: of the engine; default: one a GPU, or else one a core.
         threads: of the processor for each worker; default: its share of the cores, with ray one.
-        backend: what runs the detectors; auto takes the fastest that is installed.
+        backend: what runs the detectors; auto takes the fastest that gives what torch does, fastest also half
+            precision on processors that have it.
         address: of a Ray cluster, HOST:PORT or auto; default: one on this machine, for as long as this takes.
         elsewhere: FOLDER=PLACE where workers find the recordings below FOLDER, a path or a storage's URL, such as
             /data=s3://bucket/data.

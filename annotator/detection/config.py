@@ -8,8 +8,8 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 Role = Literal["image", "view"]
-# What runs a trained network; docs/detector_backends.md says how `auto` chooses.
-Backend = Literal["auto", "torch", "openvino", "onnxruntime"]
+# What runs a trained network; docs/detector_backends.md says how `auto` and `fastest` choose.
+Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnxruntime"]
 
 
 class Augmentation(BaseModel):
@@ -102,5 +102,8 @@ class DetectorConfig(BaseModel):
     )
     iou: float = Field(0.6, ge=0, le=1, description="of two boxes of a class that overlap more (IoU), the better stays")
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
-    backend: Backend = Field("auto", description="what runs the network; auto: the fastest that is installed")
+    backend: Backend = Field(
+        "auto",
+        description="what runs the network; auto: the fastest that answers as torch does; fastest: also in bfloat16",
+    )
     threads: int | None = Field(None, ge=1, description="of the processor; None: all cores that the process may use")

@@ -76,7 +76,7 @@ def test_it_measures_the_whole_pipeline(
     assert result["latency_p95_ms"] >= result["latency_ms"]
     assert result["objects_per_frame"] == 2
     assert 0 < result["warm_share"] <= 1
-    assert (result["warm_start"], result["backend"], result["image_size_px"]) == (True, "auto", None)
+    assert (result["warm_start"], result["backend"], result["image_size_px"]) == (True, "fastest", None)
     (asked,) = trained
     assert (asked.train_dir, asked.project) == (generated / "hands", tmp_path / "kept")
 

@@ -21,8 +21,9 @@ LOG = logging.getLogger("annotator.detectors")
 def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> Network:
     """The network of a weights file on the backend that is asked for; with auto on the fastest that can be used.
 
-    That is torch where there is a CUDA device, else OpenVINO on x86 processors, else ONNX Runtime, else torch. With
-    auto, one that cannot run this network is passed over, and the log says why.
+    That is torch where there is a CUDA device, else OpenVINO on x86 processors, else ONNX Runtime, else torch; with
+    fastest, OpenVINO computes in half precision where the processor has instructions for it. With both, one that cannot
+    run this network is passed over, and the log says why.
 
     Raises:
         ConfigError: the backend cannot use the device.
@@ -48,11 +49,15 @@ def _opened(weights: Path, weights_sha256: str, config: DetectorConfig, backend:
 
 def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
     # Each is imported where it is used: none of them loads the packages of another.
-    if backend == "openvino":
+    if backend in ("openvino", "openvino-bf16"):
+        from annotator.detection.backends.openvino_api import computes_bfloat16
         from annotator.detection.backends.openvino_network import OpenVinoNetwork
 
-        export = _exported(weights, weights_sha256, backend)
-        return OpenVinoNetwork(export.facts, export.parts, config.threads)
+        in_half = backend == "openvino-bf16"
+        if in_half and not computes_bfloat16():
+            raise ConfigError("this processor has no instructions for bfloat16; use the backend openvino")
+        export = _exported(weights, weights_sha256, "openvino")
+        return OpenVinoNetwork(export.facts, export.parts, config.threads, bfloat16=in_half)
     if backend == "onnxruntime":
         from annotator.detection.backends.onnx_network import OnnxNetwork
 
@@ -86,7 +91,7 @@ def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
 def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
     """Backends to try, fastest first; the last one may fail."""
     other_device = config.device not in ("auto", "cpu")
-    if config.backend != "auto":
+    if config.backend not in ("auto", "fastest"):
         if other_device and config.backend != "torch":
             raise ConfigError(f"{config.backend} runs on the processor, not on {config.device}; use the backend torch")
         return (config.backend,)
@@ -94,10 +99,21 @@ def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
         return ("torch",)
     faster: list[Backend] = []
     if platform.machine().lower() in ("x86_64", "amd64") and find_spec("openvino") is not None:
+        if config.backend == "fastest" and _computes_bfloat16():
+            faster.append("openvino-bf16")
         faster.append("openvino")
     if find_spec("onnxruntime") is not None and find_spec("onnx") is not None:
         faster.append("onnxruntime")
     return (*faster, "torch")
+
+
+def _computes_bfloat16() -> bool:
+    from annotator.detection.backends.openvino_api import computes_bfloat16
+
+    try:
+        return computes_bfloat16()
+    except DetectionError:  # told where openvino is tried
+        return False
 
 
 @lru_cache(maxsize=1)

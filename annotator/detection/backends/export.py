@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from annotator.detection.backends.half_precision import marked, sum_up_edges
 from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.backends.openvino_api import openvino
 from annotator.detection.backends.raw_network import raw_network
@@ -57,12 +58,15 @@ def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, byt
 
 def _write_openvino(module: Any, example: Any, folder: Path) -> None:
     runtime, torch = openvino(), api().torch
+    sum_up_edges(module)
     with torch.inference_mode():
         recorded = torch.jit.trace(module, example, strict=False, check_trace=False)
     model = runtime.convert_model(recorded, example_input=example)
     model.reshape([-1, -1, -1, 3])
     # Weights as they are: halves of them would save disk space and cost accuracy.
-    runtime.save_model(model, folder / "network.xml", compress_to_fp16=False)
+    file = folder / "network.xml"
+    runtime.save_model(model, file, compress_to_fp16=False)
+    file.write_bytes(marked(file.read_bytes(), len(module.model.model) - 1))
 
 
 def _write_onnx(module: Any, example: Any, folder: Path) -> None:

@@ -22,7 +22,7 @@ LOG = logging.getLogger("annotator.detectors")
 
 RECORD, LOCK = "export.json", "exports.lock"
 # Raise it when the same weights and packages would be exported differently.
-REVISION = 1
+REVISION = 2
 # An export is made anew where one of those that made it has another version.
 PACKAGES: Mapping[ExportKind, tuple[str, ...]] = {
     "openvino": ("torch", "ultralytics-opencv-headless", "openvino"),

@@ -28,6 +28,15 @@ def openvino() -> Any:
         return _load()
 
 
+def computes_bfloat16() -> bool:
+    """Whether the processor has instructions for bfloat16 (AVX512-BF16, AMX), and OpenVINO uses them.
+
+    Raises:
+        DetectionError: it is missing or broken.
+    """
+    return "BF16" in openvino().Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+
+
 @lru_cache(maxsize=1)
 def _load() -> Any:
     hidden = TELEMETRY not in sys.modules

@@ -44,7 +44,7 @@ class LiveOptions:
     source: str
     rate: float | None = None
     loop: bool = False
-    backend: Backend = "auto"
+    backend: Backend = "fastest"
     warm_start: bool = True
     frames: int | None = None
     record: Path | None = None
