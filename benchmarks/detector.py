@@ -68,7 +68,7 @@ class Arguments:
     weights: Path | None = None
     """Weights of a trained view detector; none is trained then."""
     backends: tuple[Backend, ...] = ()
-    """Compare these: torch, openvino, onnxruntime; ratios are to the first."""
+    """Compare these: torch, openvino, openvino-bf16, onnxruntime; ratios are to the first."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 

@@ -80,8 +80,9 @@ class YoloDetector:
     def fingerprint(self) -> str:
         """SHA-256 of the weights file and the settings.
 
-        The backend is not in it: all of them give the same boxes, within a pixel and a hundredth of the score
-        (tests/detection/test_backends.py), so what one machine has begun another one may go on with.
+        The backend is not in it: all that auto chooses from give the same boxes, within a pixel and a hundredth of the
+        score (tests/detection/test_backends.py), so what one machine has begun another one may go on with. Boxes in
+        bfloat16 are nearly the same (docs/detector_backends.md), and no reason to do a frame again either.
         """
         return self._fingerprint
 

@@ -44,7 +44,7 @@ def load_detector(
 
     Args:
         weights: its weights file.
-        backend: what runs it; auto takes the fastest that is installed.
+        backend: what runs it; as of `open_network`.
         image_size_px: the longer side of a picture in the network; None: the size that it was trained at.
         threads: of the processor; None: all cores that the process may use.
 

@@ -80,28 +80,41 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
     assert not {thread.name for thread in threading.enumerate()} & {"capture", "detect", "display", "record"}
 
 
+@pytest.mark.parametrize("first", [signal.SIGTERM, signal.SIGINT, None])
 def test_a_polite_kill_keeps_what_was_recorded(
-    live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    live: Callable[..., int],
+    tmp_path: Path,
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+    first: signal.Signals | None,
 ) -> None:
-    """However often it comes: with each frame, and again while it is ending."""
-    show, end = live_run.LiveView.show, Pipeline.end
+    """However often it comes: with each frame, and again while it is ending, whatever it ends by, and storing."""
+    show = live_run.LiveView.show
+    interrupted = []
 
     def showing(view: Any, detected: Any) -> None:
         show(view, detected)
-        signal.raise_signal(signal.SIGTERM)
+        if first is signal.SIGTERM or (first is signal.SIGINT and not interrupted):  # a second Ctrl-C means it
+            interrupted.append(first)
+            signal.raise_signal(first)
 
-    def ending(pipeline: Pipeline) -> None:
-        signal.raise_signal(signal.SIGTERM)
-        end(pipeline)
+    def with_a_kill(call: Callable[..., Any]) -> Callable[..., Any]:
+        def killing(*args: Any, **settings: Any) -> Any:
+            signal.raise_signal(signal.SIGTERM)
+            return call(*args, **settings)
+
+        return killing
 
     def killed(number: int, stack: object) -> None:
         raise AssertionError("the process would be gone")
 
     monkeypatch.setattr(live_run.LiveView, "show", showing)
-    monkeypatch.setattr(Pipeline, "end", ending)
+    for place, name in ((Pipeline, "end"), (Recorder, "finish"), (live_run, "store")):
+        monkeypatch.setattr(place, name, with_a_kill(getattr(place, name)))
     before = signal.signal(signal.SIGTERM, killed)
     try:
-        assert live("--loop", "--record", tmp_path / "seen") == 0
+        words = ("--frames", 3, "--rate", 2) if first is None else ("--loop",)
+        assert live(*words, "--record", tmp_path / "seen") == 0
         assert signal.getsignal(signal.SIGTERM) is killed
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -74,7 +74,7 @@ def test_an_export_is_made_once_and_anew_where_it_is_damaged_or_stale(
             assert "made anew" in caplog.text
             assert (folder / name).read_bytes() == kept[name]
     answer("other weights")
-    monkeypatch.setattr(export_cache, "REVISION", export_cache.REVISION + 1)
+    monkeypatch.setattr(export_cache, "REVISIONS", {"onnxruntime": export_cache.REVISIONS["onnxruntime"] + 1})
     answer()
     assert len(exports) == wanted + 2
     assert not [path for path in own_weights.parent.iterdir() if path.name.startswith(".")]

@@ -53,11 +53,12 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
         from annotator.detection.backends.openvino_api import computes_bfloat16
         from annotator.detection.backends.openvino_network import OpenVinoNetwork
 
-        in_half = backend == "openvino-bf16"
-        if in_half and not computes_bfloat16():
-            raise ConfigError("this processor has no instructions for bfloat16; use the backend openvino")
+        if backend == "openvino-bf16" and not computes_bfloat16():
+            if config.backend == backend:
+                raise ConfigError("this processor has no instructions for bfloat16; use the backend openvino")
+            backend = "openvino"
         export = _exported(weights, weights_sha256, "openvino")
-        return OpenVinoNetwork(export.facts, export.parts, config.threads, bfloat16=in_half)
+        return OpenVinoNetwork(export.facts, export.parts, config.threads, bfloat16=backend == "openvino-bf16")
     if backend == "onnxruntime":
         from annotator.detection.backends.onnx_network import OnnxNetwork
 
@@ -89,7 +90,10 @@ def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
 
 
 def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
-    """Backends to try, fastest first; the last one may fail."""
+    """Backends to try, fastest first; the last one may fail.
+
+    With fastest, openvino-bf16 stands for openvino where the processor has no bfloat16.
+    """
     other_device = config.device not in ("auto", "cpu")
     if config.backend not in ("auto", "fastest"):
         if other_device and config.backend != "torch":
@@ -99,21 +103,10 @@ def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
         return ("torch",)
     faster: list[Backend] = []
     if platform.machine().lower() in ("x86_64", "amd64") and find_spec("openvino") is not None:
-        if config.backend == "fastest" and _computes_bfloat16():
-            faster.append("openvino-bf16")
-        faster.append("openvino")
+        faster.append("openvino-bf16" if config.backend == "fastest" else "openvino")
     if find_spec("onnxruntime") is not None and find_spec("onnx") is not None:
         faster.append("onnxruntime")
     return (*faster, "torch")
-
-
-def _computes_bfloat16() -> bool:
-    from annotator.detection.backends.openvino_api import computes_bfloat16
-
-    try:
-        return computes_bfloat16()
-    except DetectionError:  # told where openvino is tried
-        return False
 
 
 @lru_cache(maxsize=1)

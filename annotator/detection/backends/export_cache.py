@@ -21,8 +21,8 @@ from annotator.types.errors import FormatError
 LOG = logging.getLogger("annotator.detectors")
 
 RECORD, LOCK = "export.json", "exports.lock"
-# Raise it when the same weights and packages would be exported differently.
-REVISION = 2
+# To be raised when the same weights and packages would be exported differently.
+REVISIONS: Mapping[ExportKind, int] = {"openvino": 2, "onnxruntime": 1}
 # An export is made anew where one of those that made it has another version.
 PACKAGES: Mapping[ExportKind, tuple[str, ...]] = {
     "openvino": ("torch", "ultralytics-opencv-headless", "openvino"),
@@ -56,7 +56,7 @@ class _Record(BaseModel):
 def export_key(kind: ExportKind, weights_sha256: str) -> str:
     """What an export follows from: the weights, the packages' versions and this program's way to export."""
     versions = {name: _version(name) for name in PACKAGES[kind]}
-    told = json.dumps([REVISION, kind, weights_sha256, versions], sort_keys=True)
+    told = json.dumps([REVISIONS[kind], kind, weights_sha256, versions], sort_keys=True)
     return hashlib.sha256(told.encode()).hexdigest()
 
 

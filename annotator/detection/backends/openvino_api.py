@@ -29,12 +29,17 @@ def openvino() -> Any:
 
 
 def computes_bfloat16() -> bool:
-    """Whether the processor has instructions for bfloat16 (AVX512-BF16, AMX), and OpenVINO uses them.
+    """Whether the processor has instructions for bfloat16 (AVX512-BF16, AMX, AVX2-VNNI-2), and OpenVINO uses them.
 
     Raises:
         DetectionError: it is missing or broken.
     """
-    return "BF16" in openvino().Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+    runtime = openvino()
+    try:
+        return "BF16" in runtime.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+    except RuntimeError as error:
+        reason = (str(error).strip() or "no reason given").splitlines()[-1]
+        raise DetectionError(f"OpenVINO cannot use the processor ({reason}); use the backend torch") from error
 
 
 @lru_cache(maxsize=1)

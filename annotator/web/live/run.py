@@ -9,6 +9,7 @@ from pathlib import Path
 from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.types import Detector
+from annotator.web.live.interrupts import Interrupts
 from annotator.web.live.serve import serve_live
 from annotator.web.live.view import LiveView
 from annotator.web.security import check_settings
@@ -83,24 +84,30 @@ def run_live(
     # before the detectors, which take seconds: whether there is such a source is known at once
     source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
     try:
-        return _run(project, options, settings, source, tell)
+        with Interrupts() as interrupts:
+            return _run(project, options, settings, source, tell, interrupts)
     finally:
         source.close()
 
 
 def _run(
-    project: Project, options: LiveOptions, settings: ServerSettings, source: Source, tell: Callable[[str], None]
+    project: Project,
+    options: LiveOptions,
+    settings: ServerSettings,
+    source: Source,
+    tell: Callable[[str], None],
+    interrupts: Interrupts,
 ) -> LiveResult:
     detectors = active_detectors(project, backend=options.backend)
     rotation = project.config.settings.rotation
     detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=options.warm_start)
     backend = backend_of(detectors.view, options.backend)
     if options.record is None:
-        return LiveResult(_show(options, settings, source, detection, None, backend, tell), None)
+        return LiveResult(_show(options, settings, source, detection, None, backend, tell, interrupts), None)
     with Recorder(options.record, tell) as recorder:
         stored = None
         try:
-            figures = _show(options, settings, source, detection, recorder, backend, tell)
+            figures = _show(options, settings, source, detection, recorder, backend, tell, interrupts)
         finally:
             if frames := recorder.finish():
                 tell(f"storing what was found on the {frames} frames of {recorder.out}")
@@ -123,6 +130,7 @@ def _show(
     recorder: Recorder | None,
     backend: str,
     tell: Callable[[str], None],
+    interrupts: Interrupts,
 ) -> Figures:
     facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
     if recorder is not None:
@@ -130,7 +138,7 @@ def _show(
     view = LiveView(source.name, facts)
     try:
         pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=_Broken(tell))
-        serve_live(settings, view, pipeline)
+        serve_live(settings, view, pipeline, interrupts)
         return pipeline.figures()
     finally:
         view.close()

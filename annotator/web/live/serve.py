@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from types import FrameType
+from contextlib import suppress
 
 from fastapi import FastAPI, Request, Response, WebSocket
 
+from annotator.web.live.interrupts import Interrupts
 from annotator.web.live.view import LiveView
 from annotator.web.security import Guard, check_settings, link
 from annotator.web.serve import Running, with_token
@@ -40,8 +37,11 @@ def live_app(settings: ServerSettings, view: LiveView) -> FastAPI:
     return app
 
 
-def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline) -> None:
+def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline, interrupts: Interrupts) -> None:
     """Runs a pipeline and serves its view until the pipeline ends, or is interrupted; says where on standard output.
+
+    Args:
+        interrupts: entered by the caller, who may have something to store afterwards.
 
     Raises:
         ConfigError: the address cannot be used.
@@ -57,35 +57,14 @@ def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline) -> 
     pipeline.at_end(stop_serving)
     sys.stdout.write(f"live at {link(server.address, settings.token)}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
-    with _terminated_as_interrupted():
-        try:
-            # the last Ctrl-C is how it ends, and no accident
-            with suppress(KeyboardInterrupt):
-                pipeline.start()
-                server.serve_until_stopped()
-        finally:
-            pipeline.end()
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """SIGTERM (`kill`, a service manager, a container that is stopped) is as Ctrl-C: what was recorded is to be kept.
-
-    The web server ends in order on either, and then raises it anew. Further ones change nothing: it is ending already.
-    """
-    ending = False
-
-    def interrupt(number: int, stack: FrameType | None) -> None:
-        nonlocal ending
-        if not ending:
-            ending = True
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():  # no other one may ask for signals
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, interrupt)
     try:
-        yield
+        # the last Ctrl-C is how it ends, and no accident
+        with suppress(KeyboardInterrupt):
+            with interrupts.held():  # of a pipeline all threads are started, or none
+                pipeline.start()
+            # it ends in order on both signals, and then raises them anew
+            server.serve_until_stopped()
+            interrupts.ending()
     finally:
-        signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
+        interrupts.ending()
+        pipeline.end()
