@@ -7,12 +7,14 @@ done here edges are off by a third as much, and scores by two thirds, in next to
 
 from __future__ import annotations
 
+import logging
 import re
 from typing import Any
 from xml.etree import ElementTree
 
 from annotator.detection.ultralytics_api import api
-from annotator.types.errors import DetectionError
+
+LOG = logging.getLogger("annotator.detectors")
 
 # As OpenVINO names it in its files, in a layer's `rt_info`.
 PRECISE = {"name": "precise", "version": "0"}
@@ -52,12 +54,12 @@ def sum_up_edges(module: Any) -> None:
 def marked(network: bytes, head: int) -> bytes:
     """OpenVINO's XML of a network with its precise layers marked.
 
+    Where they are named in another way, as a later version may, nothing is marked and the log says so: in single
+    precision the network is the same without.
+
     Args:
         network: content of its XML file.
         head: the detecting layer's number in the module.
-
-    Raises:
-        DetectionError: it has no such layers; they are named in another way.
     """
     root = ElementTree.fromstring(network)
     in_head = re.compile(rf"__module\.model\.model\.{head}\.(?!{HALF_IN_HEAD})")
@@ -67,7 +69,8 @@ def marked(network: bytes, head: int) -> bytes:
         if layer.get("type") in CONVOLUTIONS and in_head.match(layer.get("name", ""))
     ]
     if not found:
-        raise DetectionError("the detecting layer's convolutions are not found in what OpenVINO has converted")
+        LOG.warning("the detecting layer is not found in OpenVINO's file; in bfloat16 its boxes are less exact")
+        return network
     for layer in found:
         facts = layer.find("rt_info")
         if facts is None:
