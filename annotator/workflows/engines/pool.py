@@ -7,7 +7,9 @@ What kills a second time is split into its frames, and a frame that kills a work
 
 from __future__ import annotations
 
+import logging
 import queue
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -16,12 +18,16 @@ from annotator.types.errors import WorkerError
 from annotator.workflows.engines.events import Died, Done, Event, Ready, Refused, Tell, Worker
 from annotator.workflows.engines.tasks import Answer, FrameAnswer, Identity, Task
 
+LOG = logging.getLogger("annotator.engines")
+
 # Tasks that a worker holds: one at work, one being read.
 HELD = 2
 # A task that has killed so many workers is split; a single frame has failed.
 MOST_DEATHS = 2
 # So many workers in a row that die before they are ready: the next one would, too.
 MOST_STILLBORN = 3
+# Where no worker is ready, whoever waits is told again after so long. Loading takes some seconds.
+TOLD_EVERY_S = 30.0
 
 
 Make = Callable[[int, Tell], Worker]
@@ -84,7 +90,7 @@ class WorkerPool:
         return self._workers * (HELD + 1)
 
     def start(self) -> Identity:
-        """Starts the workers; comes back when the first is ready.
+        """Starts the workers; comes back when the first is ready. The log says so where that takes long.
 
         Raises:
             AnnotatorError: the detectors cannot be loaded.
@@ -92,8 +98,16 @@ class WorkerPool:
         """
         while len(self._hands) < self._workers:
             self._add()
+        begin = time.monotonic()
         while self._identity is None:
-            self._take(self._events.get())
+            try:
+                self._take(self._events.get(timeout=TOLD_EVERY_S))
+            except queue.Empty:
+                LOG.warning(
+                    "none of the %d workers is ready after %.0f s; on a cluster they begin when others free its cores",
+                    self._workers,
+                    time.monotonic() - begin,
+                )
         return self._identity
 
     def start_all(self) -> Identity:

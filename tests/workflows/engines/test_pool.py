@@ -12,6 +12,7 @@ from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types.errors import WorkerError
+from annotator.workflows.engines import pool
 from annotator.workflows.engines.events import Died, Done, Ready, Refused, Tell
 from annotator.workflows.engines.pool import HELD, MOST_STILLBORN, WorkerPool
 from annotator.workflows.engines.tasks import Answer, FrameAnswer, FrameSpec, Identity, RecordingSpec, Task
@@ -182,3 +183,20 @@ def test_closing_ends_all_workers(office: Callable[[int], Office]) -> None:
     desk.pool.close()
     desk.pool.close()
     assert all(paper.is_ended for paper in desk.made)
+
+
+def test_a_wait_for_the_first_worker_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a cluster whose cores are all in use."""
+    monkeypatch.setattr(pool, "TOLD_EVERY_S", 0.01)
+    office = Office(2)
+    told: list[str] = []
+
+    def warning(line: str, *values: object) -> None:
+        told.append(line % values)
+        if len(told) == 2:
+            office.made[0].ready()
+
+    monkeypatch.setattr(pool.LOG, "warning", warning)
+    assert office.pool.start() == SAME
+    assert len(told) == 2
+    assert "none of the 2 workers is ready after 0 s" in told[0]
