@@ -271,6 +271,10 @@ def test_export_and_download(live: Live, generated: Path, tmp_path: Path, monkey
     zipfile.ZipFile(BytesIO(answer.content)).extractall(tmp_path / "out")
     dataset = read_rcv(tmp_path / "out" / "full-rcv")
     assert sum(len(dataset.labels(index)) for index in range(len(dataset))) == 15
+    end = time.monotonic() + 30
+    while look(live, jobs[0])["download"] != "gone":  # the runner tidies up once a job has ended
+        assert time.monotonic() < end
+        time.sleep(0.05)
     gone = live.client.get(f"/api/jobs/{jobs[0]['id']}/download")
     assert gone.status_code == 404
     assert [look(live, job)["download"] for job in (nothing, *jobs)] == [None, "gone", "kept"]

@@ -116,8 +116,9 @@ class JobRunner:
         Raises:
             NotFoundError: no such job, or it has left none (any more).
         """
-        path = self._made(self.get(job_id))
-        if path is None or not path.is_file():
+        job = self.get(job_id)
+        path = self._made(job)
+        if path is None or job.download == "gone" or not path.is_file():
             raise NotFoundError("there is nothing to download (any more); export again")
         return path
 
@@ -229,22 +230,23 @@ class JobRunner:
             write_journal(self.folder, reversed(self.all()))
 
     def _tidy(self) -> None:
-        """Forgets the oldest jobs, removes what nobody will fetch any more, and says so of the jobs that made it."""
+        """Forgets the oldest jobs, says of others that what they made is gone, and removes that."""
         with self._lock:
             exports = self._latest_exports()
             old = [job.id for job in self.all() if job.state.ended and job.id not in exports][JOBS_KEPT:]
             for job_id in old:
                 del self._jobs[job_id]
             wanted = exports | {job.id for job in self._jobs.values() if not job.state.ended}
+        # said before it is removed, so that nobody is offered what is being removed
+        for job in self.all():
+            made = self._made(job)
+            download = None if made is None else "kept" if job.id in wanted and made.is_file() else "gone"
+            if download != job.download:
+                self._update(job.id, download=download)
         if self.folder.is_dir():
             for path in self.folder.iterdir():
                 if path.is_dir() and path.name not in wanted:
                     shutil.rmtree(path, ignore_errors=True)
-        for job in self.all():
-            made = self._made(job)
-            download = None if made is None else "kept" if made.is_file() else "gone"
-            if download != job.download:
-                self._update(job.id, download=download)
 
     def _latest_exports(self) -> set[str]:
         """The last few of each project."""
