@@ -23,7 +23,6 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.seeds import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types.errors import ConfigError
-from annotator.web.live.run import backend_of
 from annotator.web.live.view import LiveView
 from annotator.workflows.detectors import Detectors, load_detector
 from annotator.workflows.live.detection import Detected, LiveDetection
@@ -116,7 +115,7 @@ def _measure(recording: Recording, detection: LiveDetection, args: Arguments) ->
         "shown": figures.shown,
         "drops": vars(figures.drops),
         "source_fps": rate,
-        "objects_per_frame": measured.objects / max(figures.shown, 1),
+        "objects_per_frame": measured.objects / measured.frames,
         "warm_share": measured.warm / max(measured.objects, 1),
     }
 
@@ -127,7 +126,7 @@ class _Once:
     def __init__(self, recording: Recording, detection: LiveDetection, rate: float) -> None:
         self._source = Playback(recording, rate=rate, repeat=Repeat.BACK)
         self._detection = detection
-        self.objects = self.warm = 0
+        self.frames = self.objects = self.warm = 0
 
     def figures(self, seconds: float, frames: int | None) -> Figures:
         """Runs for so long, or for so many frames of the source.
@@ -151,6 +150,8 @@ class _Once:
 
     def _show(self, detected: Detected) -> None:
         found = detected.found.proposals
+        # more of them than the figures tell of: some are shown while the pipeline ends
+        self.frames += 1
         self.objects += len(found)
         self.warm += sum(map(is_warm, found))
         self._view.show(detected)
@@ -158,7 +159,7 @@ class _Once:
 
 def _conditions(detectors: Detectors, config: RcvConfig, args: Arguments) -> dict[str, object]:
     return {
-        "backend": backend_of(detectors.view, args.backend),
+        "backend": detectors.backends[1] or args.backend,
         "warm_start": args.warm_start,
         "image_size_px": args.image_size,
         "view_size_px": args.view_size,

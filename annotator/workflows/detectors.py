@@ -27,6 +27,11 @@ class Detectors:
     box_kind: BoxKind = BoxKind.BOX
 
     @property
+    def backends(self) -> tuple[str, str]:
+        """What runs the image and the view detector, such as ("openvino", "openvino"); "" where one does not say."""
+        return str(getattr(self.image, "backend", "")), str(getattr(self.view, "backend", ""))
+
+    @property
     def compute(self) -> Compute:
         """Where points are drawn and clustered: where the view detector runs, if that is a CUDA device.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -63,6 +64,13 @@ def test_it_measures_the_whole_pipeline(
 ) -> None:
     words = [generated / "hands", "--project", tmp_path / "kept", "--warm-start", "--seconds", 0.5, "--json"]
     monkeypatch.setattr(sys, "argv", ["live", *map(str, words)])
+    end = live.Pipeline.end
+
+    def ending(pipeline: live.Pipeline) -> None:
+        time.sleep(0.5)  # frames that are shown after the figures were read count as frames, too
+        end(pipeline)
+
+    monkeypatch.setattr(live.Pipeline, "end", ending)
     live.main()
     lines = capsys.readouterr().out.splitlines()
     result = json.loads(lines[-1])

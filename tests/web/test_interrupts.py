@@ -29,9 +29,8 @@ def test_a_signal_interrupts_once_what_was_held_is_done(number: signal.Signals) 
 
 def test_a_session_that_ends_by_itself_is_not_killed_by_the_way() -> None:
     with Interrupts() as interrupts:
-        with interrupts.held():
+        with interrupts.ended_by(), interrupts.held():
             pass
-        interrupts.ending()
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)

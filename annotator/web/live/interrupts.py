@@ -33,9 +33,13 @@ class Interrupts:
         for number, before in self._before.items():
             signal.signal(number, before if before is not None else signal.SIG_DFL)
 
-    def ending(self) -> None:
-        """Tells that the session is ending by itself."""
-        self._is_ending = True
+    @contextmanager
+    def ended_by(self) -> Iterator[None]:
+        """What is done here is the session: when it is over, however that came, the session is ending."""
+        try:
+            yield
+        finally:
+            self._is_ending = True
 
     @contextmanager
     def held(self) -> Iterator[None]:

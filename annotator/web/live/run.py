@@ -8,7 +8,6 @@ from pathlib import Path
 
 from annotator.detection.config import Backend
 from annotator.project import Project
-from annotator.types import Detector
 from annotator.web.live.interrupts import Interrupts
 from annotator.web.live.serve import serve_live
 from annotator.web.live.view import LiveView
@@ -101,7 +100,7 @@ def _run(
     detectors = active_detectors(project, backend=options.backend)
     rotation = project.config.settings.rotation
     detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=options.warm_start)
-    backend = backend_of(detectors.view, options.backend)
+    backend = detectors.backends[1] or options.backend
     if options.record is None:
         return LiveResult(_show(options, settings, source, detection, None, backend, tell, interrupts), None)
     with Recorder(options.record, tell) as recorder:
@@ -115,11 +114,6 @@ def _run(
                 stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
         recorder.require_whole()
         return LiveResult(figures, stored)
-
-
-def backend_of(detector: Detector, asked: Backend) -> str:
-    """What runs a detector, as it says itself."""
-    return str(getattr(detector, "backend", asked))
 
 
 def _show(

@@ -59,12 +59,10 @@ def serve_live(settings: ServerSettings, view: LiveView, pipeline: Pipeline, int
     sys.stdout.flush()
     try:
         # the last Ctrl-C is how it ends, and no accident
-        with suppress(KeyboardInterrupt):
+        with suppress(KeyboardInterrupt), interrupts.ended_by():
             with interrupts.held():  # of a pipeline all threads are started, or none
                 pipeline.start()
             # it ends in order on both signals, and then raises them anew
             server.serve_until_stopped()
-            interrupts.ending()
     finally:
-        interrupts.ending()
         pipeline.end()

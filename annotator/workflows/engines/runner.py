@@ -50,9 +50,7 @@ class TaskRunner:
     @property
     def identity(self) -> Identity:
         """What decides the results."""
-        image, view = self.detectors.image, self.detectors.view
-        backends = (str(getattr(image, "backend", "")), str(getattr(view, "backend", "")))
-        return Identity(image.fingerprint, view.fingerprint, backends)
+        return Identity(self.detectors.image.fingerprint, self.detectors.view.fingerprint, self.detectors.backends)
 
     def do(self, task: Task) -> Answer:
         """One answer a frame: a bug in one must not cost a night's batch, so every exception ends as a reason."""

@@ -70,7 +70,7 @@ def store(
         "rotation": rotation.value,
         "method": REVISION,
         "live": "warm start" if warm_start else "each frame by itself",
-        "backends": [str(getattr(detector, "backend", "")) for detector in (detectors.image, detectors.view)],
+        "backends": detectors.backends,
     }
     run = project.jobs.start(
         image_detector=detectors.image.fingerprint,
