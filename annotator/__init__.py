@@ -1,3 +1,94 @@
-"""Semi-automatic 3D annotation from a few 2D boxes."""
+"""Semi-automatic 3D annotation from a few 2D boxes.
 
-__version__ = "0.1.0"
+The names in `__all__` are the public Python API (docs/python.md); everything else is private. They load what they need
+when they are first used, so that `import annotator` is quick.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+__version__ = "0.2.0"
+
+if TYPE_CHECKING:
+    from annotator.api.frames import frame_from_points, frame_from_rgbd
+    from annotator.api.labels import evaluate, evaluate_files, read_labels, write_labels
+    from annotator.api.pictures import draw_boxes
+    from annotator.api.project import Project, create_project, open_project
+    from annotator.api.proposing import propose, watch
+    from annotator.api.recordings import generate_recording, open_recording, perfect_detector, read_truth
+    from annotator.detection.nearest_cluster import NearestCluster
+    from annotator.geometry.iou import iou_3d
+    from annotator.geometry.nms import nms_3d
+    from annotator.rcv.finish import FrameProposals
+    from annotator.recordings import Recording
+    from annotator.types import (
+        Box2D,
+        BoxKind,
+        Camera,
+        Detector,
+        Frame,
+        Image,
+        Label,
+        OrientedBox,
+        PointCloud,
+        Proposal,
+        PseudoView,
+        ReviewState,
+        Truth,
+    )
+    from annotator.types.errors import AnnotatorError, ArgumentError
+else:
+
+    def __getattr__(name: str) -> object:
+        if name not in __all__:
+            raise AttributeError(f"module 'annotator' has no attribute {name!r}")
+        from annotator import api
+
+        globals()[name] = value = getattr(api, name)
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+__all__ = [
+    "AnnotatorError",
+    "ArgumentError",
+    "Box2D",
+    "BoxKind",
+    "Camera",
+    "Detector",
+    "Frame",
+    "FrameProposals",
+    "Image",
+    "Label",
+    "NearestCluster",
+    "OrientedBox",
+    "PointCloud",
+    "Project",
+    "Proposal",
+    "PseudoView",
+    "Recording",
+    "ReviewState",
+    "Truth",
+    "__version__",
+    "create_project",
+    "draw_boxes",
+    "evaluate",
+    "evaluate_files",
+    "frame_from_points",
+    "frame_from_rgbd",
+    "generate_recording",
+    "iou_3d",
+    "nms_3d",
+    "open_project",
+    "open_recording",
+    "perfect_detector",
+    "propose",
+    "read_labels",
+    "read_truth",
+    "watch",
+    "write_labels",
+]

@@ -1,34 +1,54 @@
-"""The one door to numba: loops over many points or equations, compiled on first use.
+"""The only module that uses numba: it compiles loops over many points or equations on first use.
 
-Modules whose functions pass through here are imported by their callers on use, since numba takes a while to load.
+Modules with compiled functions are imported inside the functions that use them, because numba takes long to load.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import TypeVar, cast
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """A function as machine code that holds no lock of the interpreter while it runs.
+    """Compiles a function to machine code that runs without the GIL.
 
-    The code is kept beside the source, or in the user's cache where that folder cannot be written to; where neither
-    can, every process compiles for itself. Arithmetic is done as it is written, so results do not depend on the
-    processor; a division by zero gives infinity, as in numpy.
+    The code is cached beside the source, or in the user's cache folder if that is not writable. If neither is writable,
+    every process compiles again. Floating-point operations are not reordered, so results do not depend on the
+    processor. A division by zero gives infinity, as in numpy.
 
     Args:
-        function: of arrays and plain numbers, in the part of Python that numba compiles. What it calls must be
-            compiled, too.
+        function: takes arrays and plain numbers, and uses the part of Python that numba supports. The functions that it
+            calls must be compiled, too.
     """
     import numba
 
-    # Run-time checks of types would wrap it, and cannot be compiled; its callers are checked.
+    # unwrapped, since the wrappers of run-time type checks cannot be compiled
     plain = inspect.unwrap(function)
     try:
         code = numba.njit(plain, nogil=True, error_model="numpy", cache=True)
     except RuntimeError:  # numba finds no folder for its cache
         code = numba.njit(plain, nogil=True, error_model="numpy")
     return cast(Function, code)
+
+
+def kept_code(function: Callable[..., object]) -> tuple[Path | None, bool]:
+    """The cache folder of a `compiled` function (None without one), and whether it contains the machine code.
+
+    Code of another numba version, or of an older source, does not count.
+    """
+    cache: Any = getattr(function, "_cache", None)
+    folder = getattr(cache, "cache_path", None)
+    if folder is None:
+        return None, False
+    return Path(folder), bool(cache._cache_file._load_index())
+
+
+def is_compiled(value: object) -> bool:
+    """True for a function that `compiled` has returned."""
+    from numba.core.dispatcher import Dispatcher
+
+    return isinstance(value, Dispatcher)

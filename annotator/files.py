@@ -1,4 +1,4 @@
-"""Files and folders that appear all at once: a reader sees the old content or the new one, never a part."""
+"""Atomic writing of files and folders: a reader sees the old content or the new one, never a part."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pathlib import Path
 from annotator.types.errors import FormatError
 
 CHUNK_BYTES = 2**20
-# What zipfile is seen to raise on archives that are damaged, encrypted (RuntimeError), or of a compression that Python
-# does not know (NotImplementedError).
+# Errors that zipfile raises on archives that are damaged, encrypted (RuntimeError) or compressed with an unsupported
+# method (NotImplementedError).
 ARCHIVE_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -36,10 +36,10 @@ ARCHIVE_ERRORS = (
 
 
 def why_missing(path: Path) -> str | None:
-    """Why there is nothing at `path` that could be used, in words; None where there is something.
+    """The reason why `path` is missing or inaccessible; None if it exists.
 
-    What cannot be looked at counts as missing: it lies on a mount that is gone, in a folder that nobody may read, or
-    its name is too long. `Path.exists` raises there.
+    Unlike `Path.exists`, this does not raise for a lost mount, a folder without read permission, or a name that is too
+    long.
     """
     try:
         path.stat()
@@ -51,19 +51,19 @@ def why_missing(path: Path) -> str | None:
 
 
 def is_within(folder: Path, name: str | Path) -> bool:
-    """Whether a name, links followed, stays in a folder and can be asked for; there need be no such file."""
+    """True if a name, with links resolved, is a valid path inside a folder; the file need not exist."""
     try:
         place = (folder / name).resolve()
-        # a name that is too long tells only now
+        # raises for a name that is too long
         place.exists()
         return place.is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError):
-        # too long, a link to itself, a zero byte
+        # too long, a circular link, a null byte
         return False
 
 
 def write_atomic(path: Path, content: bytes) -> None:
-    """Replace or create `path` in one step that survives a kill and a power cut.
+    """Replaces or creates `path` atomically, also in case of a kill or a power failure.
 
     Raises:
         OSError: the folder is missing or not writable, or the disk is full; `path` is unchanged.
@@ -74,7 +74,7 @@ def write_atomic(path: Path, content: bytes) -> None:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)  # noqa: PTH105 - named as in every text about atomic writes
+        os.replace(temporary, path)  # noqa: PTH105 - the usual name of an atomic replacement
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -82,16 +82,16 @@ def write_atomic(path: Path, content: bytes) -> None:
 
 
 def read_at_most(path: Path, limit: int) -> bytes:
-    """The content of a file; of one that is longer than `limit`, its first `limit` + 1 bytes.
+    """The content of a file; at most its first `limit` + 1 bytes.
 
     Raises:
-        OSError: it cannot be read, or is no file, such as a pipe that might never end.
+        OSError: it cannot be read, or is not a regular file, such as a pipe.
     """
     if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "is no file")
+        raise OSError(errno.EINVAL, "not a regular file")
     parts, left = [], limit + 1
     with path.open("rb") as stream:
-        # a buffer for all that may come would be made before anything has come
+        # in chunks, since read(n) allocates n bytes in advance
         while left > 0 and (part := stream.read(min(left, CHUNK_BYTES))):
             parts.append(part)
             left -= len(part)
@@ -99,7 +99,7 @@ def read_at_most(path: Path, limit: int) -> bytes:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames inside `folder` durable, where the system can (a folder cannot be opened on Windows)."""
+    """Makes renames inside `folder` durable; does nothing on Windows, where folders cannot be opened."""
     if os.name == "nt":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -111,27 +111,27 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]:
-    """Gives a temporary sibling of `out` to fill; it becomes `out` if the block ends well, else it is removed.
+    """Yields a temporary sibling of `out` to fill; it becomes `out` if the block succeeds, else it is removed.
 
     Args:
-        out: the folder to make; missing, empty, or one that `may_replace` allows to replace. The old one stays
+        out: the folder to create; missing, empty, or one that `may_replace` allows to replace. The old folder stays
             until the new one is complete.
-        may_replace: asked for a folder that holds something.
+        may_replace: decides on a folder that is not empty.
 
     Raises:
-        FormatError: `out` may not be replaced, or nothing can be written beside it.
+        FormatError: `out` may not be replaced, or the folder cannot be created.
     """
-    # a relative path must mean the same folder at the end, and a link stays a link to what it names
+    # resolved now, in case the working directory changes; a link keeps pointing to the same folder
     out = out.resolve()
     _require_free(out, may_replace)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(prefix=f".{out.name}.part-", dir=out.parent))
     except OSError as error:
-        raise FormatError(out, f"cannot be made ({error.strerror})") from error
+        raise FormatError(out, f"cannot be created ({error.strerror})") from error
     try:
         yield part
-        # somebody else may have filled it meanwhile
+        # another process may have filled it meanwhile
         _require_free(out, may_replace)
         _put_in_place(part, out)
     finally:
@@ -140,13 +140,15 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
 
 def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:
     if out.exists() and not out.is_dir():
-        raise FormatError(out, "exists and is no folder; name another folder")
+        raise FormatError(out, "exists and is not a folder; choose another folder")
     if out.is_dir() and any(out.iterdir()) and not may_replace(out):
-        raise FormatError(out, "exists and is not empty; name another folder, or say that a dataset may be overwritten")
+        raise FormatError(
+            out, "exists and is not empty; choose another folder, or allow to overwrite an existing dataset"
+        )
 
 
 def _put_in_place(part: Path, out: Path) -> None:
-    """Renames `part` to `out`; what was there is moved aside first, and back if that fails."""
+    """Renames `part` to `out`; an existing folder is moved aside first, and back if that fails."""
     try:
         part.chmod(0o755)
         if not out.exists():
@@ -161,4 +163,4 @@ def _put_in_place(part: Path, out: Path) -> None:
             raise
         shutil.rmtree(aside, ignore_errors=True)
     except OSError as error:
-        raise FormatError(out, f"cannot be made ({error.strerror})") from error
+        raise FormatError(out, f"cannot be created ({error.strerror})") from error

@@ -1,1 +1,1 @@
-"""Measurements, each runnable as `python -m benchmarks.NAME`."""
+"""Benchmarks, each run with `python -m benchmarks.NAME`."""

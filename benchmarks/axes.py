@@ -1,4 +1,4 @@
-"""How good can each axes strategy be? Perfect (or jittered) 2D boxes in place of a detector, on true 3D boxes.
+"""Upper bound of each axes strategy: the recursion with perfect (or jittered) 2D boxes, compared with true 3D boxes.
 
 python -m benchmarks.axes DIR [--jitter 0.02] [--upright | --free] [--json]
 """
@@ -25,31 +25,31 @@ from annotator.rcv.propose import propose
 from annotator.recordings import Recording, open_recording
 from annotator.types import BoxKind, Frame, Proposal, Truth
 from annotator.types.errors import ConfigError
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 from benchmarks.report import Table, finish, guarded
 
-# A proposal that overlaps no true box by this IoU is of nothing.
+# A proposal is false if its IoU with every true box is below this.
 FALSE_IOU = 0.1
 
 
 @dataclass
 class Arguments:
-    """Every axes strategy on a folder's true boxes, with a perfect detector."""
+    """Measure every axes strategy on a recording with true 3D boxes, with a perfect detector."""
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
     jitter: float = 0.0
-    """Gaussian error of each 2D box edge, share of the view's extent."""
+    """Standard deviation of the error of each 2D box edge, share of the view's extent."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Hold one axis at gravity (the default where the recording knows gravity)."""
+    """Upright boxes: one axis along gravity (default where the recording has gravity)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Let boxes turn freely (the default elsewhere)."""
+    """Freely rotated boxes (default for other recordings)."""
     min_points: int = 20
-    """Objects with fewer points are left out."""
+    """Skip objects with fewer points."""
     seed: int = 0
-    """Of the jitter."""
+    """Seed of the jitter."""
     strategies: tuple[Strategy, ...] = tuple(Strategy)
-    """Which to measure."""
+    """Strategies to measure."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -62,11 +62,11 @@ class Tally:
     steps: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     best_ious: list[float] = field(default_factory=list)
-    """Of each proposal, with the true box that it overlaps most."""
+    """For each proposal, the IoU with the true box that it overlaps most."""
 
 
 def true_objects(recording: Recording, index: int, frame: Frame, min_points: int) -> list[Truth]:
-    """The frame's labelled objects that have enough points to be found."""
+    """The frame's labelled objects with at least `min_points` points."""
     cloud = frame.cloud.xyz_m
     return [t for t in load_truth(recording, index, frame) if contains(t.box, cloud).sum() >= min_points]
 
@@ -74,16 +74,16 @@ def true_objects(recording: Recording, index: int, frame: Frame, min_points: int
 def measure(
     frame: Frame, truths: Sequence[Truth], detector: PerfectDetector, config: RcvConfig, tallies: dict[str, Tally]
 ) -> None:
-    """Runs one frame and adds what came out to the tallies, by class."""
+    """Runs one frame and adds its results to the tallies, by class."""
     begin = time.perf_counter()
-    found = propose([frame], detector, detector, config)[0].proposals
-    each = (time.perf_counter() - begin) / len(truths)
+    proposals = propose([frame], detector, detector, config)[0].proposals
+    seconds_per_object = (time.perf_counter() - begin) / len(truths)
     for label in sorted({t.label for t in truths}):
-        of_label = [p for p in found if p.label == label]
+        of_label = [p for p in proposals if p.label == label]
         ious = matched_ious(_result(of_label, [t for t in truths if t.label == label]))
         tallies[label].ious.extend(ious)
         tallies[label].steps.extend(len(p.trace) for p in of_label)
-        tallies[label].seconds.extend([each] * len(ious))
+        tallies[label].seconds.extend([seconds_per_object] * len(ious))
         tallies[label].best_ious.extend(best_ious(of_label, [t for t in truths if t.label == label]))
 
 
@@ -118,11 +118,11 @@ def check(args: Arguments) -> None:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
         ConfigError: as `check`.
-        RecordingError: the folder is no recording.
+        RecordingError: the folder is not a recording.
     """
     check(args)
     recording = open_recording(args.folder)

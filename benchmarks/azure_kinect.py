@@ -1,9 +1,9 @@
-"""Our Azure Kinect geometry against numbers that the camera's own SDK computed, and how long a frame takes.
+"""Compares our Azure Kinect geometry with numbers computed by the camera's SDK, and times the reading of a frame.
 
 python -m benchmarks.azure_kinect RECORDING.mkv ROWS.csv [--repeats 30] [--json]
 
-Each row is a depth pixel with its depth and what became of it: the point in the depth camera, the point in the colour
-camera (millimetres), the colour pixel. Every stage starts from our own result of the stage before.
+Each row is a depth pixel with its depth and the SDK's results: the point in the depth camera's frame and in the colour
+camera's frame (millimetres), and the colour pixel. Each of our stages starts from our own result of the stage before.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import tyro
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.azure_kinect import AzureKinect
-from annotator.recordings.kinect_calibration import MM_PER_M
+from annotator.recordings.kinect.calibration import MM_PER_M
+from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import ConfigError, FormatError
 from benchmarks.report import Table, finish, guarded
 
@@ -30,14 +30,14 @@ IN_DEPTH, IN_COLOR, COLOR_PIXEL = ("x_d", "y_d", "z_d"), ("x_c", "y_c", "z_c"), 
 
 @dataclass
 class Arguments:
-    """Compares a recording's geometry with the SDK's."""
+    """Compare a recording's geometry with the SDK's."""
 
     recording: tyro.conf.Positional[Path]
     """The .mkv file."""
     rows: tyro.conf.Positional[Path]
     """The CSV file with the SDK's numbers."""
     repeats: int = 0
-    """How often the first frame is read, with its coloured cloud, to time it."""
+    """How often to read the first frame, with its coloured cloud, to time it."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -46,7 +46,7 @@ def read_rows(path: Path) -> dict[str, np.ndarray]:
     """The columns of the CSV file, by name.
 
     Raises:
-        FormatError: the file cannot be read, a column is missing, or a value is no number.
+        FormatError: the file cannot be read, a column is missing, or a value is not a number.
     """
     names = (*PIXEL, *DEPTH, *IN_DEPTH, *IN_COLOR, *COLOR_PIXEL)
     values: list[list[float]] = []
@@ -60,7 +60,8 @@ def read_rows(path: Path) -> dict[str, np.ndarray]:
                 try:
                     values.append([float(row[name]) for name in names])
                 except (TypeError, ValueError) as error:
-                    raise FormatError(path, f"a value is missing or no number ({error})", reader.line_num) from error
+                    problem = f"a value is missing or not a number ({error})"
+                    raise FormatError(path, problem, reader.line_num) from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FormatError(path, f"cannot be read ({error})") from error
     if not values:
@@ -69,7 +70,7 @@ def read_rows(path: Path) -> dict[str, np.ndarray]:
 
 
 def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float, float]:
-    """The largest distance of a point, millimetres, and of a colour pixel; NaN where we find none and the SDK does."""
+    """Largest distance of a point, millimetres, and of a colour pixel; NaN where only the SDK finds a colour pixel."""
 
     def columns(names: tuple[str, ...]) -> np.ndarray:
         return np.stack([rows[name] for name in names], axis=1)
@@ -78,15 +79,15 @@ def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float,
     in_depth = calibration.depth_to_3d(columns(PIXEL), rows["depth_mm"] / MM_PER_M)
     in_color = calibration.T_color_depth.apply(in_depth)
     px = project(calibration.color, in_color)
-    off_mm = [
+    distances_mm = [
         np.linalg.norm(ours * MM_PER_M - columns(names), axis=1)
         for ours, names in ((in_depth, IN_DEPTH), (in_color, IN_COLOR))
     ]
-    return float(np.max(off_mm)), float(np.linalg.norm(px - columns(COLOR_PIXEL), axis=1).max())
+    return float(np.max(distances_mm)), float(np.linalg.norm(px - columns(COLOR_PIXEL), axis=1).max())
 
 
 def frame_ms(recording: AzureKinect, repeats: int) -> float:
-    """Median time of reading the first frame; what is computed once a recording is not in it."""
+    """Median time to read the first frame, milliseconds, without the work that is done once per recording."""
     recording.frame(0)
     seconds = []
     for _ in range(repeats):
@@ -97,17 +98,17 @@ def frame_ms(recording: AzureKinect, repeats: int) -> float:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
-        ConfigError: the recording is not an Azure Kinect's, or a number is out of its range.
+        ConfigError: the recording is not from an Azure Kinect, or a number is out of its range.
         InputError: the recording or the rows cannot be read.
     """
     if not 0 <= args.repeats <= 1_000_000:
         raise ConfigError(f"--repeats must be 0 to 1000000, not {args.repeats}")
     recording = open_recording(args.recording)
     if not isinstance(recording, AzureKinect):
-        raise ConfigError(f"{args.recording}: is of the format {recording.format}; give an Azure Kinect's .mkv file")
+        raise ConfigError(f"{args.recording}: has the format {recording.format}; give an Azure Kinect's .mkv file")
     rows = read_rows(args.rows)
     max_point_mm, max_px = compare(recording, rows)
     result: dict[str, object] = {"rows": len(rows["depth_mm"]), "max_point_mm": max_point_mm, "max_px": max_px}

@@ -1,12 +1,12 @@
-"""How many frames a second are annotated: in one process, by worker processes, by Ray.
+"""Frames annotated per second: in one process, with worker processes, and with Ray.
 
     python -m benchmarks.batch [--project P --recording DIR] [--engines local ray] [--workers 2] [--json]
 
-With a project that `benchmarks.loop --project` has kept, its trained detectors work on a recording; without one,
-detectors that know a generated recording. All engines are started first, and then do the same frames in turn, several
-times: the medians are of the steady rate, and how long starting takes is told apart. "plain" is the engine without
-processes, whose detectors use all cores, and "one core" the same with detectors on one core, as each of several workers
-has them.
+With a project kept by `benchmarks.loop --project`, its trained detectors run on a recording. Without one, perfect
+detectors run on a generated recording. All engines are started first; then each annotates the same frames, in turn and
+several times. The medians give the steady rate; the time to start is listed separately. "plain" is the engine without
+worker processes, whose detectors use all cores. "one core" is the same engine with detectors on one core, as in each of
+several workers.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from annotator.project import BoxRotation, ProjectSettings, create_project, open
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
 from annotator.types.errors import ConfigError
-from annotator.workflows.annotate import BATCH_FRAMES, annotate_with
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.engines.choose import EngineName, make_engine
-from annotator.workflows.engines.engine import Engine
-from annotator.workflows.engines.pool import WorkerPool
-from annotator.workflows.engines.sources import DetectorSource, GivenDetectors, trained_detectors
-from annotator.workflows.recordings import register_recording
-from benchmarks.repeating import LABEL, generate, knowing, lengthen
+from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
+from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+from annotator.workflows.proposing.engines.engine import Engine
+from annotator.workflows.proposing.engines.pool import WorkerPool
+from annotator.workflows.proposing.engines.sources import DetectorSource, GivenDetectors, trained_detectors
+from benchmarks.repeating import LABEL, generate, lengthen, perfect_detector
 from benchmarks.report import Table, finish, guarded
 
 PLAIN, ONE_CORE, PROJECT = "plain", "one core", "loop"
@@ -41,37 +41,37 @@ PLAIN, ONE_CORE, PROJECT = "plain", "one core", "loop"
 
 @dataclass
 class Arguments:
-    """Frames a second by engine and workers, against the plain loop."""
+    """Measure frames per second by engine and number of workers, relative to the plain loop."""
 
     project: Path | None = None
-    """A folder that `benchmarks.loop --project` has kept."""
+    """A folder kept by `benchmarks.loop --project`."""
     recording: Path | None = None
-    """What its detectors work on."""
+    """The recording that its detectors run on."""
     engines: tuple[Literal["local", "ray"], ...] = ("local", "ray")
-    """To be measured beside the plain loop."""
+    """Engines to measure beside the plain loop."""
     workers: tuple[int, ...] = (2,)
     """Numbers of workers to measure."""
     threads: int | None = None
-    """Of the processor for each worker; None = its share of the cores."""
+    """CPU threads of each worker; None = its share of the cores."""
     backend: Backend = "auto"
-    """What runs trained detectors."""
+    """Backend of the trained detectors."""
     frames: int = 48
-    """To do, in turn by every engine."""
+    """Number of frames that each engine annotates."""
     repeats: int = 3
-    """Turns."""
+    """Number of repetitions."""
     steps: int = RcvConfig().max_steps
-    """Of the recursion."""
+    """Maximum number of steps of the recursion."""
     different: int = 4
-    """So many frames are generated where no recording is given; it repeats them."""
+    """Number of different frames in a generated recording, which repeats them."""
     width: int = 640
-    """Of generated images, pixels."""
+    """Width of generated images, pixels."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What every engine does: the frames of a recording, with these detectors and settings."""
+    """The work of every engine: a number of frames of a recording, with these detectors and settings."""
 
     source: DetectorSource
     recording: Recording
@@ -81,37 +81,36 @@ class Job:
     frames: int
 
 
-def prepared(args: Arguments, folder: Path) -> Job:
-    """The job that the arguments name.
+def prepare_job(args: Arguments, folder: Path) -> Job:
+    """Creates the job described by the arguments.
 
     Raises:
-        ConfigError: a project without a recording, or the other way round.
-        AnnotatorError: they cannot be opened.
+        ConfigError: a project without a recording, a recording without a project, or a number below 1.
+        AnnotatorError: the project or the recording cannot be opened.
     """
     if (args.project is None) != (args.recording is None):
-        raise ConfigError("--project and --recording belong together; give both, or none")
+        raise ConfigError("--project and --recording need each other; give both, or none")
     if min(args.frames, args.repeats, args.different, *args.workers) < 1:
         raise ConfigError("--frames, --repeats, --different and --workers must be 1 or more")
     config = RcvConfig(max_steps=args.steps)
     if args.project is None or args.recording is None:
         generate(folder / "source", args.different, args.width)
         lengthen(folder / "source", folder / "recording", args.frames, args.different)
-        detector = knowing(folder / "source", args.different)
+        detector = perfect_detector(folder / "source", args.different)
         source: DetectorSource = GivenDetectors(Detectors(detector, detector))
         return Job(source, open_recording(folder / "recording"), (LABEL,), BoxRotation.AUTO, config, args.frames)
     with open_project(args.project / PROJECT) as project:
         trained, stored = trained_detectors(project, args.backend), project.config
-    config = config.model_copy(update={"box_kind": trained.box_kind})
     recording = open_recording(args.recording)
     frames = min(args.frames, len(recording))
     return Job(trained, recording, stored.classes, stored.settings.rotation, config, frames)
 
 
 def seconds(engine: Engine, job: Job) -> float:
-    """How long an engine that is ready takes for the job, from the first frame read to the last one stored.
+    """Time that a started engine takes for the job, from reading the first frame to storing the last one.
 
     Raises:
-        ConfigError: frames failed, so that the figure would say nothing.
+        ConfigError: frames failed, so the measurement is invalid.
     """
     with TemporaryDirectory() as temporary:
         settings = ProjectSettings(rotation=job.rotation)
@@ -124,30 +123,30 @@ def seconds(engine: Engine, job: Job) -> float:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
-        ConfigError: arguments of no use, or frames failed.
-        AnnotatorError: of the engines.
+        ConfigError: unusable arguments, or frames failed.
+        AnnotatorError: an engine failed.
     """
-    wanted = [(PLAIN, 0), (ONE_CORE, 0), *((name, workers) for name in args.engines for workers in args.workers)]
-    taken: dict[tuple[str, int], list[float]] = {row: [] for row in wanted}
+    rows = [(PLAIN, 0), (ONE_CORE, 0), *((name, workers) for name in args.engines for workers in args.workers)]
+    taken: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
-        job = prepared(args, Path(temporary))
+        job = prepare_job(args, Path(temporary))
         engines = {}
-        for row in wanted:
+        for row in rows:
             begin = time.perf_counter()
             engines[row] = stack.enter_context(closing(_started(row, job, args)))
             start_s[row] = time.perf_counter() - begin
         for turn in range(args.repeats + 1):
             for row, engine in engines.items():
                 took = seconds(engine, job)
-                if turn > 0:  # the first one wakes everything
+                if turn > 0:  # the first turn is a warm-up
                     taken[row].append(took)
     return {
         "frames": job.frames,
-        "batch_frames": BATCH_FRAMES,
+        "batch_frames": TASK_FRAMES,
         "results": [
             {
                 "engine": name,
@@ -183,19 +182,19 @@ def _ray_against_local(taken: dict[tuple[str, int], list[float]], workers: int) 
 
 
 def _faster(before_s: list[float], after_s: list[float]) -> float:
-    """How many times as fast; turn by turn, since the machine may have been busier in one than in the next."""
+    """Median speed-up over the turns; compared turn by turn, since the load of the machine may change between them."""
     return statistics.median(before / after for before, after in zip(before_s, after_s, strict=True))
 
 
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     result = run(args)
-    table = Table("engine", "workers", "start s", "frames a second", "times the plain loop", "times one core")
+    table = Table("engine", "workers", "start s", "frames per second", "times the plain loop", "times one core")
     for row in result["results"]:  # type: ignore[attr-defined]
         table.add(*row.values())
     finish(result, args.json, table)
     if not args.json and result["ray_against_local"] is not None:
-        print(f"Ray: {result['ray_against_local']:.2f} times local workers")
+        print(f"Ray: {result['ray_against_local']:.2f} times the rate of local workers")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""How tight are a view detector's boxes, and how long do teaching and asking it take?
+"""Accuracy of a pseudo-view detector's boxes, and the time of its training and inference.
 
     python -m benchmarks.detector DIR [--model yolo11n] [--epochs N] [--upright | --free] [--json]
     python -m benchmarks.detector DIR --weights FILE --backends torch openvino onnxruntime [--json]
 
-Every second frame of a recording with true 3D boxes teaches, with the projections of those boxes on pseudo-views along
-random axes; the detector is asked about views of the other frames. The error of an edge is a share of the picture's
-extent in its direction, as `benchmarks.axes --jitter` has it. With `--backends` it is run on each of
-them; with `--weights` a trained one is taken instead of training one.
+The detector is trained on every second frame of a recording with true 3D boxes, with the projections of those boxes on
+pseudo-views along random axes, and tested on views of the other frames. The error of an edge is a share of the view's
+extent in its direction, as in `benchmarks.axes --jitter`. With `--backends` it is run on each of them; with `--weights`
+a trained detector is used.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 from benchmarks.detector_backends import backend_table, compared
 from benchmarks.report import Table, finish, guarded
 
@@ -43,32 +43,32 @@ REPEATS = 5
 
 @dataclass
 class Arguments:
-    """Train a view detector on half of a recording, measure it on the other half."""
+    """Train a view detector on half of a recording, and measure it on the other half."""
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
     model: str = "yolo11n"
-    """An ultralytics detection model; always from random weights."""
+    """Name of an ultralytics detection model; trained from random weights."""
     size: int = RcvConfig().view.size_px
-    """Longer side of a view, drawn and in the network, pixels."""
+    """Longer side of a view, rendered and in the network, pixels."""
     epochs: int | None = None
-    """Passes over the pictures; by default what TrainingConfig says."""
-    optimizer: str = "MuSGD"
-    """MuSGD, AdamW (with --learning-rate 0.002) or SGD."""
+    """Number of epochs; default: that of TrainingConfig."""
+    optimizer: str = "MuonSgd"
+    """MuonSgd, AdamW (with --learning-rate 0.002) or SGD."""
     learning_rate: float = 0.01
-    """At its highest."""
+    """Highest learning rate."""
     draws: int = 3
-    """Random axes an object and frame; each gives two views."""
+    """Number of random axes per object and frame; each gives two views."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Views are level (the default where the recording knows gravity)."""
+    """Level views (default where the recording has gravity)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Views along any direction (the default elsewhere)."""
+    """Views along any direction (default for other recordings)."""
     seed: int = 0
-    """Of the views and the training."""
+    """Seed of the views and the training."""
     weights: Path | None = None
-    """Weights of a trained view detector; none is trained then."""
+    """Weights of a trained view detector, used instead of training one."""
     backends: tuple[Backend, ...] = ()
-    """Compare these: torch, openvino, openvino-bf16, onnxruntime; ratios are to the first."""
+    """Backends to compare: torch, openvino, openvino-bf16, onnxruntime; ratios are relative to the first."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -76,7 +76,7 @@ class Arguments:
 def make_views(
     recording: Recording, indices: Sequence[int], args: Arguments, seed: int
 ) -> list[tuple[str, TaughtView]]:
-    """Views of all true objects of some frames, with the frame's key."""
+    """Views of all true objects of the frames, each with the key of its frame."""
     rng, config = np.random.default_rng(seed), RcvConfig(view=ViewConfig(size_px=args.size))
     views: list[tuple[str, TaughtView]] = []
     for index in indices:
@@ -85,7 +85,7 @@ def make_views(
         objects = [TaughtObject(truth.label, truth.box) for truth in truths]
         up = frame.up
         if up is None and args.upright and truths:
-            # A box's third axis is its height, and so gravity where an upright recording does not say.
+            # The third axis of an upright box is its height, so it stands in for gravity.
             up = truths[0].box.rotation[:, 2]
         taught = teach_views(frame, objects, BoxKind.BOX, args.draws, config, None if args.free else up, rng)
         views.extend((frame.key, view) for view in taught)
@@ -100,13 +100,13 @@ def overlap(a: Box2D, b: Box2D) -> float:
     return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
-def tightness(views: Sequence[TaughtView], found: Sequence[Sequence[Box2D]]) -> dict[str, float]:
-    """How well the best found box of each true one's class fits it."""
-    ious, errors, wanted = [], [], 0
-    for taught, boxes in zip(views, found, strict=True):
+def tightness(views: Sequence[TaughtView], detections: Sequence[Sequence[Box2D]]) -> dict[str, float]:
+    """For each true box, the IoU and edge errors of the best detection of its class, summarised."""
+    ious, errors, objects = [], [], 0
+    for taught, boxes in zip(views, detections, strict=True):
         height_px, width_px = taught.view.rgb.shape[:2]
         for truth in taught.boxes:
-            wanted += 1
+            objects += 1
             same = [box for box in boxes if box.label == truth.label]
             if not same:
                 continue
@@ -115,10 +115,10 @@ def tightness(views: Sequence[TaughtView], found: Sequence[Sequence[Box2D]]) -> 
             errors.append(np.subtract(best.xyxy, truth.xyxy) / np.array([width_px, height_px] * 2))
     error = np.abs(np.array(errors).reshape(-1, 4))
     if not ious:
-        return {"objects": wanted, "share_found": 0.0}
+        return {"objects": objects, "share_found": 0.0}
     return {
-        "objects": wanted,
-        "share_found": len(ious) / wanted,
+        "objects": objects,
+        "share_found": len(ious) / objects,
         "mean_iou": float(np.mean(ious)),
         "edge_error_mean": float(error.mean()),
         "edge_error_median": float(np.median(error)),
@@ -127,34 +127,34 @@ def tightness(views: Sequence[TaughtView], found: Sequence[Sequence[Box2D]]) -> 
 
 
 def milliseconds(detector: YoloDetector, views: Sequence[TaughtView], batch: int) -> float:
-    """An image, the best of several batches, the first one left out."""
-    pictures = [views[i % len(views)].view for i in range(batch)]
-    detector.detect(pictures)
+    """Milliseconds per image: the fastest of several batches after a warm-up."""
+    images = [views[i % len(views)].view for i in range(batch)]
+    detector.detect(images)
     times = []
     for _ in range(REPEATS):
         begin = time.perf_counter()
-        detector.detect(pictures)
+        detector.detect(images)
         times.append(time.perf_counter() - begin)
     return min(times) / batch * 1e3
 
 
 def report(progress: TrainingProgress) -> None:
-    """One line an epoch, on standard error."""
+    """Prints one line per epoch to standard error."""
     if progress.batch == 0:
         measured = "" if progress.map50_95 is None else f", mAP50-95 {progress.map50_95:.3f}"
         QUIET.print(f"epoch {progress.epoch} of {progress.epochs}, {progress.seconds:.0f} s{measured}")
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """The benchmark; what `--json` prints."""
+    """Runs the benchmark; returns what `--json` prints."""
     recording = open_recording(args.folder)
     if args.weights is not None:
         return measured(
             args.weights, [view for _, view in make_views(recording, range(1, len(recording), 2), args, 1)], args
         )
-    taught = make_views(recording, range(0, len(recording), 2), args, args.seed)
-    asked = [view for _, view in make_views(recording, range(1, len(recording), 2), args, args.seed + 1)]
-    classes = sorted({box.label for _, view in taught for box in view.boxes})
+    training_views = make_views(recording, range(0, len(recording), 2), args, args.seed)
+    test_views = [view for _, view in make_views(recording, range(1, len(recording), 2), args, args.seed + 1)]
+    classes = sorted({box.label for _, view in training_views for box in view.boxes})
     config = TrainingConfig.model_validate(
         {
             "model": args.model,
@@ -171,29 +171,29 @@ def run(args: Arguments) -> dict[str, Any]:
         folder = Path(temporary)
         samples = (
             TrainingSample(view.view.rgb, view.boxes, key, "projected", look_px=view.view.look_px)
-            for key, view in taught
+            for key, view in training_views
         )
         write_dataset(folder / "set", tiled(samples, args.size), classes, seed=args.seed, kind=BoxKind.BOX)
         trained = train_detector(folder / "set", folder / "run", config, report)
-        figures = measured(trained.weights, asked, args)
+        figures = measured(trained.weights, test_views, args)
     return {
         "model": args.model,
-        "views_taught": len(taught),
+        "views_taught": len(training_views),
         "epochs": trained.epochs,
         "seconds": trained.seconds,
         **figures,
     }
 
 
-def measured(weights: Path, asked: Sequence[TaughtView], args: Arguments) -> dict[str, Any]:
-    """How tight a trained detector's boxes are, and how fast they come."""
+def measured(weights: Path, test_views: Sequence[TaughtView], args: Arguments) -> dict[str, Any]:
+    """Accuracy and inference time of a trained detector."""
     detector = YoloDetector(weights, DetectorConfig(image_size_px=args.size))
-    views = [view.view for view in asked]
+    views = [view.view for view in test_views]
     result: dict[str, Any] = {
-        "views_asked": len(asked),
-        **tightness(asked, detector.detect(views)),
+        "views_asked": len(test_views),
+        **tightness(test_views, detector.detect(views)),
         "backend": detector.backend,
-        "ms_per_image": {str(batch): milliseconds(detector, asked, batch) for batch in BATCHES},
+        "ms_per_image": {str(batch): milliseconds(detector, test_views, batch) for batch in BATCHES},
     }
     if args.backends:
         result["backends"] = compared(weights, args.size, views, args.backends)

@@ -1,4 +1,4 @@
-"""Backends side by side: what a picture takes on each, in one run, and how far their boxes are apart."""
+"""Compares backends in one run: time per image, and differences between their boxes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from annotator.detection.yolo import YoloDetector
 from annotator.types import Box2D, Image
 from benchmarks.report import Table
 
-# Pictures a call: the camera image of a live frame, the first step's views, a later step's, and the widest step's.
+# Images per call: a live camera image; the views of the first step, of a later step, and of the step with the most
+# axes.
 CALLS = (1, 2, 6, 24)
 ROUNDS = 9
 
@@ -22,19 +23,19 @@ ROUNDS = 9
 def compared(
     weights: Path, size_px: int, pictures: Sequence[Image], backends: Sequence[Backend]
 ) -> dict[str, dict[str, Any]]:
-    """Figures of each backend.
+    """Measures each backend.
 
-    Backends take turns, so that other work on the machine disturbs all of them alike.
+    The backends take turns, so that other work on the machine slows all of them equally.
 
     Returns:
-        a backend: `load_s`, of a network that has been exported before; `ms_per_picture`, median, by pictures a call;
-        `speed_up`, the first backend's medians in this run over its own; `off_px` and `off_score`, the largest
-        differences from the first backend's boxes.
+        By backend: `load_s`, the time to load a network that has been exported before; `ms_per_picture`, the median by
+        images per call; `speed_up`, the first backend's median divided by this one's; `off_px` and `off_score`,
+        the largest differences from the first backend's boxes.
     """
     detectors, load_s = {}, {}
     for backend in backends:
         config = DetectorConfig(image_size_px=size_px, device="cpu", backend=backend)
-        YoloDetector(weights, config)  # exports it
+        YoloDetector(weights, config)  # exports the network
         begin = time.perf_counter()
         detectors[backend] = YoloDetector(weights, config)
         load_s[backend] = time.perf_counter() - begin
@@ -46,43 +47,43 @@ def compared(
             for backend, detector in detectors.items():
                 begin = time.perf_counter()
                 detector.detect(call)
-                if turn:  # sizes are compiled in the first
+                if turn:  # the first turn compiles the sizes
                     times[backend].append(time.perf_counter() - begin)
         for backend in backends:
             medians[backend][str(number)] = float(np.median(times[backend])) / number * 1e3
-    found = {backend: detector.detect(pictures) for backend, detector in detectors.items()}
+    boxes = {backend: detector.detect(pictures) for backend, detector in detectors.items()}
     first = backends[0]
     return {
         backend: {
             "load_s": load_s[backend],
             "ms_per_picture": medians[backend],
-            "speed_up": {call: medians[first][call] / own for call, own in medians[backend].items()},
-            **apart(found[first], found[backend]),
+            "speed_up": {call: medians[first][call] / ms for call, ms in medians[backend].items()},
+            **differences(boxes[first], boxes[backend]),
         }
         for backend in backends
     }
 
 
-def apart(wanted: Sequence[Sequence[Box2D]], found: Sequence[Sequence[Box2D]]) -> dict[str, object]:
-    """Largest differences of edges and scores, between boxes of the same rank."""
+def differences(expected: Sequence[Sequence[Box2D]], actual: Sequence[Sequence[Box2D]]) -> dict[str, object]:
+    """Largest differences of edges and scores between boxes of the same rank, in images with equally many boxes."""
     pairs = [
         (a, b)
-        for some, others in zip(wanted, found, strict=True)
-        if len(some) == len(others)
-        for a, b in zip(some, others, strict=True)
+        for first, second in zip(expected, actual, strict=True)
+        if len(first) == len(second)
+        for a, b in zip(first, second, strict=True)
     ]
     return {
         "boxes": len(pairs),
-        "pictures_with_other_numbers": sum(len(a) != len(b) for a, b in zip(wanted, found, strict=True)),
+        "pictures_with_other_numbers": sum(len(a) != len(b) for a, b in zip(expected, actual, strict=True)),
         "off_px": max((float(np.abs(np.subtract(a.xyxy, b.xyxy)).max()) for a, b in pairs), default=float("nan")),
         "off_score": max((abs(a.score - b.score) for a, b in pairs), default=float("nan")),
     }
 
 
 def backend_table(figures: dict[str, dict[str, Any]]) -> Table:
-    """A row a backend: milliseconds a picture and the ratio to the first, by pictures a call."""
-    table = Table("backend", "load s", *(f"{number} a call" for number in CALLS), "off px", "off score")
-    for backend, own in figures.items():
-        cells = [f"{own['ms_per_picture'][str(n)]:.1f} ms, x {own['speed_up'][str(n)]:.2f}" for n in CALLS]
-        table.add(backend, own["load_s"], *cells, f"{own['off_px']:.1e}", f"{own['off_score']:.1e}")
+    """One row per backend: milliseconds per image and speed-up over the first backend, by images per call."""
+    table = Table("backend", "load s", *(f"{number} per call" for number in CALLS), "off px", "off score")
+    for backend, row in figures.items():
+        cells = [f"{row['ms_per_picture'][str(n)]:.1f} ms, x {row['speed_up'][str(n)]:.2f}" for n in CALLS]
+        table.add(backend, row["load_s"], *cells, f"{row['off_px']:.1e}", f"{row['off_score']:.1e}")
     return table

@@ -1,4 +1,4 @@
-"""How long it takes to evaluate whole validation splits, files read and all.
+"""Time to evaluate whole validation splits, reading of the files included.
 
 python -m benchmarks.evaluation [--kitti-frames 3769] [--sunrgbd-frames 5050] [--repeat 3] [--json]
 """
@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from annotator.types.errors import ConfigError
-from annotator.workflows.evaluate import Protocol, evaluate_files
+from annotator.workflows.evaluating.evaluate_files import Protocol, evaluate_files
 from benchmarks.report import Table, finish, guarded
 
 CLASSES = {
@@ -34,20 +34,22 @@ CLASSES = {
         "bathtub",
     ),
 }
-# Share of the true boxes that a detection answers, the others are somewhere else.
+# Share of the detections that lie on a true box; the others lie elsewhere.
 FOUND = 0.8
 
 
 @dataclass
 class Arguments:
-    """Splits of the official sizes, with made-up boxes: as many detections as true boxes."""
+    """Evaluate splits of the official sizes with random boxes, as many detections as true boxes."""
 
     kitti_frames: int = 3769
+    """Number of frames of the KITTI split."""
     sunrgbd_frames: int = 5050
+    """Number of frames of the SUN RGB-D split."""
     boxes: int = 10
-    """True boxes a frame, and detections."""
+    """Number of true boxes and of detections per frame."""
     repeat: int = 3
-    """Times that each is evaluated; the median counts."""
+    """How often to evaluate each split; the median is reported."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -56,10 +58,10 @@ def run(args: Arguments, folder: Path) -> dict[str, float]:
     """Seconds by protocol.
 
     Raises:
-        ConfigError: numbers that make no sense.
+        ConfigError: a number below 1.
     """
     if min(args.kitti_frames, args.sunrgbd_frames, args.boxes, args.repeat) < 1:
-        raise ConfigError("frames, boxes and repetitions must be 1 or more")
+        raise ConfigError("--kitti-frames, --sunrgbd-frames, --boxes and --repeat must be 1 or more")
     rng = np.random.default_rng(0)
     kitti = write_kitti(folder, args.kitti_frames, args.boxes, rng)
     sunrgbd = write_sunrgbd(folder, args.sunrgbd_frames, args.boxes, rng)
@@ -79,7 +81,7 @@ def _median(paths: tuple[Path, Path], protocol: Protocol, repeat: int) -> float:
 
 
 def write_kitti(folder: Path, frames: int, boxes: int, rng: np.random.Generator) -> tuple[Path, Path]:
-    """Folders of detections and of labels."""
+    """Writes a folder of detections and a folder of labels; returns both."""
     paths = folder / "found", folder / "label_2"
     for path in paths:
         path.mkdir()
@@ -88,10 +90,10 @@ def write_kitti(folder: Path, frames: int, boxes: int, rng: np.random.Generator)
         # alpha, 2D box (corner and size), height width length, x y z, rotation_y
         low = [-3.0, 0, 100, 30, 26, 1.4, 1.5, 3.5, -20, 1.5, 5, -3]
         true = rng.uniform(low, [3.0, 1000, 180, 150, 140, 1.8, 1.8, 4.5, 20, 2.0, 60, 3], (boxes, 12))
-        found = true + rng.normal(0.0, [0.1, 3, 3, 3, 3, 0.05, 0.05, 0.1, 0.2, 0.05, 0.2, 0.05], (boxes, 12))
-        found[rng.random(boxes) > FOUND, 8] += 100.0
+        detections = true + rng.normal(0.0, [0.1, 3, 3, 3, 3, 0.05, 0.05, 0.1, 0.2, 0.05, 0.2, 0.05], (boxes, 12))
+        detections[rng.random(boxes) > FOUND, 8] += 100.0
         scores = rng.random(boxes)
-        for path, rows in zip(paths, (found, true), strict=True):
+        for path, rows in zip(paths, (detections, true), strict=True):
             rows[:, 3:5] += rows[:, 1:3]
             text = [
                 f"{label} 0.00 {rng.integers(3)} "
@@ -104,14 +106,14 @@ def write_kitti(folder: Path, frames: int, boxes: int, rng: np.random.Generator)
 
 
 def write_sunrgbd(folder: Path, frames: int, boxes: int, rng: np.random.Generator) -> tuple[Path, Path]:
-    """Tables of detections and of true boxes."""
+    """Writes a table of detections and a table of true boxes; returns both."""
     paths, head = (folder / "found.csv", folder / "truth.csv"), "image,class,cx,cy,cz,l,w,h,yaw"
     count = frames * boxes
     images, labels = np.repeat(np.arange(frames), boxes), rng.choice(CLASSES[Protocol.SUNRGBD], count)
     true = rng.uniform([-3, 1, -1, 0.4, 0.4, 0.4, -3], [3, 6, 0, 2, 2, 1.5, 3], (count, 7))
-    found = true + rng.normal(0.0, 0.05, (count, 7))
-    found[rng.random(count) > FOUND, 0] += 10.0
-    for path, rows, scores in zip(paths, (found, true), (rng.random(count), None), strict=True):
+    detections = true + rng.normal(0.0, 0.05, (count, 7))
+    detections[rng.random(count) > FOUND, 0] += 10.0
+    for path, rows, scores in zip(paths, (detections, true), (rng.random(count), None), strict=True):
         text = [
             f"{image},{label}," + ",".join(f"{v:.5f}" for v in row)
             for image, label, row in zip(images, labels, rows, strict=True)
@@ -126,7 +128,7 @@ def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     with TemporaryDirectory() as temporary:
         result = run(args, Path(temporary))
-    table = Table("protocol", "frames", "boxes a frame", "seconds")
+    table = Table("protocol", "frames", "boxes per frame", "seconds")
     table.add("kitti", args.kitti_frames, args.boxes, result["kitti_s"])
     table.add("sunrgbd", args.sunrgbd_frames, args.boxes, result["sunrgbd_s"])
     finish(result, args.json, table)

@@ -1,11 +1,11 @@
-"""How far our evaluation is from the official evaluators' numbers, for a folder that holds both.
+"""Compares our evaluation with the numbers of the official evaluators, for a folder with reference inputs and numbers.
 
 python -m benchmarks.golden DIR [--json]
 
-Of each part the largest difference is told, and where it is: KITTI's average precision in percent points (all `devkit`
-rows), SUN RGB-D's mean average precision (0..1), IoU of freely turned boxes (relative; for boxes that only touch, the
-share of the smaller one that we found), KITTI's conventions (pixels of projected corners and 2D boxes). A part whose
-files are not in the folder is null.
+Reports the largest difference of each part and where it occurs: KITTI's average precision in percentage points (all
+`devkit` rows), SUN RGB-D's mean average precision (0..1), the IoU of freely rotated boxes (relative; for boxes that
+only touch, the intersection as a share of the smaller box), KITTI's conventions (pixels of projected corners and 2D
+boxes). A part is null if its files are not in the folder.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, Metric, M
 from annotator.evaluation.kitti.protocol import DIFFICULTIES, NEIGHBOURS
 from annotator.evaluation.sunrgbd import SunRgbdResult, evaluate_sunrgbd
 from annotator.formats.box_csv import read_box_csv
-from annotator.formats.kitti_results import read_kitti_folder
+from annotator.formats.kitti.label_folders import read_kitti_folder
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.evaluate import box_rows, kitti_rows
+from annotator.workflows.evaluating.evaluate_files import box_rows, kitti_rows
 from benchmarks.golden_conventions import convention_differences
 from benchmarks.report import Table, finish, guarded
 
@@ -35,7 +35,7 @@ KITTI, KITTI_SETS = "expected_kitti.csv", "expected_kitti.json"
 SUNRGBD, SUNRGBD_TRUTH, SUNRGBD_FOUND = "expected_sunrgbd.csv", "sunrgbd_gt.csv", "sunrgbd_det.csv"
 PAIRS, CONVENTIONS = "iou3d_pairs.csv", "kitti_conventions.json"
 
-# The official program, and the same with looser overlaps; other forks of it differ.
+# The official devkit, and the devkit with looser overlap thresholds. Rows of other evaluators are ignored.
 EVALUATORS: Mapping[str, MinOverlap] = {"devkit": OFFICIAL, "devkit_relaxed": RELAXED}
 METRICS = {"2d": Metric.BBOX, "bev": Metric.BEV, "3d": Metric.BOX_3D, "aos": Metric.AOS}
 # An intersection below this share of the smaller box is contact only.
@@ -44,16 +44,17 @@ CONTACT = 1e-12
 
 @dataclass
 class Arguments:
-    """A folder of reference inputs with the numbers that the official evaluators gave for them."""
+    """Compare our evaluation with the official evaluators' numbers."""
 
     folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of reference inputs and the numbers that the official evaluators computed for them."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One number of ours against the reference's, and what it is."""
+    """Name of a compared number, and its absolute or relative difference from the reference."""
 
     what: str
     amount: float
@@ -61,7 +62,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the folder: its name in the result, its files, and how it is compared."""
+    """A part of the folder: its name in the result, its files, and the function that compares it."""
 
     name: str
     files: tuple[str, ...]
@@ -69,40 +70,40 @@ class Part:
 
 
 def measure(folder: Path) -> dict[str, object]:
-    """The largest difference of each part, where it is, and how many numbers were compared.
+    """The largest difference of each part, where it occurs, and how many numbers were compared.
 
     Raises:
-        ConfigError: the folder has none of the parts.
+        ConfigError: the folder contains none of the parts.
         FormatError: one of its files does not follow its format.
     """
     result: dict[str, object] = {}
     worst: dict[str, str | None] = {}
     compared: dict[str, int] = {}
     for part in PARTS:
-        here = all((folder / name).exists() for name in part.files)
-        found = list(part.compare(folder)) if here else []
-        # a difference that is no number is the worst of all
-        last = max(found, key=lambda entry: np.nan_to_num(entry.amount, nan=np.inf), default=None)
-        result[part.name] = None if last is None else last.amount
-        worst[part.name] = None if last is None else last.what
-        compared[part.name] = len(found)
+        has_files = all((folder / name).exists() for name in part.files)
+        differences = list(part.compare(folder)) if has_files else []
+        # NaN counts as the largest difference
+        largest = max(differences, key=lambda entry: np.nan_to_num(entry.amount, nan=np.inf), default=None)
+        result[part.name] = None if largest is None else largest.amount
+        worst[part.name] = None if largest is None else largest.what
+        compared[part.name] = len(differences)
     if not any(compared.values()):
         raise ConfigError(f"{folder}: has no reference numbers; looked for {', '.join(p.files[0] for p in PARTS)}")
     return {**result, "worst": worst, "compared": compared}
 
 
 def kitti_differences(folder: Path) -> Iterator[Difference]:
-    """Average precision, percent points, of every row of the evaluators that count."""
+    """Average precision, percentage points, of every row of `EVALUATORS`."""
     rows = [row for row in _table(folder / KITTI) if row["evaluator"] in EVALUATORS]
     for name in dict.fromkeys(row["set"] for row in rows):
-        found_path, true_path = _set_paths(folder, name)
-        found, there = read_kitti_folder(found_path, scored=True), read_kitti_folder(true_path, scored=False)
-        keys = sorted(there)
-        tables = [kitti_rows([side.get(key, ()) for key in keys]) for side in (found, there)]
+        detections_path, truth_path = _set_paths(folder, name)
+        detections, truth = read_kitti_folder(detections_path, scored=True), read_kitti_folder(truth_path, scored=False)
+        keys = sorted(truth)
+        tables = [kitti_rows([side.get(key, ()) for key in keys]) for side in (detections, truth)]
         for evaluator, overlap in EVALUATORS.items():
-            own = [row for row in rows if (row["set"], row["evaluator"]) == (name, evaluator)]
-            if own:
-                yield from _kitti_rows(own, evaluate_kitti(tables[0], tables[1], overlap))
+            reference = [row for row in rows if (row["set"], row["evaluator"]) == (name, evaluator)]
+            if reference:
+                yield from _kitti_rows(reference, evaluate_kitti(tables[0], tables[1], overlap))
 
 
 def _kitti_rows(rows: list[dict[str, str]], result: KittiResult) -> Iterator[Difference]:
@@ -118,7 +119,7 @@ def _kitti_rows(rows: list[dict[str, str]], result: KittiResult) -> Iterator[Dif
 
 
 def _set_paths(folder: Path, name: str) -> tuple[Path, Path]:
-    """Detections and truth of a set: as the list of sets has them, else by their names."""
+    """Paths of a set's detections and truth: from the list of sets if it names the set, else the default names."""
     sets: dict[str, dict[str, str]] = {}
     if (folder / KITTI_SETS).exists():
         sets = json.loads((folder / KITTI_SETS).read_text())["sets"]
@@ -132,11 +133,11 @@ def sunrgbd_differences(folder: Path) -> Iterator[Difference]:
     rows = _table(folder / SUNRGBD)
     thresholds = sorted({float(row["iou"]) for row in rows})
     numbers: dict[str, int] = {}
-    found, there = (
+    detections, truth = (
         box_rows(read_box_csv(folder / file, scored=scored), numbers)
         for file, scored in ((SUNRGBD_FOUND, True), (SUNRGBD_TRUTH, False))
     )
-    result = evaluate_sunrgbd(found, there, thresholds)
+    result = evaluate_sunrgbd(detections, truth, thresholds)
     for row in rows:
         ours = _sunrgbd_ap(result, float(row["iou"]), row["class"])
         yield Difference(f"{row['class']} at {row['iou']}", abs(ours - float(row["AP"])))
@@ -150,7 +151,7 @@ def _sunrgbd_ap(result: SunRgbdResult, threshold: float, label: str) -> float:
 
 
 def iou_differences(folder: Path) -> Iterator[Difference]:
-    """IoU of each pair, relative to what it should be; for contact the share of the smaller box."""
+    """Relative error of each pair's IoU; for boxes that only touch, the intersection's share of the smaller box."""
     rows = _table(folder / PAIRS)
     sides = [
         (
@@ -160,10 +161,10 @@ def iou_differences(folder: Path) -> Iterator[Difference]:
         )
         for side in "ab"
     ]
-    found = intersection_volume_pairs(*sides[0], *sides[1])
+    shared = intersection_volume_pairs(*sides[0], *sides[1])
     volumes = np.stack([side[2].prod(axis=1) for side in sides])
-    iou, smaller = found / (volumes.sum(axis=0) - found), volumes.min(axis=0)
-    for row, ours, inner, least in zip(rows, iou.tolist(), found.tolist(), smaller.tolist(), strict=True):
+    iou, smaller = shared / (volumes.sum(axis=0) - shared), volumes.min(axis=0)
+    for row, ours, inner, least in zip(rows, iou.tolist(), shared.tolist(), smaller.tolist(), strict=True):
         true_iou, contact = float(row["iou"]), float(row["intersection"]) < CONTACT * least
         amount = inner / least if contact else abs(ours - true_iou) / true_iou
         yield Difference(f"pair {row['id']} ({row['kind']})", amount)

@@ -1,4 +1,4 @@
-"""KITTI's conventions against reference numbers: corners, projection, 2D boxes, alpha, the LiDAR's frame."""
+"""Compares our KITTI conventions with reference numbers: corners, projection, 2D boxes, alpha, LiDAR coordinates."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from annotator.formats.kitti import label_box, parse_label_line
-from annotator.formats.kitti_derived import derived_box, heading, observation_angle
+from annotator.formats.kitti.box_rows import derived_box, heading, observation_angle
+from annotator.formats.kitti.label_files import label_box, parse_label_line
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
-from annotator.recordings.kitti_calib import KittiCalibration, read_calibration
+from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 
@@ -24,7 +24,7 @@ CORNERS = (2, 1, 0, 3, 6, 5, 4, 7)
 
 
 class Expected(BaseModel):
-    """What the reference computed for a label."""
+    """The reference's results for a label."""
 
     corners_rect: list[tuple[float, float, float]]
     corner_uv: list[tuple[float, float]] | None
@@ -50,13 +50,15 @@ class Entry(BaseModel):
 
 @dataclass(frozen=True)
 class ConventionDifference:
-    """Of one label: the largest difference of what is measured in pixels, and of the rest.
+    """The largest differences of one label.
 
     Attributes:
         label: frame, line and class.
-        what: which of the pixels differ most.
-        px: by how much.
-        corner_m, center_lidar_m, angle_rad: of the corners, of the centre in the LiDAR's frame, of alpha and heading.
+        what: name of the quantity in pixels that differs most.
+        px: its difference, pixels.
+        corner_m: largest difference of the corners, metres.
+        center_lidar_m: difference of the centre in LiDAR coordinates, metres.
+        angle_rad: largest difference of alpha and heading, radians.
     """
 
     label: str
@@ -68,15 +70,15 @@ class ConventionDifference:
 
 
 def convention_differences(path: Path) -> Iterator[ConventionDifference]:
-    """Of every label in the file.
+    """The differences of every label in the file.
 
     Raises:
-        FormatError: the file does not follow its form.
+        FormatError: the file does not have the expected content.
     """
     try:
         entries = TypeAdapter(list[Entry]).validate_python(json.loads(path.read_text(encoding="utf-8"))["labels"])
     except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
-        raise FormatError(path, f"is no list of labels with what is expected of them ({error})") from error
+        raise FormatError(path, f"is not a list of labels with expected results ({error})") from error
     for entry in entries:
         row = parse_label_line(entry.label, path)
         box, calibration = label_box(row), _calibration(entry)
@@ -97,19 +99,19 @@ def convention_differences(path: Path) -> Iterator[ConventionDifference]:
 
 
 def _pixels(entry: Entry, box: OrientedBox, calibration: KittiCalibration) -> dict[str, float]:
-    """The largest differences in pixels."""
+    """The largest difference of each quantity in pixels, by name."""
     camera, T = calibration.camera(*entry.image_size), calibration.T_camera_label
     derived = derived_box(camera, box, T)
     if derived is None:
         return {"box": float("nan")}
-    found = {
+    differences = {
         "box_unclipped": _largest(derived.unclipped, entry.expected.box_unclipped),
         "box_clipped": _largest(derived.clipped, entry.expected.box_clipped),
     }
     if entry.expected.corner_uv is not None:
         uv = project(camera, T.apply(box_corners(box)[list(CORNERS)]))
-        found["corner_uv"] = _largest(uv, entry.expected.corner_uv)
-    return found
+        differences["corner_uv"] = _largest(uv, entry.expected.corner_uv)
+    return differences
 
 
 def _largest(ours: object, expected: object) -> float:
@@ -117,7 +119,7 @@ def _largest(ours: object, expected: object) -> float:
 
 
 def _calibration(entry: Entry) -> KittiCalibration:
-    """By way of a file, as recordings have it."""
+    """The calibration, written to a file and read as in a recording."""
     lines = [
         f"{name}: {' '.join(map(repr, values))}"
         for name, values in (("P2", entry.P2), ("R0_rect", entry.R0_rect), ("Tr_velo_to_cam", entry.Tr_velo_to_cam))
@@ -129,7 +131,7 @@ def _calibration(entry: Entry) -> KittiCalibration:
 
 
 def _in_lidar(box: OrientedBox, calibration: KittiCalibration) -> tuple[np.ndarray, float]:
-    """Centre in the LiDAR's frame, and the direction of the length there."""
+    """Centre (metres) and heading (radians) in LiDAR coordinates."""
     turn, shift = calibration.T_rect_lidar[:, :3], calibration.T_rect_lidar[:, 3]
     center, along = np.linalg.solve(turn, np.stack([box.center_m - shift, box.rotation[:, 0]], axis=1)).T
     return center, float(np.arctan2(along[1], along[0]))

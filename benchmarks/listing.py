@@ -1,9 +1,9 @@
-"""How long it takes to list the frames of whole data sets, none of which is opened.
+"""Time to list the frames of whole data sets, without reading a frame.
 
 python -m benchmarks.listing [--share 1] [--repeats 5] [--json]
 
-The folders are made up in a temporary one, with the data sets' names and numbers and nothing in their files: KITTI's
-object training set, SUN RGB-D as it is downloaded (scenes in the folders of its cameras) and as VoteNet extracts it.
+The data sets are temporary folders of empty files, with the names and numbers of files of the real ones: KITTI's object
+training set, SUN RGB-D as downloaded (scenes in folders by camera) and as extracted by VoteNet.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded
 
 KITTI_FRAMES = 7_481
-# Scenes of SUN RGB-D by where they lie (SUNRGBD/CAMERA/PART/SCENE).
+# Number of scenes of SUN RGB-D by folder (SUNRGBD/CAMERA/PART/SCENE).
 SUN_SCENES = {
     "kv1/NYUdata": 1_449,
     "kv1/b3dodata": 554,
@@ -34,7 +34,7 @@ SUN_SCENES = {
     "xtion/xtion_align_data": 1_030,
     "xtion/sun3ddata": 2_359,
 }
-# What lies in a scene, as far as it is read; annotations of other kinds are left out.
+# The files of a scene that we read.
 SCENE_FILES = (
     "intrinsics.txt",
     "image/a.jpg",
@@ -47,31 +47,31 @@ SCENE_FILES = (
 
 @dataclass
 class Arguments:
-    """Lists each data set a few times; the figures are medians."""
+    """Time the listing of each data set."""
 
     share: float = 1.0
-    """The part of each data set's frames that is made."""
+    """Share of each data set's frames to create."""
     repeats: int = 5
-    """How often each is listed."""
+    """How often to list each data set; the median is reported."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 def make_kitti(folder: Path, share: float) -> Path:
-    """The root of KITTI's object set, as large as `share` of it."""
+    """Creates KITTI's object training set with this share of its frames; returns its root."""
     names = {"image_2": "png", "velodyne": "bin", "calib": "txt", "label_2": "txt"}
     return _make_folders(folder / "kitti" / "training", names, range(_part(KITTI_FRAMES, share))).parent
 
 
 def make_extracted(folder: Path, share: float) -> Path:
-    """VoteNet's `sunrgbd_trainval`."""
+    """Creates VoteNet's `sunrgbd_trainval` with this share of its frames; returns its root."""
     names = {"image": "jpg", "depth": "mat", "calib": "txt", "label": "txt"}
     numbers = range(1, 1 + _part(sum(SUN_SCENES.values()), share))
     return _make_folders(folder / "sunrgbd_trainval", names, numbers)
 
 
 def make_scenes(folder: Path, share: float) -> Path:
-    """The root of SUN RGB-D as it is downloaded."""
+    """Creates SUN RGB-D as downloaded with this share of its scenes; returns its root."""
     root = folder / "SUNRGBD"
     for place, count in SUN_SCENES.items():
         for number in range(_part(count, share)):
@@ -103,7 +103,7 @@ SETS: dict[str, Callable[[Path, float], Path]] = {
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Frames and milliseconds by format; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints: frames and milliseconds by data set.
 
     Raises:
         ConfigError: a number is out of its range.
@@ -133,7 +133,7 @@ def run(args: Arguments) -> dict[str, object]:
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     result = run(args)
-    table = Table("data set", "recognised as", "frames", "the first time, ms", "median, ms", "of the processor, ms")
+    table = Table("data set", "recognised as", "frames", "first listing, ms", "median, ms", "median CPU time, ms")
     for name, row in result.items():
         assert isinstance(row, dict)
         table.add(name, *row.values())

@@ -1,10 +1,10 @@
-"""The live pipeline, end to end: read from disk, detect, and display into a view that no browser looks at.
+"""Rate and latency of the live pipeline, end to end: read from disk, detect, and display on a page without a browser.
 
     python -m benchmarks.live DIR [--project P] [--warm-start] [--backend B] [--seconds S] [--json]
 
-The frames are played forth and back, so that motion goes on without a jump, and faster than they can be detected, the
-newest wins: frames a second are the pipeline's and not the recording's. Without a kept project the detectors are
-trained as `benchmarks.loop` trains them.
+The frames are played forward and backward, so that motion is continuous, and faster than the detection, which takes the
+newest frame. So the frame rate is limited by the pipeline and not by the recording. Without a kept project the
+detectors are trained as in `benchmarks.loop`.
 """
 
 from __future__ import annotations
@@ -18,70 +18,72 @@ import tyro
 from rich.console import Console
 
 from annotator.detection.config import Backend
-from annotator.project import Project, Role
+from annotator.project import Project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.seeds import is_warm
+from annotator.rcv.warm_start import is_warm
 from annotator.recordings import Recording, open_recording
+from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.web.live.view import LiveView
+from annotator.web.live.page import LivePage
 from annotator.workflows.detectors import Detectors, load_detector
 from annotator.workflows.live.detection import Detected, LiveDetection
-from annotator.workflows.live.figures import Figures
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback, Repeat
-from annotator.workflows.rcv_settings import rcv_config
+from annotator.workflows.live.rates import Figures
+from annotator.workflows.settings import rcv_config
 from benchmarks import loop
 from benchmarks.report import Table, finish, guarded
 
 QUIET = Console(stderr=True)
-# Detectors make themselves ready for each size of picture that they meet.
+# Detectors compile the network for each new image size.
 WARM_UP_S = 5.0
-# Fewer frames say nothing, however long they take.
+# Minimum number of shown frames for a measurement.
 LEAST_SHOWN = 5
-# The slowest source, and how much faster than the pipeline it shall be: reading more would only take time away.
+# Minimum rate of the source, frames per second, and its rate as a multiple of the pipeline's. Reading more frames would
+# only slow the pipeline down.
 LEAST_RATE, FASTER_BY = 30.0, 1.25
 
 
 @dataclass
 class Arguments:
-    """Frames a second and latency of `annotator live`."""
+    """Measure frames per second and latency of `annotator live`."""
 
     directory: Annotated[Path, tyro.conf.Positional]
-    """A recording; to be trained on, too, it needs truth."""
+    """A recording; training on it needs ground truth."""
     project: Path | None = None
-    """Use the detectors of a project that `benchmarks.loop --project` has kept here, or keep this one's."""
+    """Use the detectors of the project that `benchmarks.loop --project` kept here, or keep the new project here."""
     warm_start: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Begin each recursion with the boxes of the frame before."""
+    """Start the recursion from the boxes of the previous frame."""
     backend: Backend = "fastest"
-    """What runs the detectors; the default of `annotator live`."""
+    """Backend of the detectors; default: that of `annotator live`."""
     image_size: int | None = None
-    """The longer side of a camera image in the network, pixels; None = as trained."""
+    """Longer side of camera images in the network, pixels; None = as trained."""
     view_size: int | None = None
-    """The same of a pseudo-view."""
+    """Longer side of pseudo-views in the network, pixels; None = as trained."""
     seconds: float = 20.0
-    """How long to measure, after warming up; longer where fewer than five frames have come through."""
+    """How long to measure after the warm-up; longer if fewer than five frames were shown."""
     frames: int | None = None
-    """Measure so many frames of the source instead."""
+    """Measure this number of frames of the source instead."""
     rate: float | None = None
-    """Frames a second of the source; None = a little more than the pipeline can do, and at least 30."""
+    """Frames per second of the source; None = 1.25 times the pipeline's rate, and at least 30."""
     epochs: int | None = None
-    """Of both trainings, where they are to be done; None = as many as show the default number of pictures."""
+    """Epochs of both trainings if needed; None = as many as show the default number of images."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
-        ConfigError: a duration or a number of frames that measures nothing; or as `benchmarks.loop`.
-        AnnotatorError: of its stages.
+        ConfigError: a duration or a number of frames that is too small; or as `benchmarks.loop`.
+        AnnotatorError: a stage failed.
     """
     if not args.seconds > 0:
-        raise ConfigError(f"{args.seconds:g} seconds measure nothing; give more than 0")
+        raise ConfigError(f"--seconds must be above 0, not {args.seconds:g}")
     recording = open_recording(args.directory)
-    taught = loop.Arguments(args.directory, project=args.project, epochs=args.epochs)
-    with loop.taught(taught, recording, 2, {}) as (project, _):
+    training = loop.Arguments(args.directory, project=args.project, epochs=args.epochs)
+    with loop.trained_project(training, recording, 2, {}) as (project, _):
         detectors = _detectors(project, args)
         config = rcv_config(project)
         rotation = project.config.settings.rotation
@@ -90,8 +92,8 @@ def run(args: Arguments) -> dict[str, object]:
 
 
 def _detectors(project: Project, args: Arguments) -> Detectors:
-    image, view = project.models.active(Role.IMAGE), project.models.active(Role.VIEW)
-    assert image is not None and view is not None  # it was taught
+    image, view = project.models.active(DetectorKind.IMAGE), project.models.active(DetectorKind.VIEW)
+    assert image is not None and view is not None  # both were trained
     return Detectors(
         load_detector(image.path, args.backend, args.image_size),
         load_detector(view.path, args.backend, args.view_size),
@@ -100,13 +102,12 @@ def _detectors(project: Project, args: Arguments) -> Detectors:
 
 
 def _measure(recording: Recording, detection: LiveDetection, args: Arguments) -> dict[str, object]:
-    warm = _Once(recording, detection, math.inf)
-    reached = warm.figures(WARM_UP_S, None)
-    rate = args.rate or max(LEAST_RATE, FASTER_BY * (reached.fps or 0.0))
-    measured = _Once(recording, detection, rate)
+    warm_up = _Run(recording, detection, math.inf).figures(WARM_UP_S, None)
+    rate = args.rate or max(LEAST_RATE, FASTER_BY * (warm_up.fps or 0.0))
+    measured = _Run(recording, detection, rate)
     figures = measured.figures(args.seconds, args.frames)
     if figures.fps is None:
-        raise ConfigError(f"{figures.shown} frames came through, too few for a rate; give more --seconds or --frames")
+        raise ConfigError(f"only {figures.shown} frames were shown, too few for a rate; raise --seconds or --frames")
     return {
         "fps": figures.fps,
         "latency_ms": figures.latency_ms,
@@ -120,8 +121,8 @@ def _measure(recording: Recording, detection: LiveDetection, args: Arguments) ->
     }
 
 
-class _Once:
-    """One run of the pipeline, from its own source into its own view."""
+class _Run:
+    """One run of the pipeline, with its own source and its own page."""
 
     def __init__(self, recording: Recording, detection: LiveDetection, rate: float) -> None:
         self._source = Playback(recording, rate=rate, repeat=Repeat.BACK)
@@ -129,15 +130,15 @@ class _Once:
         self.frames = self.objects = self.warm = 0
 
     def figures(self, seconds: float, frames: int | None) -> Figures:
-        """Runs for so long, or for so many frames of the source.
+        """Runs for a number of seconds, or for a number of frames of the source.
 
         Raises:
-            AnnotatorError: why a stage failed.
+            AnnotatorError: a stage failed.
         """
-        pipeline = Pipeline(self._source, self._detection, self._show, most_frames=frames)
+        pipeline = Pipeline(self._source, self._detection, self._show, max_frames=frames)
         pipeline.meter.window_s = math.inf
-        self._view = LiveView(self._source.name, {})
-        self._view.follow(pipeline)
+        self._page = LivePage(self._source.name, {})
+        self._page.follow(pipeline)
         pipeline.start()
         try:
             is_over = pipeline.wait(None if frames is not None else seconds)
@@ -146,15 +147,15 @@ class _Once:
             return pipeline.figures()
         finally:
             pipeline.end()
-            self._view.close()
+            self._page.close()
 
     def _show(self, detected: Detected) -> None:
-        found = detected.found.proposals
-        # more of them than the figures tell of: some are shown while the pipeline ends
+        proposals = detected.found.proposals
+        # counts more frames than the figures: some are shown while the pipeline ends
         self.frames += 1
-        self.objects += len(found)
-        self.warm += sum(map(is_warm, found))
-        self._view.show(detected)
+        self.objects += len(proposals)
+        self.warm += sum(map(is_warm, proposals))
+        self._page.show(detected)
 
 
 def _conditions(detectors: Detectors, config: RcvConfig, args: Arguments) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""How well the proposals of a loop's test frames agree with the truth."""
+"""Scores of the proposals on the test frames of `benchmarks.loop`."""
 
 from __future__ import annotations
 
@@ -12,22 +12,26 @@ from annotator.evaluation.oriented import FrameResult, average_precision, mask_a
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording
 from annotator.types import Frame
-from annotator.workflows.truth import has_truth, load_mask, load_truth
+from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 
 @dataclass(eq=False)
 class Scores:
-    """What the test frames gave.
+    """Accumulates the scores of the test frames.
 
-    A frame without an object in it counts in average precision alone: what is proposed there is false. A frame that
-    cannot be read is one without a proposal; how many objects it shows is not known, so it adds to nothing else.
-    Without true boxes, masks alone tell where objects are, and IoU and average precision are NaN.
+    A frame without an object counts only in average precision, where its proposals are false positives. An unreadable
+    frame counts as a frame without a proposal and in no other score, since its number of objects is not known. Without
+    true boxes, the masks show where objects are, and IoU and average precision are NaN.
 
     Attributes:
-        recording: the one tested on.
-        labels: the classes that can be found.
-        frames: with an object in them, or not readable.
-        with_proposal: of these.
+        recording: the test recording.
+        labels: the classes of the detectors.
+        frames: number of frames with an object, plus the unreadable ones.
+        with_proposal: number of these with a proposal.
+        ious: IoU of each true object with its matched proposal.
+        recalls, precisions: share of an object's points inside proposals, and share of the points inside proposals that
+            belong to an object; one value per frame with a mask.
+        results: boxes of each frame, by class.
     """
 
     recording: Recording
@@ -43,35 +47,35 @@ class Scores:
         """Counts a test frame that cannot be read."""
         self.frames += 1
 
-    def add(self, index: int, frame: Frame, found: FrameProposals) -> None:
+    def add(self, index: int, frame: Frame, proposed: FrameProposals) -> None:
         """Counts the proposals of one test frame.
 
         Raises:
             RecordingError: the recording has neither boxes nor masks.
-            FormatError: one of them is broken.
+            FormatError: the boxes or the mask cannot be read.
         """
         mask = load_mask(self.recording, frame)
         boxed = mask is None or has_truth(self.recording)
         truths = [t for t in load_truth(self.recording, index, frame) if t.label in self.labels] if boxed else []
         results = []
         for label in self.labels:
-            own = [p for p in found.proposals if p.label == label]
+            of_class = [p for p in proposed.proposals if p.label == label]
             true_boxes = [t.box for t in truths if t.label == label]
-            results.append(FrameResult([p.box for p in own], [p.score for p in own], true_boxes))
+            results.append(FrameResult([p.box for p in of_class], [p.score for p in of_class], true_boxes))
             self.results[label].append(results[-1])
         if not (truths or (not boxed and mask is not None and mask.any())):
             return
         self.frames += 1
-        self.with_proposal += bool(found.proposals)
+        self.with_proposal += bool(proposed.proposals)
         self.ious.extend(float(iou) for result in results for iou in matched_ious(result))
         if mask is not None and frame.cloud.pixel_index is not None:
             of_object = mask.ravel()[frame.cloud.pixel_index] > 0
-            agreement = mask_agreement([p.box for p in found.proposals], frame.cloud, of_object)
+            agreement = mask_agreement([p.box for p in proposed.proposals], frame.cloud, of_object)
             self.recalls.append(agreement.recall)
             self.precisions.append(agreement.precision)
 
     def summary(self) -> dict[str, object]:
-        """The figures of the report; NaN where there was nothing to measure them on."""
+        """The mean scores, by name; NaN where there was nothing to measure."""
         ap = {t: [average_precision(r, t) for r in self.results.values()] for t in (0.25, 0.5)}
         return {
             "frames": self.frames,

@@ -1,4 +1,4 @@
-"""Does `annotate` need more memory for a longer recording? Its peak, each length in a process of its own.
+"""Peak memory of `annotate` by length of the recording, each length in a process of its own.
 
 python -m benchmarks.memory [--frames 20 200] [--engine local --workers 2] [--json]
 """
@@ -20,54 +20,54 @@ import numpy as np
 import tyro
 
 from annotator.types.errors import ConfigError
-from benchmarks.repeating import LABEL, generate, knowing, lengthen
+from benchmarks.repeating import LABEL, generate, lengthen, perfect_detector
 from benchmarks.report import Table, finish, guarded
 
 
 @dataclass
 class Arguments:
-    """Peak resident memory of `annotate` by length of the recording, with detectors that need next to none."""
+    """Measure the peak resident memory of `annotate` by length of the recording, with perfect detectors."""
 
     frames: tuple[int, ...] = (20, 200)
-    """Lengths to measure."""
+    """Lengths of the recording to measure, frames."""
     different: int = 4
-    """So many frames are generated; a recording repeats them."""
+    """Number of different frames, which each recording repeats."""
     width: int = 640
-    """Of the images, pixels; the height is three quarters of it."""
+    """Width of the images, pixels; the height is three quarters of it."""
     engine: Literal["inline", "local"] = "inline"
-    """What annotates."""
+    """Engine that annotates: this process, or worker processes."""
     workers: int | None = None
-    """Of the local engine."""
+    """Number of workers of the local engine."""
     steps: int = 5
-    """Of the recursion; with 1 a frame takes least time."""
+    """Maximum number of steps of the recursion; 1 is fastest."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """Peak resident memory, MB: of the process that drives the batch, and of its largest worker (None without any)."""
+    """Peak resident memory, MB: of the main process, and of its largest worker (None without workers)."""
 
     driver_mb: float
     worker_mb: float | None
 
 
 def annotate_and_measure(source: Path, folder: Path, args: Arguments) -> Peaks:
-    """Peak resident memory of this process and its workers, after they have annotated the recording in `folder`.
+    """Annotates the recording in `folder`; returns the peak resident memory of this process and its workers.
 
     Raises:
-        ConfigError: frames failed, so that the figure would say nothing.
+        ConfigError: frames failed or there was no proposal, so the measurement is invalid.
     """
     from annotator.project import create_project
     from annotator.rcv.config import RcvConfig
     from annotator.recordings import open_recording
-    from annotator.workflows.annotate import annotate_with
+    from annotator.workflows.add_recordings import register_recording
     from annotator.workflows.detectors import Detectors
-    from annotator.workflows.engines.choose import EngineName, make_engine
-    from annotator.workflows.engines.sources import GivenDetectors
-    from annotator.workflows.recordings import register_recording
+    from annotator.workflows.proposing.annotate import annotate_with
+    from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+    from annotator.workflows.proposing.engines.sources import GivenDetectors
 
-    detector = knowing(source, args.different)
+    detector = perfect_detector(source, args.different)
     pair = GivenDetectors(Detectors(detector, detector))
     engine = make_engine(EngineName(args.engine), pair, frames=max(args.frames), workers=args.workers)
     with create_project(folder.parent / "projects", folder.name, (LABEL,)) as project, closing(engine):
@@ -85,16 +85,16 @@ def _peak_mb(whose: int) -> float:
 
 
 def _alone(function: Callable[..., Any], *arguments: object) -> Any:
-    """What a function gives in a fresh process, which has only its own memory to answer for."""
+    """Calls a function in a fresh process, so that its peak memory is not that of earlier work."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(function, *arguments).result()
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
-        ConfigError: a length below 1.
+        ConfigError: a length or a number of frames below 1.
     """
     if not args.frames or min(*args.frames, args.different) < 1:
         raise ConfigError(f"--frames and --different must be 1 or more, not {args.frames} and {args.different}")
@@ -116,7 +116,7 @@ def run(args: Arguments) -> dict[str, object]:
 
 
 def growth(frames: Sequence[int], peaks_mb: Sequence[float]) -> float:
-    """MB a frame, by least squares; NaN where there is only one length."""
+    """Growth in MB per frame, by least squares; NaN if there is only one length."""
     x = np.array(frames, np.float64)
     x -= x.mean()
     return float(x @ np.array(peaks_mb) / (x @ x)) if x.any() else float("nan")
@@ -130,7 +130,7 @@ def main() -> None:
         table.add(*row.values())
     finish(result, args.json, table)
     if not args.json:
-        print(f"{result['growth_mb_per_1000_frames']:.1f} MB more for 1000 frames more")
+        print(f"growth: {result['growth_mb_per_1000_frames']:.1f} MB per 1000 frames")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""How well measured occlusion agrees with what KITTI's annotators saw.
+"""Agreement of measured occlusion with the levels that KITTI's annotators assigned.
 
 python -m benchmarks.occlusion RECORDING ... [--json]
 
-Each labelled object of KITTI recordings (object or tracking, with their labels) gets the level that our exports and
-evaluations would give it. Objects of which KITTI says "unknown" are listed and not counted.
+For each labelled object of KITTI recordings (object or tracking), the level is measured as in our exports and
+evaluations. Objects that KITTI labels "unknown" are in the table but do not count in the agreement.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.formats.kitti import DONT_CARE, KittiLabel, label_box, parse_tracking_fields
-from annotator.formats.kitti_results import read_kitti_file
-from annotator.formats.kitti_row import UNKNOWN, label_frame, occlusion
+from annotator.formats.kitti.box_rows import UNKNOWN, label_frame, occlusion
+from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, label_box, parse_tracking_fields
+from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.formats.text_folder import text_rows
 from annotator.geometry.occlusion import Sight
 from annotator.recordings import Recording, open_recording
 from annotator.types import Frame
 from annotator.types.errors import ConfigError
-from annotator.workflows.truth import label_file
+from annotator.workflows.recorded.reading import label_file
 from benchmarks.report import Table, finish, guarded
 
 LEVELS = ("0 visible", "1 partly hidden", "2 largely hidden", "3 unknown")
@@ -33,7 +33,7 @@ FORMATS = ("kitti_object", "kitti_tracking")
 
 @dataclass
 class Arguments:
-    """Compares measured occlusion with KITTI's labels."""
+    """Compare measured occlusion with KITTI's labels."""
 
     recordings: tyro.conf.Positional[tuple[Path, ...]]
     """KITTI object or tracking folders with labels."""
@@ -42,28 +42,28 @@ class Arguments:
 
 
 def labelled_frames(recording: Recording) -> Iterator[tuple[Frame, list[KittiLabel]]]:
-    """The frames with their rows, DontCare left out.
+    """The frames with their label rows, without DontCare.
 
     Raises:
-        ConfigError: the recording is not KITTI's, or has no labels.
+        ConfigError: not a KITTI recording, or one without labels.
     """
     file = label_file(recording, recording.keys[0])
     if recording.format not in FORMATS or file is None:
-        raise ConfigError(f"{recording.path}: is no {' or '.join(FORMATS)} recording with labels")
+        raise ConfigError(f"{recording.path}: not a {' or '.join(FORMATS)} recording with labels")
     tracked: dict[int, list[KittiLabel]] = {}
     if recording.format == "kitti_tracking":
         for line, fields in text_rows(file):
             number, _, row = parse_tracking_fields(fields, file, line)
             tracked.setdefault(number, []).append(row)
     for index, key in enumerate(recording.keys):
-        own = label_file(recording, key)
-        is_tracked = own is None or recording.format == "kitti_tracking"
-        rows = tracked.get(int(key), []) if is_tracked else list(read_kitti_file(own or file, scored=False))
+        frame_file = label_file(recording, key)
+        is_tracked = frame_file is None or recording.format == "kitti_tracking"
+        rows = tracked.get(int(key), []) if is_tracked else list(read_kitti_file(frame_file or file, scored=False))
         yield recording.frame(index), [row for row in rows if row.label != DONT_CARE]
 
 
 def cross_table(paths: tuple[Path, ...]) -> np.ndarray:
-    """(4, 4) counts of objects: KITTI's level, ours."""
+    """(4, 4) counts of objects: row = KITTI's level, column = ours."""
     counts = np.zeros((4, 4), np.int64)
     for path in paths:
         for frame, rows in labelled_frames(open_recording(path)):

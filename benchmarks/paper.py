@@ -1,11 +1,11 @@
-"""The paper's tables, from a data set to the figures: 2D boxes from 3D ones, both trainings, RCV, official AP.
+"""The paper's tables, from the data set to the figures: 2D boxes from 3D boxes, both trainings, RCV, official AP.
 
     python -m benchmarks.paper kitti --root KITTI --fraction 0.25 [--settings product] [--limit 20] [--json]
     python -m benchmarks.paper sunrgbd --root SUNRGBD [--classes votenet] [--settings product] [--limit 20] [--json]
 
-Each stage leaves its result in --work; what is complete there, with the same settings, is not done again. The project
-in `--work/projects` is one like any other: `annotator serve --root WORK/projects` shows its boxes and proposals.
-docs/paper.md says what each stage does and how long it takes.
+Each stage stores its result in --work; a stage that is complete there, with the same settings, is skipped. `annotator
+serve --projects WORK/projects` shows the project with its boxes and proposals. docs/paper.md describes the stages and
+how long they take.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from annotator.project import open_project
 from annotator.rcv.config import Strategy
 from annotator.recordings import open_recording
 from annotator.types.errors import ConfigError
-from annotator.workflows.train import TrainPlan
+from annotator.workflows.training.train import TrainPlan
 from benchmarks.paper_frames import split_of
 from benchmarks.paper_protocol import InProject, Place, bring_in
 from benchmarks.paper_settings import Classes, Dataset, Preset, Trainings, classes_of, rcv_options
@@ -38,35 +38,35 @@ QUIET = Console(stderr=True, highlight=False, markup=False)
 
 @dataclass
 class Arguments:
-    """One row of the paper's Tab. III (KITTI) or Tab. II (SUN RGB-D)."""
+    """Reproduce one row of the paper's Tab. III (KITTI) or Tab. II (SUN RGB-D)."""
 
     dataset: Annotated[Dataset, tyro.conf.Positional]
-    """Which benchmark."""
+    """The benchmark."""
     root: Path
-    """The data set's frames with their labels: KITTI (or its training/), SUN RGB-D as VoteNet extracts it, or its raw
-    scenes."""
+    """Folder of the data set's frames and labels: KITTI (or its training/), SUN RGB-D as extracted by VoteNet, or its
+    raw scenes."""
     work: Path = Path("out/paper")
-    """Where the stages leave their results."""
+    """Folder for the results of the stages."""
     fraction: float = 1.0
-    """Share of the frames to learn from; the paper has 0.25, 0.5 and 0.8 of KITTI."""
+    """Share of the training frames to use; the paper uses 0.25, 0.5 and 0.8 of KITTI."""
     settings: Preset = Preset.PRODUCT
-    """What is trained: paper = YOLOv5x6 at 640 px for 300 epochs, needs a GPU; product = annotator's defaults."""
+    """Training settings: paper = YOLOv5x6 at 640 px for 300 epochs, needs a GPU; product = annotator's defaults."""
     axes: Strategy | None = None
     """How projection axes are found; default: normals with --settings paper, else consensus."""
     classes: Classes = Classes.PAPER
-    """SUN RGB-D: which ten classes."""
+    """SUN RGB-D: the ten classes of the paper or of VoteNet."""
     limit: int | None = None
-    """At most so many frames to learn from, and so many to try."""
+    """Maximum number of training frames and of test frames."""
     seed: int = 0
-    """Of the choice of frames and of the trainings."""
+    """Seed of the choice of frames and of the trainings."""
     model: str | None = None
-    """Another detection model for both."""
+    """Name of an ultralytics detection model for both detectors; default: that of --settings."""
     weights: str = "auto"
-    """To start from: auto = published ones where they can be had; never; or a file."""
+    """Initial weights: auto = pretrained if found or downloadable, else random; never = random; or a file."""
     epochs: int | None = None
-    """Of the pseudo-view detector, in place of the settings'."""
+    """Epochs of the pseudo-view detector; default: those of --settings."""
     image_epochs: int | None = None
-    """Of the image detector."""
+    """Epochs of the image detector; default: those of --settings."""
     size: int | None = None
     """Side of the pseudo-views in training, pixels."""
     image_size: int | None = None
@@ -80,18 +80,18 @@ class Arguments:
         return Trainings(self.settings, self.model, self.epochs, self.image_epochs, self.size, self.image_size)
 
     def plan(self) -> TrainPlan:
-        """The trainings.
+        """The settings of both trainings with seeds and initial weights, checked.
 
         Raises:
             ConfigError: a setting out of its range.
         """
-        chosen = {
+        changes = {
             "pretrained": self.weights if self.weights in ("auto", "never") else Path(self.weights),
             "seed": self.seed,
         }
         try:
             image, view = (
-                type(config).model_validate({**config.model_dump(), **chosen})
+                type(config).model_validate({**config.model_dump(), **changes})
                 for config in (self.trainings.image, self.trainings.view)
             )
         except ValidationError as error:
@@ -101,14 +101,14 @@ class Arguments:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The whole protocol; what `--json` prints.
+    """Runs the whole protocol; returns what `--json` prints.
 
     Raises:
-        ConfigError: arguments that contradict each other or the data set; frames to try that could not be.
-        AnnotatorError: of the stages.
+        ConfigError: arguments that contradict each other or the data set; or test frames that failed.
+        AnnotatorError: a stage failed.
     """
     if args.limit is not None and args.limit < 1:
-        raise ConfigError(f"a limit of {args.limit} frames leaves nothing to do; give 1 or more")
+        raise ConfigError(f"--limit must be 1 or more, not {args.limit}")
     plan, classes = args.plan(), classes_of(args.dataset, args.classes)
     recording = open_recording(args.root)
     split = split_of(recording, args.seed).limited(args.limit, args.seed)
@@ -121,7 +121,7 @@ def run(args: Arguments) -> dict[str, object]:
         "classes": list(classes),
         "view_px": args.trainings.view_px,
     }
-    # other boxes than those of this share shall not be in the project
+    # in the name, so that each share of the frames has a project of its own
     share = {"fraction": args.fraction, "seed": args.seed}
     place = Place(args.work, f"{args.dataset.value}-{100 * args.fraction:.0f}-{_hash({**start, **share})}")
     stages = Stages(place.records, QUIET.print)
@@ -154,7 +154,7 @@ def _hash(content: JsonValue | Mapping[str, JsonValue] | list[str]) -> str:
 
 
 def tables(args: Arguments, result: Mapping[str, object]) -> list[Table]:
-    """The stages, and our figures with the paper's beside them."""
+    """A table of the stages, and one of our figures beside the paper's."""
     seconds, skipped = cast("dict[str, float]", result["seconds"]), cast("list[str]", result["skipped"])
     stages = Table("stage", "seconds", "")
     for stage, took in seconds.items():

@@ -1,4 +1,4 @@
-"""Which frames of a data set are learnt from and which are tried, each as a folder of links that is a recording."""
+"""Splits a data set into training and test frames, and creates recordings of links to them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.files import new_folder
-from annotator.formats.kitti import read_tracking_labels
-from annotator.formats.kitti_results import read_kitti_file
+from annotator.formats.kitti.label_files import read_tracking_labels
+from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
-from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
+from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.evaluate import read_frame_names
-from annotator.workflows.frame_share import share_of
-from annotator.workflows.kitti_view import TRACKING
-from annotator.workflows.truth import frame_number, label_file
+from annotator.workflows.evaluating.evaluate_files import read_frame_names
+from annotator.workflows.recorded.frame_subset import share_of
+from annotator.workflows.recorded.kitti_rows import TRACKING
+from annotator.workflows.recorded.reading import frame_number, label_file
 
-# Of each format, the folders of one file a frame, and the files that all frames share.
+# By format: the folders with one file per frame, and the files that all frames share.
 LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "kitti_object": (("image_2", "velodyne", "calib", "label_2"), ()),
     "kitti_tracking": (("image_02", "velodyne"), ("calib.txt", "label_02.txt")),
@@ -26,7 +26,7 @@ LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "sunrgbd_scenes": ((), ()),
 }
 TRAIN_SHARE = 0.5
-# VoteNet numbers its frames with so many digits, and its lists do without the zeros.
+# VoteNet pads frame numbers to this width in file names, but not in its lists.
 VOTENET_DIGITS = 6
 # The toolbox's list of all scenes takes about a megabyte.
 MOST_LIST_BYTES = 2**26
@@ -34,13 +34,13 @@ MOST_LIST_BYTES = 2**26
 
 @dataclass(frozen=True)
 class FrameSplit:
-    """Keys of a recording's frames.
+    """Frame keys of the training side and the test side.
 
     Attributes:
-        train, val: sorted; they overlap only where there is but one frame.
-        source: who divided them, in words.
-        listed: how many frames the lists name; None where there are none.
-        there: how many of these there are; 0 without lists.
+        train, val: sorted keys; they overlap only if the recording has a single frame.
+        source: where the split comes from, in words.
+        listed: number of frames in the lists; None without lists.
+        there: number of listed frames that the recording has; 0 without lists.
     """
 
     train: tuple[str, ...]
@@ -50,30 +50,29 @@ class FrameSplit:
     there: int = 0
 
     def found(self) -> str:
-        """How much of the lists there is; "" where there are none."""
-        return "" if self.listed is None else f"{self.there} of {self.listed} listed frames are there"
+        """How many of the listed frames the recording has, in words; "" without lists."""
+        return "" if self.listed is None else f"{self.there} of {self.listed} listed frames are present"
 
     def limited(self, limit: int | None, seed: int) -> FrameSplit:
-        """At most so many frames on each side, drawn by the seed."""
+        """The split with at most `limit` frames on each side, drawn at random."""
         if limit is None:
             return self
         return replace(self, train=_drawn(self.train, limit, seed), val=_drawn(self.val, limit, seed))
 
 
 def split_of(recording: Recording, seed: int) -> FrameSplit:
-    """The data set's own lists where they lie beside it, else every frame by chance to one side or the other.
+    """The split by the data set's own lists if they lie beside it, else a random one.
 
     KITTI: `ImageSets/train.txt` and `val.txt`. SUN RGB-D: VoteNet's `train_data_idx.txt` and `val_data_idx.txt`, or the
     toolbox's `allsplit.mat`.
 
     Raises:
-        ConfigError: a format of neither data set; or lists that share a frame, or name none of those that are there.
+        ConfigError: the format of another data set; or lists that share a frame, or name no frame of the recording.
         FormatError: lists that cannot be read.
     """
     if recording.format not in LAYOUTS:
         raise ConfigError(
-            f"{recording.path}: is a recording of the format {recording.format}; give the root of KITTI's or SUN "
-            "RGB-D's frames"
+            f"{recording.path}: has the format {recording.format}; give the root of KITTI's or SUN RGB-D's frames"
         )
     lists = _own_lists(recording)
     if lists is not None:
@@ -81,45 +80,45 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
         both = sorted(set(train).intersection(val))
         if both:
             raise ConfigError(
-                f"{source}: {len(both)} frames are to be learnt from and tried, such as {both[0]}; figures of frames "
-                "that were learnt from mean nothing, so take them out of one of the lists"
+                f"{source}: {len(both)} frames are in the training list and in the test list, such as {both[0]}; "
+                "remove them from one of the lists"
             )
-        there = set(recording.keys)
-        sides = tuple(sorted(there.intersection(train))), tuple(sorted(there.intersection(val)))
+        present = set(recording.keys)
+        sides = tuple(sorted(present.intersection(train))), tuple(sorted(present.intersection(val)))
         if not all(sides):
-            raise ConfigError(f"{source}: names no frame of {recording.path} to {'try' if sides[0] else 'learn from'}")
+            raise ConfigError(f"{source}: lists no {'test' if sides[0] else 'training'} frame of {recording.path}")
         return FrameSplit(*sides, str(source), len({*train, *val}), sum(map(len, sides)))
     if len(recording) == 1:
-        return FrameSplit(recording.keys, recording.keys, "one frame alone, learnt from and tried")
+        return FrameSplit(recording.keys, recording.keys, "a single frame, for training and testing")
     drawn = _drawn(recording.keys, max(round(TRAIN_SHARE * len(recording)), 1), seed)
     others = tuple(sorted(set(recording.keys).difference(drawn)))
-    return FrameSplit(drawn, others, f"no lists there: by chance, seed {seed}")
+    return FrameSplit(drawn, others, f"random split (no lists found), seed {seed}")
 
 
-def classes_there(recording: Recording) -> frozenset[str]:
-    """The classes of the labels that lie beside a KITTI recording, whatever their size and however hidden.
+def labelled_classes(recording: Recording) -> frozenset[str]:
+    """The classes of a KITTI recording's labels, including small and occluded objects.
 
     Raises:
         FormatError: labels that cannot be read.
     """
-    found: set[str] = set()
+    classes: set[str] = set()
     for key in recording.keys:
         file = label_file(recording, key)
         if file is None or not file.is_file():
             continue
         if recording.format == TRACKING:
-            # one file has all frames
+            # one file contains all frames
             tracks = read_tracking_labels(file, None)
             return frozenset(truth.label for k in recording.keys for truth in tracks.get(frame_number(file, k), ()))
-        found.update(row.label for row in read_kitti_file(file, scored=False))
-    return frozenset(found)
+        classes.update(row.label for row in read_kitti_file(file, scored=False))
+    return frozenset(classes)
 
 
 def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None:
-    """A folder with links to these frames' files, in the recording's own layout; complete, or not at all.
+    """Creates a folder of links to the frames' files, in the layout of the recording; leaves nothing if it fails.
 
     Raises:
-        FormatError: it cannot be made.
+        FormatError: the folder or a link cannot be created.
     """
     folders, files = LAYOUTS[recording.format]
     with new_folder(folder, lambda _: True) as out:
@@ -127,12 +126,12 @@ def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None
             scenes = dict(zip(recording.keys, recording.scenes, strict=True))
             _link(folder, ((scenes[key], out / key) for key in keys))
             return
-        wanted = set(keys)
+        stems = set(keys)
         for name in folders:
             source = recording.root / name
             if source.is_dir():
                 (out / name).mkdir()
-                paths = (path for path in sorted(source.iterdir()) if path.stem in wanted)
+                paths = (path for path in sorted(source.iterdir()) if path.stem in stems)
                 _link(folder, ((path, out / name / path.name) for path in paths))
         _link(folder, ((recording.root / name, out / name) for name in files if (recording.root / name).is_file()))
 
@@ -142,7 +141,7 @@ def _link(folder: Path, pairs: Iterable[tuple[Path, Path]]) -> None:
         for source, link in pairs:
             link.symlink_to(source.resolve())
     except OSError as error:
-        raise FormatError(folder, f"links to the frames cannot be made ({error.strerror})") from error
+        raise FormatError(folder, f"cannot create links to the frames ({error.strerror})") from error
 
 
 def _drawn(keys: Sequence[str], number: int, seed: int) -> tuple[str, ...]:
@@ -152,7 +151,7 @@ def _drawn(keys: Sequence[str], number: int, seed: int) -> tuple[str, ...]:
 
 
 def _own_lists(recording: Recording) -> tuple[Path, list[str], list[str]] | None:
-    """The file that names the frames to learn from, those frames, and those to try."""
+    """Path of the training list, the training keys and the test keys; None without lists."""
     root = recording.root
     for folder in (root, root.parent):
         train, val = (folder / "ImageSets" / f"{side}.txt" for side in ("train", "val"))
@@ -172,17 +171,17 @@ def _votenet_keys(path: Path) -> list[str]:
 
 
 def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
-    """Keys from the toolbox's cell arrays `alltrain` and `alltest`, whose paths lead through a folder SUNRGBD.
+    """Training and test keys from the toolbox's cell arrays `alltrain` and `alltest`, which list paths of scenes.
 
     Raises:
-        FormatError: not such a file.
+        FormatError: the file cannot be read, or has other content.
     """
     try:
         train, test = (read_mat(path, name, MOST_LIST_BYTES) for name in ("alltrain", "alltest"))
     except (OSError, MatFileError) as error:
         raise FormatError(path, f"the list of scenes cannot be read ({error})") from error
     if not isinstance(train, list) or not isinstance(test, list):
-        raise FormatError(path, "alltrain and alltest are no lists of scenes")
+        raise FormatError(path, "alltrain and alltest are not lists of scenes")
     return [_scene_key(str(scene)) for scene in train], [_scene_key(str(scene)) for scene in test]
 
 

@@ -1,4 +1,4 @@
-"""The stages of the paper's protocol, in a project like any other."""
+"""The stages of the paper's protocol, run in an ordinary project."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from functools import partial
 from pathlib import Path
 
 from annotator.detection.progress import TrainingProgress
-from annotator.project import Project, ProjectSettings, Role, Status, create_project, open_project
+from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
+from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.annotate import annotate
-from annotator.workflows.boxes_from_3d import boxes_from_3d
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.evaluate import Protocol
-from annotator.workflows.evaluate_project import Choice, Measured, evaluate_project
-from annotator.workflows.known_labels import labels_beside
-from annotator.workflows.rcv_settings import rcv_config
-from annotator.workflows.recordings import register_recording
-from annotator.workflows.train import TrainPlan, train
-from benchmarks.paper_frames import FrameSplit, classes_there, link_frames
+from annotator.workflows.evaluating.evaluate_files import Protocol
+from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
+from annotator.workflows.recorded.labelled_frames import labels_beside
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.train import TrainPlan, train
+from benchmarks.paper_frames import FrameSplit, labelled_classes, link_frames
 from benchmarks.paper_settings import Dataset
 from benchmarks.paper_stages import Facts, Stages
 from benchmarks.paper_tables import kitti_ap, sunrgbd_ap
@@ -31,11 +32,11 @@ TRAIN, VAL = "train", "val"
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run lives.
+    """The folders of one run.
 
     Attributes:
         work: the folder of all runs.
-        name: of this one's project, frames and records.
+        name: name of this run's project, frames and records.
     """
 
     work: Path
@@ -55,7 +56,7 @@ class Place:
 
 
 def bring_in(recording: Recording, split: FrameSplit, place: Place, classes: tuple[str, ...], view_px: int) -> Facts:
-    """The stage `import`: two recordings of links to the frames, and a project with both.
+    """The stage `import`: creates two recordings of links to the frames, and a project with both.
 
     Args:
         view_px: longer side of the project's pseudo-views, pixels.
@@ -76,7 +77,7 @@ class InProject:
     """The stages after the import.
 
     Attributes:
-        tell: is told of each epoch.
+        tell: called with a line of text for each epoch.
     """
 
     project: Project
@@ -89,15 +90,18 @@ class InProject:
     tell: Callable[[str], None]
 
     def run(self) -> Facts:
-        """All of them; what was evaluated, as `Report.content` has it (SUN RGB-D: `sunrgbd_ap`)."""
+        """Runs all stages; returns the result of the last, `kitti_ap` or `sunrgbd_ap`."""
         self.stages.run("boxes", {"fraction": self.fraction, "seed": self.seed}, self.boxes)
-        for role in (Role.IMAGE, Role.VIEW):
-            config = self.plan.image if role is Role.IMAGE else self.plan.view
+        for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
+            config = self.plan.image if role is DetectorKind.IMAGE else self.plan.view
             settings: Facts = {"config": config.model_dump(mode="json"), "split_seed": self.plan.seed}
             self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
-        for role in (Role.IMAGE, Role.VIEW):  # a run with other settings may have made its models the active ones
+        for role in (
+            DetectorKind.IMAGE,
+            DetectorKind.VIEW,
+        ):  # a run with other settings may have made its models the active ones
             number = self.stages.done[f"train-{role.value}"].result["model"]
-            assert isinstance(number, int)  # as `train` has written it
+            assert isinstance(number, int)  # written by `train`
             self.project.models.activate(number)
         self.stages.run("propose", self.options, self.propose, self.is_latest)
         return self.stages.run("evaluate", {}, self.evaluate)
@@ -106,7 +110,7 @@ class InProject:
         return self.project.recordings.find(side).id
 
     def boxes(self) -> Facts:
-        """The 2D boxes of the chosen frames' 3D boxes."""
+        """Creates 2D boxes from the 3D boxes of the training frames."""
         labels = labels_beside(self.project, [self._recording(TRAIN)])
         done = boxes_from_3d(self.project, labels, fraction=self.fraction, seed=self.seed)
         return {
@@ -124,12 +128,12 @@ class InProject:
         }
 
     def _views(self) -> int:
-        """Pseudo-views with boxes; two objects with one box on the image share their first ones."""
+        """Number of pseudo-views with boxes; two objects with the same image box share the views of the first step."""
         frames = {frame.id for frame in self.project.frames.of([self._recording(TRAIN)])}
         return sum(view.frame_id in frames for view in self.project.boxes.on_views())
 
-    def train(self, role: Role) -> Facts:
-        """One detector; an interrupted training goes on."""
+    def train(self, role: DetectorKind) -> Facts:
+        """Trains one detector; resumes an interrupted training."""
         (trained,) = train(self.project, self.plan, roles=(role,), progress=self._report)
         return {
             "model": trained.model.id,
@@ -142,32 +146,31 @@ class InProject:
         }
 
     def is_trained(self, result: Facts) -> bool:
-        """Its weights are still there."""
+        """Whether the weights of a stored result still exist."""
         return any(m.id == result["model"] and m.path.is_file() for m in self.project.models.all())
 
     def propose(self) -> Facts:
-        """RCV on the frames to try.
+        """Runs RCV on the test frames.
 
         Raises:
-            ConfigError: it failed on one of them, or passed one over.
+            ConfigError: a frame failed or was skipped.
         """
-        detectors = active_detectors(self.project)
-        config = rcv_config(self.project, options=self.options).model_copy(update={"box_kind": detectors.box_kind})
-        done = annotate(self.project, detectors, config, recordings=[self._recording(VAL)])
+        config = rcv_config(self.project, options=self.options)
+        done = annotate(self.project, active_detectors(self.project), config, recordings=[self._recording(VAL)])
         if done.failed:
             key, reason = done.failed[0]
             raise ConfigError(
-                f"{len(done.failed)} frames could not be tried, such as {key}: {reason}; a figure without them would "
-                "flatter, so mend them and begin again: all that is done stays"
+                f"{len(done.failed)} test frames failed, such as {key}: {reason}; without them the scores would be too "
+                "high, so repair them and run the same command again: completed work is kept"
             )
         run = self.project.jobs.all()[-1]
-        # also of frames that an interrupted try had done
+        # includes frames that an interrupted run had done
         results = {r.frame_id: r for r in self.project.jobs.results(key=run.key, status=Status.DONE)}
         missing = [f for f in self.project.frames.of([self._recording(VAL)]) if f.id not in results]
         if missing:
             raise ConfigError(
-                f"{len(missing)} frames were not tried, such as {missing[0].key}: they are finalised, or no longer "
-                "there; a figure without them would flatter, so reopen them, or begin in another --work folder"
+                f"{len(missing)} test frames were skipped, such as {missing[0].key}: they are finalised or missing; "
+                "without them the scores would be too high, so reopen them, or use another --work folder"
             )
         return {
             "run": run.id,
@@ -177,21 +180,21 @@ class InProject:
         }
 
     def is_latest(self, result: Facts) -> bool:
-        """The frames show the proposals of the latest pass over them, which may have had other settings."""
+        """Whether the stored result belongs to the latest run. A later run may have had other settings."""
         return result["run"] == self.project.jobs.all()[-1].id
 
     def evaluate(self) -> Facts:
-        """The proposals against the truth."""
+        """Scores the proposals against the ground truth."""
         choice, protocol = Choice(Measured.PROPOSALS, recordings=(self._recording(VAL),)), Protocol(self.dataset.value)
         if self.dataset is Dataset.SUNRGBD:
             content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json")
             return sunrgbd_ap(content, self.project.config.classes)
-        # KITTI's protocol is silent on a class that was never detected, and refuses where nothing was
-        found = self.stages.done["propose"].result["proposals"]
-        content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if found else {}
-        there = classes_there(open_recording(self.project.recordings.find(VAL).path))
-        return kitti_ap(content, self.project.config.classes, there)
+        # KITTI's evaluation omits classes without a detection, and raises an error if there is no detection at all
+        proposals = self.stages.done["propose"].result["proposals"]
+        content = evaluate_project(self.project, protocol, choice).content.model_dump(mode="json") if proposals else {}
+        true_classes = labelled_classes(open_recording(self.project.recordings.find(VAL).path))
+        return kitti_ap(content, self.project.config.classes, true_classes)
 
-    def _report(self, role: Role, step: TrainingProgress) -> None:
+    def _report(self, role: DetectorKind, step: TrainingProgress) -> None:
         if step.batch == step.batches:
             self.tell(f"  {role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s")

@@ -1,4 +1,4 @@
-"""What is trained for the paper's tables, and how RCV runs: the paper's settings, or the product's own."""
+"""Settings of the trainings and of RCV for the paper's tables: the paper's, or annotator's defaults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import JsonValue
 
 from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.rcv.config import Strategy, ViewConfig
-from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS
+from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS
 
 
 class Dataset(StrEnum):
@@ -20,7 +20,7 @@ class Dataset(StrEnum):
 
 
 class Preset(StrEnum):
-    """PAPER: YOLOv5x6 at 640 px for both detectors (its Tab. I), normals as axes (II.D). PRODUCT: our defaults."""
+    """PAPER: YOLOv5x6 at 640 px for both detectors (Tab. I), axes from normals (II.D). PRODUCT: our defaults."""
 
     PAPER = "paper"
     PRODUCT = "product"
@@ -33,7 +33,7 @@ class Classes(StrEnum):
     VOTENET = "votenet"
 
 
-# The recipe that YOLOv5 calls its default (hyp.scratch-low.yaml, 300 epochs); the paper changed none of it (III).
+# YOLOv5's default recipe (hyp.scratch-low.yaml, 300 epochs), which the paper uses unchanged (III).
 YOLOV5 = TrainingConfig(
     model="yolov5x6",
     image_size_px=640,
@@ -62,11 +62,13 @@ SUNRGBD_CLASSES = {
 
 @dataclass(frozen=True)
 class Trainings:
-    """Both detectors' settings; None changes nothing in what the preset has.
+    """Training settings of both detectors; None keeps the preset's value.
 
     Attributes:
-        epochs, image_epochs: of the pseudo-view and of the image detector.
-        size, image_size: side of their pictures, pixels.
+        preset: the settings to start from.
+        model: name of an ultralytics detection model for both detectors.
+        epochs, image_epochs: epochs of the pseudo-view detector and of the image detector.
+        size, image_size: side of their images, pixels.
     """
 
     preset: Preset
@@ -78,41 +80,42 @@ class Trainings:
 
     @property
     def image(self) -> TrainingConfig:
-        """Of the image detector."""
+        """Training settings of the image detector."""
         start = YOLOV5 if self.preset is Preset.PAPER else IMAGE_DEFAULTS
         return _with(start, self.model, self.image_epochs, self.image_size)
 
     @property
     def view(self) -> TrainingConfig:
-        """Of the pseudo-view detector."""
+        """Training settings of the pseudo-view detector."""
         start = YOLOV5 if self.preset is Preset.PAPER else VIEW_DEFAULTS
         return _with(start, self.model, self.epochs, self.size)
 
     @property
     def view_px(self) -> int:
-        """Longer side of a drawn pseudo-view: what the detector is shown, so that nothing is scaled."""
+        """Longer side of a rendered pseudo-view, pixels; with the paper's settings that of the network's input."""
         return self.view.image_size_px if self.preset is Preset.PAPER else ViewConfig().size_px
 
 
 def rcv_options(dataset: Dataset, axes: Strategy | None, preset: Preset) -> dict[str, JsonValue]:
     """The recursion's settings that differ from the project's.
 
-    On SUN RGB-D the paper keeps the first step's coarse box, on KITTI it does not (II.B).
+    The paper keeps the coarse box of the first step on SUN RGB-D, but not on KITTI (II.B).
     """
-    chosen = axes or (Strategy.NORMALS if preset is Preset.PAPER else Strategy.CONSENSUS)
-    return {"strategy": chosen.value, "coarse_box": dataset is Dataset.SUNRGBD}
+    strategy = axes or (Strategy.NORMALS if preset is Preset.PAPER else Strategy.CONSENSUS)
+    return {"strategy": strategy.value, "coarse_box": dataset is Dataset.SUNRGBD}
 
 
 def classes_of(dataset: Dataset, classes: Classes) -> tuple[str, ...]:
-    """The classes that are learnt and evaluated."""
+    """The classes to train on and to evaluate."""
     return KITTI_CLASSES if dataset is Dataset.KITTI else SUNRGBD_CLASSES[classes]
 
 
 def _with(start: TrainingConfig, model: str | None, epochs: int | None, size: int | None) -> TrainingConfig:
-    """
+    """The settings with those values replaced that are not None.
+
     Raises:
         ValidationError: a number out of its range.
     """
-    given = {"model": model, "epochs": epochs, "image_size_px": size}
-    changes = {name: value for name, value in given.items() if value is not None}
+    options = {"model": model, "epochs": epochs, "image_size_px": size}
+    changes = {name: value for name, value in options.items() if value is not None}
     return TrainingConfig.model_validate({**start.model_dump(), **changes})

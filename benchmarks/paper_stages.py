@@ -1,4 +1,4 @@
-"""Stages of a long run: each leaves a record, and one whose record fits its settings is not done again."""
+"""Stages of a long run: each stores a record, and a stage whose record matches its settings is skipped."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Facts = Mapping[str, JsonValue]
 
 
 class StageRecord(BaseModel):
-    """A stage that is complete.
+    """A completed stage.
 
     Attributes:
-        stage: its name.
-        settings: what its outcome depends on; `after` is the key of the stage before.
-        seconds: that it took.
-        result: what came out.
+        stage: name of the stage.
+        settings: everything that the result depends on; `after` is the key of the stage before.
+        seconds: duration.
+        result: the stage's result.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -37,15 +37,15 @@ class StageRecord(BaseModel):
 
 @dataclass
 class Stages:
-    """Runs one stage after the other; each depends on its own settings and on all before it.
+    """Runs stages one after the other; each depends on its own settings and on all stages before it.
 
-    Where one is done, those after it are done, too, whatever their records say.
+    Once a stage runs, all later stages run too, even if they have a record.
 
     Attributes:
-        folder: of the records, one JSON file a stage and settings.
-        tell: is told a line when a stage begins, ends or is skipped.
+        folder: folder of the records, one JSON file per stage and settings.
+        tell: called with a line of text when a stage starts, ends or is skipped.
         done: the records so far, by stage.
-        skipped: stages that an earlier run had done.
+        skipped: stages that an earlier run completed.
     """
 
     folder: Path
@@ -57,19 +57,20 @@ class Stages:
     def run(
         self, stage: str, settings: Facts, work: Callable[[], Facts], is_kept: Callable[[Facts], bool] | None = None
     ) -> Facts:
-        """The stage's result, of this run or an earlier one.
+        """Runs a stage, or takes its result from an earlier run.
 
         Args:
-            settings: what the outcome depends on, besides the stages before.
-            work: does it. It must find what an interrupted try has left, and go on or begin anew.
-            is_kept: asked whether what an earlier result speaks of is still there.
+            stage: name of the stage.
+            settings: what the result depends on, besides the stages before.
+            work: does the work. It must resume or restart after an interrupted run.
+            is_kept: returns whether the files or rows that an earlier result refers to still exist.
 
         Raises:
-            FormatError: a record that cannot be read, or cannot be written.
-            AnnotatorError: of the work.
+            FormatError: a record cannot be read or written.
+            AnnotatorError: the work failed.
         """
-        known = {**settings, "after": self._last}
-        key = hashlib.sha256(json.dumps([stage, known], sort_keys=True).encode()).hexdigest()[:12]
+        all_settings = {**settings, "after": self._last}
+        key = hashlib.sha256(json.dumps([stage, all_settings], sort_keys=True).encode()).hexdigest()[:12]
         path = self.folder / f"{stage}-{key}.json"
         record = _read(path)
         all_before = len(self.skipped) == len(self.done)
@@ -81,7 +82,7 @@ class Stages:
             begin = time.perf_counter()
             result = dict(work())
             seconds = time.perf_counter() - begin
-            record = StageRecord(stage=stage, settings=known, seconds=seconds, result=result)
+            record = StageRecord(stage=stage, settings=all_settings, seconds=seconds, result=result)
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(path, record.model_dump_json(indent=1))
             self.tell(f"{stage}: {seconds:.1f} s")
@@ -95,4 +96,4 @@ def _read(path: Path) -> StageRecord | None:
     try:
         return StageRecord.model_validate_json(path.read_bytes())
     except (OSError, ValidationError) as error:
-        raise FormatError(path, f"is no record of a stage ({error}); remove it, and the stage is done again") from error
+        raise FormatError(path, f"not a record of a stage ({error}); delete it to run the stage again") from error

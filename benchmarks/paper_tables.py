@@ -1,4 +1,4 @@
-"""The paper's figures (Gui & Luximon, RA-L 2023), and ours beside them."""
+"""Tables that compare our figures with the paper's (Gui & Luximon, RA-L 2023)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from benchmarks.paper_settings import SUNRGBD_CLASSES, Classes
 from benchmarks.report import Table
 
 KITTI_SOURCE = "Tab. III, AP R40 at IoU 0.5, KITTI test set"
-# By share of the training data: class -> (3D, bird's-eye view), each easy, moderate, hard; percent.
+# By share of the training data, class and metric (3D, bird's-eye view): AP of easy, moderate, hard; percent.
 KITTI_ROWS: Mapping[float, Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
     0.8: {
         "Pedestrian": {"3d": (40.19, 31.89, 28.32), "bev": (52.26, 42.93, 37.34)},
@@ -38,12 +38,12 @@ Ap = Mapping[str, Mapping[str, Mapping[str, Sequence[float]]] | None]
 
 
 def paper_of_kitti(fraction: float) -> dict[str, JsonValue]:
-    """The paper's row of a share of the training data; of another share, all its rows."""
+    """The paper's row for this share of the training data; all its rows if it has none for the share."""
     rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
     return {
         "table": KITTI_SOURCE,
         "rows": {
-            f"{share:g}": {label: {metric: list(ap) for metric, ap in own.items()} for label, own in row.items()}
+            f"{share:g}": {label: {metric: list(ap) for metric, ap in aps.items()} for label, aps in row.items()}
             for share, row in rows.items()
         },
     }
@@ -55,21 +55,24 @@ def paper_of_sunrgbd() -> dict[str, JsonValue]:
     return {"table": SUNRGBD_SOURCE, "AP": dict(zip(names, SUNRGBD_ROW, strict=True)), "mAP": SUNRGBD_MAP}
 
 
-def kitti_ap(report: Mapping[str, JsonValue], classes: Sequence[str], there: Collection[str]) -> dict[str, JsonValue]:
-    """AP of all our classes, percent; 0 for one that was never detected, None for one that nothing true is of.
+def kitti_ap(
+    report: Mapping[str, JsonValue], classes: Sequence[str], true_classes: Collection[str]
+) -> dict[str, JsonValue]:
+    """AP of all our classes, percent; 0 for a class without detections, None for a class without true objects.
 
     Args:
         report: by class, then metric, {"R11": [easy, moderate, hard], "R40": ...}.
-        there: the classes of the truth.
+        classes: our classes.
+        true_classes: the classes of the true objects.
     """
     nothing: dict[str, JsonValue] = {
         metric.value: {recalls: [0.0] * len(DIFFICULTIES) for recalls in ("R11", "R40")} for metric in Metric
     }
-    return {label: report.get(label, nothing) if label in there else None for label in classes}
+    return {label: report.get(label, nothing) if label in true_classes else None for label in classes}
 
 
 def kitti_table(ours: Ap, fraction: float) -> Table:
-    """Every class and metric of ours, with the paper's R40 below where it has one."""
+    """One row per class and metric of ours, each followed by the paper's R40 if it has one."""
     heads = [f"{recall} {level}" for recall in ("R11", "R40") for level in DIFFICULTIES]
     table = Table("class", "metric", "whose", *heads)
     rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
@@ -86,26 +89,27 @@ def kitti_table(ours: Ap, fraction: float) -> Table:
 
 
 def sunrgbd_ap(report: Mapping[str, Mapping[str, Mapping[str, float]]], classes: Sequence[str]) -> dict[str, JsonValue]:
-    """AP of our classes at each threshold, percent, and the mean of those that the truth has.
+    """AP of our classes at each threshold, percent, and the mean over the classes with true objects.
 
     Args:
-        report: by threshold, {"AP": {class: 0..1}}; it may hold classes that nobody asked for.
+        report: by threshold, {"AP": {class: 0..1}}; other classes are ignored.
+        classes: our classes.
     """
-    found: dict[str, JsonValue] = {}
+    by_threshold: dict[str, JsonValue] = {}
     for threshold in SUNRGBD_THRESHOLDS:
-        own = {label: 100.0 * ap for label, ap in report[threshold]["AP"].items() if label in classes}
-        mean = sum(own.values()) / len(own) if own else None
-        found[threshold] = {"mAP": mean, "AP": {label: own.get(label) for label in classes}}
-    return found
+        by_class = {label: 100.0 * ap for label, ap in report[threshold]["AP"].items() if label in classes}
+        mean = sum(by_class.values()) / len(by_class) if by_class else None
+        by_threshold[threshold] = {"mAP": mean, "AP": {label: by_class.get(label) for label in classes}}
+    return by_threshold
 
 
 def sunrgbd_table(ours: Mapping[str, Mapping[str, JsonValue]], classes: Sequence[str]) -> Table:
-    """A row a threshold, and the paper's."""
+    """One row of ours per threshold, and the paper's row."""
     table = Table("whose", "IoU", *classes, "mAP")
-    for threshold, found in ours.items():
-        ap = found["AP"]
-        assert isinstance(ap, dict)  # as `sunrgbd_ap` makes it
-        table.add("ours", threshold, *(_cell(ap[label]) for label in classes), _cell(found["mAP"]))
+    for threshold, figures in ours.items():
+        ap = figures["AP"]
+        assert isinstance(ap, dict)  # built by `sunrgbd_ap`
+        table.add("ours", threshold, *(_cell(ap[label]) for label in classes), _cell(figures["mAP"]))
     paper = dict(zip(SUNRGBD_CLASSES[Classes.PAPER], SUNRGBD_ROW, strict=True))
     mean = SUNRGBD_MAP if set(classes) == set(paper) else None
     table.add("paper", "0.15", *(_cell(paper.get(label)) for label in classes), _cell(mean))

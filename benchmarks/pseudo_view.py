@@ -1,4 +1,4 @@
-"""How long front and side view of a frustum take, for 5,000 to 500,000 points.
+"""Time to render the front and side view of a frustum, for 5,000 to 500,000 points.
 
 OMP_NUM_THREADS=1 python -m benchmarks.pseudo_view [--json]
 """
@@ -23,20 +23,20 @@ from benchmarks.report import Table, finish, guarded
 
 @dataclass
 class Arguments:
-    """Times the drawing of one pair of pseudo-views."""
+    """Time the rendering of one pair of pseudo-views."""
 
     points: tuple[int, ...] = (5_000, 20_000, 50_000, 200_000, 500_000)
-    """Sizes of the cloud."""
+    """Numbers of points of the cloud."""
     size_px: tuple[int, ...] = (64, 224, 320)
-    """Longer sides of the pictures."""
+    """Longer sides of the views, pixels."""
     repeats: int = 30
-    """Runs of each; medians are printed."""
+    """Number of runs of each; the median is printed."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 def frustum(points: int, rng: np.random.Generator) -> PointCloud:
-    """A coloured cloud as a depth camera gives it: a surface with relief, two metres away, in pixel order."""
+    """A coloured cloud like that of a depth camera: a surface with relief, two metres away, in pixel order."""
     side = int(np.ceil(np.sqrt(points)))
     v, u = np.divmod(np.arange(points), side)
     x, y = (u / side - 0.5) * 1.2, (v / side - 0.5) * 1.2
@@ -60,7 +60,7 @@ def check(args: Arguments) -> None:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
         ConfigError: as `check`.
@@ -68,7 +68,7 @@ def run(args: Arguments) -> dict[str, object]:
     check(args)
     cv2.setNumThreads(1)
     rng = np.random.default_rng(0)
-    frame = Rotation.from_rotvec([0.2, 0.4, 0.1]).as_matrix()
+    axes = Rotation.from_rotvec([0.2, 0.4, 0.1]).as_matrix()
     rows: list[dict[str, object]] = []
     for points in args.points:
         cloud = frustum(points, rng)
@@ -77,7 +77,7 @@ def run(args: Arguments) -> dict[str, object]:
             seconds = []
             for _ in range(args.repeats):
                 begin = time.perf_counter()
-                render_pairs(cloud, [frame], config)
+                render_pairs(cloud, [axes], config)
                 seconds.append(time.perf_counter() - begin)
             rows.append({"points": points, "size_px": size_px, "ms": float(np.median(seconds) * 1e3)})
     return {"results": rows}
@@ -86,7 +86,7 @@ def run(args: Arguments) -> dict[str, object]:
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     result = run(args)
-    table = Table("points", "picture px", "ms for front and side (median)")
+    table = Table("points", "view px", "ms for front and side (median)")
     for row in result["results"]:  # type: ignore[attr-defined]
         table.add(*row.values())
     finish(result, args.json, table)

@@ -1,11 +1,12 @@
-"""Has something got clearly slower? Ratios within one run, so that any machine can tell.
+"""Detects clear slowdowns of the hot path by ratios of times within one run.
 
     python -m benchmarks.ratios [--json]
 
-Each part of the hot path is compared with something that costs the same on the same machine in the same moment: sorting
-numbers, or the same work done without what makes it fast. The two are timed in turns, and of several rounds the best
-counts, since other programs can only make a ratio worse. The exit code is 1 where a ratio is beyond its bound, which is
-about one and a half times what was measured (docs/benchmarks.md). `scripts/test` runs this.
+Each part of the hot path is timed relative to a yardstick on the same machine at the same time: sorting numbers, or the
+same work without its optimisation. The two are timed in turns, and the best of several rounds counts, since other
+programs can only make a ratio worse. The exit code is 1 if a ratio is above its bound, which is about 1.5 times the
+measured value (docs/benchmarks.md). Ratios depend on the processor (another one may sort ten times as fast and render
+no faster), so this benchmark is not part of `scripts/test`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from annotator.detection.ultralytics_api import api
 from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.rcv.hypotheses import near_frames, wide_frames
+from annotator.rcv.hypotheses import near_axes, wide_axes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import OrientedBox, PseudoView
@@ -36,29 +37,29 @@ from benchmarks.report import Table, finish, guarded
 
 WORSE = 1
 POINTS = 50_000
-PICTURE_PX = 64
+VIEW_PX = 64
 SORTED = 50_000
 
 
 @dataclass
 class Arguments:
-    """Compares the parts of the hot path with yardsticks."""
+    """Compare the parts of the hot path with yardsticks."""
 
     rounds: int = 5
-    """How often each is measured, at most; the best round counts, and one that is within the bound is enough."""
+    """Maximum number of rounds for each ratio; the first round within the bound is enough."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """Two pieces of work, and how long the first may take, as a multiple of the second.
+    """A piece of work, a yardstick, and the bound of the ratio of their times.
 
     Attributes:
-        name: what is compared with what.
-        work, yardstick: each does its work once.
-        most: the bound.
-        repeats: of the two, in turns, a round; their medians are compared.
+        name: name of the work and of the yardstick.
+        work, yardstick: functions that do the work once.
+        most: upper bound of the ratio.
+        repeats: runs of each per round, in turns; their medians are compared.
     """
 
     name: str
@@ -82,7 +83,7 @@ class Outcome:
 
 
 def measured(ratio: Ratio, rounds: int) -> Outcome:
-    """The least ratio of some rounds; ends with the first that is within the bound."""
+    """The smallest ratio over the rounds; stops at the first round within the bound."""
     best = float("inf")
     for _ in range(rounds):
         best = min(best, _round(ratio))
@@ -105,56 +106,56 @@ def _timed(work: Callable[[], object]) -> float:
 
 
 def cpu_ratios() -> list[Ratio]:
-    """What needs no detector, compared with sorting numbers."""
+    """The work without detectors, compared with sorting numbers."""
     rng = np.random.default_rng(0)
     numbers = rng.random(SORTED, np.float32)
-    cloud, view = frustum(POINTS, rng), ViewConfig(size_px=PICTURE_PX)
+    cloud, view = frustum(POINTS, rng), ViewConfig(size_px=VIEW_PX)
     config = RcvConfig(view=view)
     true = OrientedBox.from_parts(np.array([0.1, 0.0, 2.0]), np.eye(3), np.array([0.6, 0.4, 0.3]))
-    intervals = _seen(true, [*wide_frames(None, config), *near_frames(true.rotation, None, config)], rng)
-    frames = near_frames(true.rotation, None, config)
+    intervals = _measured_intervals(true, [*wide_axes(None, config), *near_axes(true.rotation, None, config)], rng)
+    axes = near_axes(true.rotation, None, config)
 
     def sort() -> object:
-        return np.argsort(numbers, kind="stable")  # which no processor has a special way of doing
+        return np.argsort(numbers, kind="stable")  # numpy uses no special CPU instructions for a stable sort
 
     return [
-        Ratio("six views of a cloud of 50,000 / sorting", lambda: render_pairs(cloud, frames, view), sort, 0.7),
+        Ratio("six views of a cloud of 50,000 / sorting", lambda: render_pairs(cloud, axes, view), sort, 0.7),
         Ratio("box through 60 intervals / sorting", lambda: fit_box(intervals, None), sort, 0.55),
         Ratio("the same near a known one / sorting", lambda: fit_box(intervals, None, true.rotation), sort, 0.55),
     ]
 
 
-def _seen(box: OrientedBox, frames: list[np.ndarray], rng: np.random.Generator) -> Intervals:
-    """What views along frames measure of a box, a little off."""
-    directions = np.concatenate([frame[[0, 1]] for frame in frames] + [frame[[2, 1]] for frame in frames])
+def _measured_intervals(box: OrientedBox, axes: list[np.ndarray], rng: np.random.Generator) -> Intervals:
+    """The intervals that front and side views along the axes measure of a box, with noise."""
+    directions = np.concatenate([rows[[0, 1]] for rows in axes] + [rows[[2, 1]] for rows in axes])
     along = box_corners(box) @ directions.T
     ends = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
     return Intervals(directions, ends + rng.normal(0, 0.01, ends.shape), np.full(ends.shape, 0.01))
 
 
 def detector_ratios(folder: Path) -> list[Ratio]:
-    """The default backend of this machine, compared with torch, on a network that has learnt nothing."""
+    """The default backend of this machine, compared with torch, on an untrained network."""
     weights = folder / "untrained.pt"
     parts = api()
     parts.torch.manual_seed(0)
     parts.torch.save({"model": parts.DetectionModel("yolo11n.yaml", nc=1, verbose=False)}, weights)
     views = _views()
 
-    def asked(backend: Backend) -> Callable[[], object]:
-        detector = YoloDetector(weights, DetectorConfig(image_size_px=PICTURE_PX, backend=backend, device="cpu"))
+    def detection(backend: Backend) -> Callable[[], object]:
+        detector = YoloDetector(weights, DetectorConfig(image_size_px=VIEW_PX, backend=backend, device="cpu"))
         return lambda: detector.detect(views)
 
-    return [Ratio("six pictures by the default backend / torch", asked("auto"), asked("torch"), 0.5)]
+    return [Ratio("six views by the default backend / torch", detection("auto"), detection("torch"), 0.5)]
 
 
 def _views() -> list[PseudoView]:
     rng = np.random.default_rng(1)
-    config = RcvConfig(view=ViewConfig(size_px=PICTURE_PX))
-    return render_pairs(frustum(20_000, rng), near_frames(np.eye(3), None, config), config.view)
+    config = RcvConfig(view=ViewConfig(size_px=VIEW_PX))
+    return render_pairs(frustum(20_000, rng), near_axes(np.eye(3), None, config), config.view)
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
         DetectionError: the detectors' packages are missing.

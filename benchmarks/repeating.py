@@ -1,4 +1,4 @@
-"""A recording that repeats a few generated frames, and a detector that knows them: length without cost."""
+"""Long recordings at little cost: a recording that repeats a few generated frames, and a perfect detector for it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ FOLDERS = {"color": ".jpg", "depth": ".png"}
 
 @dataclass(frozen=True)
 class Repeating:
-    """A detector that knows the first frames of a recording, for one that repeats them: `000007` is `000003` of 4."""
+    """A perfect detector for a recording that repeats its first frames: of 4, frame `000007` is `000003`.
+
+    Attributes:
+        first: perfect detector of the first frames.
+        different: their number.
+    """
 
     first: Any
     different: int
@@ -30,37 +35,37 @@ class Repeating:
         return f"{self.first.fingerprint}-{self.different}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        known = [replace(i, key=_key(int(i.key) % self.different)) if isinstance(i, Frame) else i for i in images]
-        found: list[list[Box2D]] = self.first.detect(known)
-        return found
+        originals = [replace(i, key=_key(int(i.key) % self.different)) if isinstance(i, Frame) else i for i in images]
+        boxes: list[list[Box2D]] = self.first.detect(originals)
+        return boxes
 
 
-def knowing(source: Path, different: int) -> Repeating:
-    """The detector for recordings that repeat the frames of `source`."""
+def perfect_detector(source: Path, different: int) -> Repeating:
+    """The perfect detector for recordings that repeat the frames of `source`."""
     from annotator.detection.perfect import PerfectDetector, Scene
     from annotator.recordings import open_recording
-    from annotator.workflows.truth import load_truth
+    from annotator.workflows.recorded.reading import load_truth
 
-    known = open_recording(source)
-    frames = [known.frame(index) for index in range(different)]
-    scenes = [Scene.of(frame, load_truth(known, index, frame)) for index, frame in enumerate(frames)]
+    recording = open_recording(source)
+    frames = [recording.frame(index) for index in range(different)]
+    scenes = [Scene.of(frame, load_truth(recording, index, frame)) for index, frame in enumerate(frames)]
     return Repeating(PerfectDetector(scenes), different)
 
 
 def generate(folder: Path, different: int, width_px: int) -> None:
-    """The frames that all recordings repeat."""
-    from annotator.recordings.generated import write_generated
+    """Generates the frames that all recordings repeat."""
+    from annotator.synthetic import write_generated
 
     write_generated(folder, PRESET, different, 0, width_px, width_px * 3 // 4)
 
 
 def lengthen(source: Path, folder: Path, frames: int, different: int) -> None:
-    """A recording of so many frames without so many files: its names are links to the source's files."""
+    """Creates a recording of `frames` frames as hard links to the files of the source's frames."""
     for name, suffix in FOLDERS.items():
         (folder / name).mkdir(parents=True)
         for number in range(frames):
-            place = folder / name / (_key(number) + suffix)
-            os.link(source / name / (_key(number % different) + suffix), place)
+            link = folder / name / (_key(number) + suffix)
+            os.link(source / name / (_key(number % different) + suffix), link)
     for name in ("camera_intrinsic.json", "gravity.json"):
         os.link(source / name, folder / name)
 

@@ -1,4 +1,4 @@
-"""How benchmarks print: a table for people, one JSON object on the last line for programs; and how they fail."""
+"""Output and errors of the benchmarks: tables, with --json one JSON object on the last line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNUSABLE_INPUT = 2
 
 
 class Table:
-    """Rows under column heads; numbers are rounded for reading."""
+    """A printed table; floats are rounded to three decimals."""
 
     def __init__(self, *heads: str) -> None:
         self._table = RichTable(*heads)
@@ -25,13 +25,14 @@ class Table:
         self._table.add_row(*(f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells))
 
     def show(self) -> None:
-        # Where no terminal says how wide it is, nothing shall be cut.
+        # wide enough that nothing is cut where there is no terminal
         console = Console()
         (console if console.is_terminal else Console(width=140)).print(self._table)
 
 
 def guarded(main: Callable[[], None]) -> None:
-    """Runs a benchmark: unusable input is one line on standard error and exit code 2; `--debug` shows the traceback."""
+    """Runs a benchmark; unusable input ends it with one line on standard error and exit code 2, or with `--debug` a
+    traceback."""
     debug = "--debug" in sys.argv
     sys.argv = [word for word in sys.argv if word != "--debug"]
     try:
@@ -44,7 +45,7 @@ def guarded(main: Callable[[], None]) -> None:
 
 
 def finish(result: Mapping[str, object], as_json: bool, *tables: Table) -> None:
-    """Prints the tables and, where asked for, the result as the last line of standard output."""
+    """Prints the tables and, with `as_json`, the result as the last line of standard output."""
     for table in tables:
         table.show()
     if as_json:
@@ -52,7 +53,7 @@ def finish(result: Mapping[str, object], as_json: bool, *tables: Table) -> None:
 
 
 def _plain(value: object) -> object:
-    """JSON has no NaN: what could not be measured is null."""
+    """The value with NaN and infinities, which JSON does not have, replaced by None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,5 +1,6 @@
-"""What a step of the recursion takes beside the detector, stage by stage, for an object of a depth camera's frame:
-processor time of one thread.
+"""CPU time of a step of the recursion without the detector, by stage, for one object in a depth camera's frame.
+
+The time is that of one thread.
 
 OMP_NUM_THREADS=1 python -m benchmarks.step [--points 50000] [--json]
 """
@@ -23,7 +24,7 @@ from annotator.geometry.projection import pixel_rays, unproject_depth
 from annotator.rcv import compute, measure, propose, recursion
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.normals import with_normals
-from annotator.rcv.seeds import Seed
+from annotator.rcv.warm_start import WarmStart
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded
@@ -34,31 +35,31 @@ WALL_M = 2.5
 OF_STEP = ("axes", "render", "fit", "cut", "trace", "check", "rest")
 OF_FRAME = ("frustum", "normals", "finish")
 DETECTOR = "detector stand-in"
-# Plain steps by number, then what comes after them; and those from a seed.
+# Names of the steps in order; the last name is that of all later steps. WARM: of a recursion that starts from a seed.
 PLAIN, WARM = ("camera", "wide", "near"), ("warm", "warm again")
 
 
 @dataclass
 class Arguments:
-    """Times each stage of a step, of an object without and with a box of the moment before."""
+    """Time each stage of a step, for an object without and with a box of the previous frame."""
 
     points: int = 50_000
-    """In the object's frustum."""
+    """Number of points in the object's frustum."""
     size_px: int = RcvConfig().view.size_px
-    """Longer side of the pictures."""
+    """Longer side of the pseudo-views, pixels."""
     repeats: int = 20
-    """Frames; medians are printed."""
+    """Number of frames; the median is printed."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 def scene(points: int, seed: int) -> tuple[Frame, Truth]:
-    """A turned box before a wall, as a depth camera sees it, so large that its frustum holds about so many points."""
+    """A rotated box before a wall, seen by a depth camera; sized so that its frustum holds about `points` points."""
     rng = np.random.default_rng(seed)
     rotation = Rotation.from_rotvec(np.array([0.5, 0.6, -0.4]) + rng.normal(0, 0.05, 3)).as_matrix()
     size = np.array([0.4, 0.25, 0.18])
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.2]), rotation, size)
-    for _ in range(4):  # its outline's area grows with the square of its size
+    for _ in range(4):  # the area of its outline grows with the square of its size
         outline = box_on_image(CAMERA, box, "thing")
         assert outline is not None
         size = size * np.sqrt(points / (outline.width_px * outline.height_px))
@@ -71,7 +72,7 @@ def scene(points: int, seed: int) -> tuple[Frame, Truth]:
 
 
 def _depth(box: OrientedBox) -> np.ndarray:
-    """(h, w) float32 where each pixel's ray meets the box (slabs), metres; the wall where it does not."""
+    """(h, w) float32 depth, metres: of the box where the pixel's ray meets it (slab method), else of the wall."""
     rays = np.concatenate([pixel_rays(CAMERA), np.ones((CAMERA.height_px, CAMERA.width_px, 1))], axis=2)
     along, origin = rays @ box.rotation, -box.center_m @ box.rotation
     first, second = (-box.size_m / 2 - origin) / along, (box.size_m / 2 - origin) / along
@@ -79,24 +80,24 @@ def _depth(box: OrientedBox) -> np.ndarray:
     return np.where(enters < leaves, enters, WALL_M).astype(np.float32)
 
 
-def moment_before(box: OrientedBox, rng: np.random.Generator) -> Seed:
-    """A seed: the box as it was before the object moved and turned a little."""
+def previous_box(box: OrientedBox, rng: np.random.Generator) -> WarmStart:
+    """A seed: the box of the previous frame, slightly shifted and rotated."""
     turn = Rotation.from_rotvec(rng.normal(0, 0.08, 3)).as_matrix()
     shift = rng.normal(0, 0.03, 3) * box.size_m.max()
-    return Seed("thing", OrientedBox.from_parts(box.center_m + shift, turn @ box.rotation, box.size_m))
+    return WarmStart("thing", OrientedBox.from_parts(box.center_m + shift, turn @ box.rotation, box.size_m))
 
 
-def watched(watch: Stopwatch, frame: Frame, truth: Truth, seeds: Sequence[Seed], config: RcvConfig) -> int:
-    """Proposes on one frame and keeps the stages' times; how many points the object's frustum holds."""
+def timed_frame(watch: Stopwatch, frame: Frame, truth: Truth, seeds: Sequence[WarmStart], config: RcvConfig) -> int:
+    """Proposes on one frame and times the stages; returns the number of points in the object's frustum."""
     detector = PerfectDetector.for_frame(frame, [truth], jitter=0.01)
     boxes = detector.detect([frame])
     with watch.over(
         (propose, "in_frustums", "frustum"),
         (propose, "finish", "finish"),
-        (propose, "checked", "check"),
+        (propose, "check_first_step", "check"),
         (propose, "absorb_step", "rest"),
         (propose, "plan_step", "rest", True),
-        (recursion, "_consensus_frames", "axes"),
+        (recursion, "_consensus_axes", "axes"),
         (compute, "render_pairs", "render"),
         (recursion, "cut_cloud", "cut"),
         (recursion, "contains", "cut"),
@@ -126,7 +127,7 @@ def check(args: Arguments) -> None:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
         ConfigError: as `check`.
@@ -138,11 +139,11 @@ def run(args: Arguments) -> dict[str, object]:
     watches, points = {"plain": Stopwatch(OF_FRAME), "warm": Stopwatch(OF_FRAME)}, []
     for repeat in range(args.repeats + 1):
         frame, truth = scene(args.points, repeat)
-        seed = moment_before(truth.box, np.random.default_rng(repeat))
+        seed = previous_box(truth.box, np.random.default_rng(repeat))
         for path, watch in watches.items():
-            points.append(watched(watch, frame, truth, [] if path == "plain" else [seed], config))
+            points.append(timed_frame(watch, frame, truth, [] if path == "plain" else [seed], config))
             if repeat == 0:
-                watch.forget()  # the first frame makes what is kept
+                watch.reset()  # the first frame fills caches
     rows = [row for path, watch in watches.items() for row in _rows(path, watch)]
     return {
         "points": int(np.median(points)),
@@ -154,24 +155,24 @@ def run(args: Arguments) -> dict[str, object]:
 
 
 def _rows(path: str, watch: Stopwatch) -> list[dict[str, object]]:
-    """For each kind of step the median of each stage and its share."""
+    """For each kind of step, the median time of each stage and its share."""
     by_kind: dict[str, list[Mapping[str, float]]] = defaultdict(list)
     for steps in watch.runs:
-        # an object whose seed was dropped went the plain way
+        # more steps mean that the seed was dropped and the object restarted without it
         names = WARM if path == "warm" and len(steps) <= len(WARM) else PLAIN
         for number, stages in enumerate(steps):
             by_kind[names[min(number, len(names) - 1)]].append(stages)
     rows: list[dict[str, object]] = []
-    for kind, found in by_kind.items():
-        ms = {stage: float(np.median([s.get(stage, 0.0) for s in found])) * 1e3 for stage in OF_STEP}
-        total = float(np.median([_beside_detector(s) for s in found])) * 1e3
+    for kind, runs in by_kind.items():
+        ms = {stage: float(np.median([s.get(stage, 0.0) for s in runs])) * 1e3 for stage in OF_STEP}
+        total = float(np.median([_without_detector(s) for s in runs])) * 1e3
         share = {stage: value / max(sum(ms.values()), 1e-12) for stage, value in ms.items()}
-        stand_in = float(np.median([s.get(DETECTOR, 0.0) for s in found])) * 1e3
+        stand_in = float(np.median([s.get(DETECTOR, 0.0) for s in runs])) * 1e3
         rows.append(
             {
                 "path": path,
                 "step": kind,
-                "runs": len(found),
+                "runs": len(runs),
                 "ms": ms,
                 "share": share,
                 "total_ms": total,
@@ -181,13 +182,13 @@ def _rows(path: str, watch: Stopwatch) -> list[dict[str, object]]:
     return rows
 
 
-def _beside_detector(stages: Mapping[str, float]) -> float:
+def _without_detector(stages: Mapping[str, float]) -> float:
     return sum(stages.get(stage, 0.0) for stage in OF_STEP)
 
 
 def _per_step(watch: Stopwatch) -> float:
-    """The median over frames of what an object's step takes on average, milliseconds."""
-    return float(np.median([np.mean([_beside_detector(s) for s in steps]) for steps in watch.runs])) * 1e3
+    """Median over the frames of the mean time of a step, milliseconds."""
+    return float(np.median([np.mean([_without_detector(s) for s in steps]) for steps in watch.runs])) * 1e3
 
 
 def main() -> None:
@@ -196,10 +197,10 @@ def main() -> None:
     table = Table("path", "step", *OF_STEP, "all, ms", DETECTOR)
     for row in result["steps"]:  # type: ignore[attr-defined]
         table.add(row["path"], row["step"], *row["ms"].values(), row["total_ms"], row["detector_ms"])
-    frame = Table("once a frame", "ms")
+    frame_table = Table("once per frame", "ms")
     for stage, value in result["per_frame_ms"].items():  # type: ignore[attr-defined]
-        frame.add(stage, value)
-    finish(result, args.json, table, frame)
+        frame_table.add(stage, value)
+    finish(result, args.json, table, frame_table)
 
 
 if __name__ == "__main__":

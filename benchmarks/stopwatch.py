@@ -1,4 +1,4 @@
-"""Where the time of a run goes: functions of the program, watched from outside while they work."""
+"""A profiler by stage: times functions of the program, which are patched while they run."""
 
 from __future__ import annotations
 
@@ -13,67 +13,68 @@ import numpy as np
 
 
 class Stopwatch:
-    """Seconds of this thread's processor time by stage; of what is inside of each other, each second counts for the
-    innermost stage. Other programs on the machine make it longer by what they take of the caches, and not by waiting.
+    """CPU seconds of this thread by stage. In nested stages, time counts for the innermost one.
+
+    CPU time does not include waiting; other programs affect it only through shared caches.
 
     Attributes:
-        runs: for each run its steps, for each step seconds by stage.
-        whole: for each stage of a run its seconds, each time it ran.
+        runs: for each run, its steps; for each step, seconds by stage.
+        whole: for each stage outside the steps, its seconds each time it ran.
     """
 
-    def __init__(self, of_run: Sequence[str], clock: Callable[[], float] = time.thread_time) -> None:
+    def __init__(self, run_stages: Sequence[str], clock: Callable[[], float] = time.thread_time) -> None:
         """
         Args:
-            of_run: stages that belong to no step.
-            clock: seconds.
+            run_stages: stages that belong to the whole run and not to a step.
+            clock: returns the time, seconds.
         """
         self._clock = clock
-        self._of_run = frozenset(of_run)
+        self._run_stages = frozenset(run_stages)
         self.runs: list[list[dict[str, float]]] = []
         self.whole: dict[str, list[float]] = defaultdict(list)
         self._inside: list[float] = []
 
-    def forget(self) -> None:
-        """Begins anew."""
+    def reset(self) -> None:
+        """Discards all times."""
         self.runs.clear()
         self.whole.clear()
 
     def median_ms(self, stage: str) -> float:
-        """The median of a stage of a run, milliseconds; NaN where it never ran."""
+        """Median time of a stage outside the steps, milliseconds; NaN if it never ran."""
         return float(np.median(self.whole[stage])) * 1e3 if self.whole[stage] else float("nan")
 
     @contextmanager
-    def over(self, *watched: tuple[Any, ...]) -> Iterator[None]:
-        """One run, with functions watched.
+    def over(self, *functions: tuple[Any, ...]) -> Iterator[None]:
+        """Times one run.
 
         Args:
-            watched: for each where it is looked up, its name there, the stage that its time counts for, and True where
-                a call begins a step.
+            functions: for each function, the module or object where it is looked up, its name there, the stage that its
+                time counts for, and True if a call starts a new step.
         """
         self.runs.append([])
         with ExitStack() as stack:
-            for holder, name, stage, *begins in watched:
-                timed = self._timed(getattr(holder, name), stage, bool(begins))
+            for holder, name, stage, *starts_step in functions:
+                timed = self._timed(getattr(holder, name), stage, bool(starts_step))
                 stack.enter_context(patch.object(holder, name, timed))
             yield
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Counts what happens inside for a stage."""
+        """Counts the time of the block for a stage."""
         self._inside.append(0.0)
         begin = self._clock()
         try:
             yield
         finally:
-            whole = self._clock() - begin
-            own = whole - self._inside.pop()
+            total = self._clock() - begin
+            without_nested = total - self._inside.pop()
             if self._inside:
-                self._inside[-1] += whole
-            self._count(name, own)
+                self._inside[-1] += total
+            self._count(name, without_nested)
 
-    def _timed(self, function: Callable[..., Any], stage: str, begins: bool) -> Callable[..., Any]:
+    def _timed(self, function: Callable[..., Any], stage: str, starts_step: bool) -> Callable[..., Any]:
         def call(*args: Any, **named: Any) -> Any:
-            if begins:
+            if starts_step:
                 self.runs[-1].append(defaultdict(float))
             with self.stage(stage):
                 return function(*args, **named)
@@ -81,7 +82,7 @@ class Stopwatch:
         return call
 
     def _count(self, stage: str, seconds: float) -> None:
-        if stage in self._of_run:
+        if stage in self._run_stages:
             self.whole[stage].append(seconds)
         else:
             self.runs[-1][-1][stage] += seconds

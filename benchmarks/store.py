@@ -1,4 +1,4 @@
-"""How long the store of a large project takes: adding frames, writing proposals, asking for what is left to do.
+"""Times the database of a large project: adding frames, writing proposals, querying the frames that are left to do.
 
 python -m benchmarks.store [--frames 10000] [--json]
 """
@@ -17,10 +17,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.project import Change, Project, RunShare, create_project
+from annotator.project import Project, RunShare, WriteContext, create_project
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import ConfigError
-from annotator.workflows.queue import Order, queue
+from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import Table, finish, guarded
 
 LABEL = "person"
@@ -28,23 +28,23 @@ LABEL = "person"
 
 @dataclass
 class Arguments:
-    """A project with one long recording; each figure is measured once, the proposals' as a median."""
+    """Time a project with one long recording; each operation once, writing proposals as a median over the frames."""
 
     frames: int = 10_000
-    """Of the recording."""
+    """Number of frames of the recording."""
     proposed: int = 200
-    """Frames that get proposals."""
+    """Number of frames that get proposals."""
     objects: int = 3
-    """Proposals in each of these."""
+    """Number of proposals in each of these frames."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 def run(args: Arguments, folder: Path) -> dict[str, float]:
-    """Milliseconds by what is done.
+    """Milliseconds by operation.
 
     Raises:
-        ConfigError: lengths that make no sense.
+        ConfigError: a number out of its range.
     """
     if not 1 <= args.proposed <= args.frames or args.objects < 0:
         raise ConfigError(f"--proposed must be 1 to --frames ({args.frames}), --objects 0 or more")
@@ -52,10 +52,10 @@ def run(args: Arguments, folder: Path) -> dict[str, float]:
         result = {"add_recording_ms": _milliseconds(lambda: _add(project, folder, args.frames))}
         run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
         proposals = [_proposal(2.0 * number) for number in range(args.objects)]
-        change = Change(0, "rcv", Source.AUTO)
+        context = WriteContext(0, "rcv", Source.AUTO)
         share = RunShare(run.id, 0.1)
         times = [
-            _milliseconds(partial(project.proposals.replace, frame.id, proposals, change, run=share))
+            _milliseconds(partial(project.proposals.replace, frame.id, proposals, context, run=share))
             for frame in project.frames.of()[: args.proposed]
         ]
         result["write_proposals_median_ms"] = statistics.median(times)
@@ -85,7 +85,7 @@ def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     with TemporaryDirectory() as temporary:
         result = run(args, Path(temporary))
-    table = Table("what", "ms")
+    table = Table("operation", "ms")
     for name, value in result.items():
         table.add(name.removesuffix("_ms"), value)
     finish(result, args.json, table)

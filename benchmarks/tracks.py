@@ -1,12 +1,12 @@
-"""How well boxes are linked into tracks, against the true ones.
+"""Quality of the tracks that boxes are linked into, compared with the true tracks.
 
 python -m benchmarks.tracks RECORDING [--json]
 
-The true boxes of a recording are linked without their ids: as they are, and with every centre, side and angle off by a
-Gaussian (`JITTER` of the side, and that angle in radians), with a share of them missing. IDF1 and the switches of ids
-are as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks that is best for it (Ristani
-et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016); a switch is where a true
-object has another id than when it was seen last.
+The true boxes of a recording are linked without their ids: unchanged, and with Gaussian noise on every centre, side and
+angle (`CASES`: a share of the side, and the same number as an angle in radians), with and without missing boxes. IDF1
+and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks
+that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016); a
+switch is counted where a true object has another id than in its previous frame.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d_pairs
 from annotator.recordings import open_recording
-from annotator.recordings.kitti_folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, link
 from annotator.tracking.motion import frame_times
@@ -31,42 +31,42 @@ from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP, TrackBox, smoothed
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import ConfigError
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 from benchmarks.report import Table, finish, guarded
 
-# Cases: what every measure is off by, and the share of boxes that is missing.
+# By case: the standard deviation of the noise, and the share of boxes that is missing.
 CASES = {
     "true boxes": (0.0, 0.0),
     "2 % off": (0.02, 0.0),
     "10 % off": (0.1, 0.0),
     "2 % off, a fifth missing": (0.02, 0.2),
 }
-# Share of boxes, of those that are off, whose front is behind.
+# Share of the noisy boxes whose heading is reversed.
 FLIPPED = 0.3
 
 
 @dataclass
 class Arguments:
-    """Links the true boxes of a recording and compares the tracks with the true ones."""
+    """Link the true boxes of a recording, and compare the tracks with the true ones."""
 
     recording: tyro.conf.Positional[Path]
     """A recording whose labels have track ids."""
     seed: int = 0
-    """Of what is off."""
+    """Seed of the noise."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One case.
+    """Results of one case.
 
     Attributes:
-        boxes, tracks, found: how many true boxes and tracks there are, and how many tracks were found.
-        idf1: in 0..1.
-        switches: of ids.
+        boxes, tracks, found: number of true boxes, of true tracks and of tracks found.
+        idf1: IDF1, 0..1.
+        switches: number of id switches.
         iou, smoothed_iou: mean exact 3D IoU of the boxes with the true ones, before and after smoothing.
-        flipped, smoothed_flipped: boxes whose front points backward, before and after.
+        flipped, smoothed_flipped: number of boxes with a reversed heading, before and after smoothing.
     """
 
     boxes: int
@@ -83,20 +83,20 @@ class Measured:
 def measure(
     frames: Sequence[Sequence[Truth]], times: Sequence[float], is_still: bool, noise: float, missing: float, seed: int
 ) -> Measured:
-    """One case of one recording; every true box needs a track id. `is_still`: as of `smoothed`."""
+    """Measures one case of one recording. Every true box needs a track id. `is_still` as in `smoothed`."""
     rng = np.random.default_rng(seed)
-    kept = [[truth for truth in frame if rng.random() >= missing] for frame in frames]
-    seen = [[Seen(truth.label, put_off(truth.box, noise, rng)) for truth in frame] for frame in kept]
+    visible = [[truth for truth in frame if rng.random() >= missing] for frame in frames]
+    seen = [[Seen(truth.label, add_noise(truth.box, noise, rng)) for truth in frame] for frame in visible]
     tracks = link(seen, times, TrackingConfig())
     ids = {member: number for number, track in enumerate(tracks) for member in track.members}
-    true = {(p, n): truth.track_id or 0 for p, frame in enumerate(kept) for n, truth in enumerate(frame)}
-    better: dict[tuple[int, int], OrientedBox] = {}
+    true = {(p, n): truth.track_id or 0 for p, frame in enumerate(visible) for n, truth in enumerate(frame)}
+    smooth: dict[tuple[int, int], OrientedBox] = {}
     for track in tracks:
         boxes = [TrackBox(time, box) for time, box in zip(track.times, track.boxes, strict=True)]
-        better |= dict(zip(track.members, smoothed(boxes, TrackingConfig(), is_still), strict=True))
+        smooth |= dict(zip(track.members, smoothed(boxes, TrackingConfig(), is_still), strict=True))
     members = sorted(true)
-    truths = [kept[place][number].box for place, number in members]
-    before, after = [seen[place][number].box for place, number in members], [better[member] for member in members]
+    truths = [visible[place][number].box for place, number in members]
+    before, after = [seen[place][number].box for place, number in members], [smooth[member] for member in members]
     return Measured(
         len(true),
         len(set(true.values())),
@@ -110,30 +110,30 @@ def measure(
     )
 
 
-def put_off(box: OrientedBox, noise: float, rng: np.random.Generator) -> OrientedBox:
-    """A box as a detector might find it."""
+def add_noise(box: OrientedBox, noise: float, rng: np.random.Generator) -> OrientedBox:
+    """The box with noise on centre, size and yaw, and with probability `FLIPPED` a reversed heading."""
     if noise == 0:
         return box
     center = box.center_m + box.rotation @ (noise * box.size_m * rng.standard_normal(3))
     turn = Rotation.from_rotvec([0.0, 0.0, noise * rng.standard_normal()]).as_matrix()
     size = box.size_m * np.exp(noise * rng.standard_normal(3))
-    found = OrientedBox.from_parts(center, box.rotation @ turn, size)
-    return relabelled(found, FLIP) if rng.random() < FLIPPED else found
+    noisy = OrientedBox.from_parts(center, box.rotation @ turn, size)
+    return relabelled(noisy, FLIP) if rng.random() < FLIPPED else noisy
 
 
 def idf1(true: Sequence[int], found: Sequence[int]) -> float:
-    """IDF1 of boxes that are all there and all right: the ids of each, true and found."""
+    """IDF1 from the true and the found id of each box, where every true box is matched."""
     rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, found))
     together = np.zeros((rows.max() + 1, columns.max() + 1))
     np.add.at(together, (rows, columns), 1)
-    chosen = linear_sum_assignment(-together)
-    return float(2 * together[chosen].sum() / (len(true) + len(found)))
+    assignment = linear_sum_assignment(-together)
+    return float(2 * together[assignment].sum() / (len(true) + len(found)))
 
 
 def switches(
     members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
 ) -> int:
-    """How often a true object has another id than when it was seen last; `members` in the order of time."""
+    """How often a true object has another id than in its previous frame; `members` in order of time."""
     last: dict[int, int] = {}
     count = 0
     for member in members:
@@ -158,13 +158,14 @@ def main() -> None:
         raise ConfigError(f"{arguments.recording}: its labels have no track ids")
     times = frame_times(times_ns).tolist()
     is_still = not isinstance(recording, KittiFolder)
-    table = Table("case", "boxes", "tracks", "found", "IDF1", "switches", "IoU", "smoothed", "flipped", "then")
+    heads = ("boxes", "tracks", "found", "IDF1", "switches", "IoU", "smoothed", "flipped", "flipped, smoothed")
+    table = Table("case", *heads)
     figures = {}
     for name, (noise, missing) in CASES.items():
-        got = measure(frames, times, is_still, noise, missing, arguments.seed)
-        figures[name] = vars(got)
-        shares = (f"{got.idf1:.3f}", got.switches, f"{got.iou:.3f}", f"{got.smoothed_iou:.3f}")
-        table.add(name, got.boxes, got.tracks, got.found, *shares, got.flipped, got.smoothed_flipped)
+        case = measure(frames, times, is_still, noise, missing, arguments.seed)
+        figures[name] = vars(case)
+        shares = (f"{case.idf1:.3f}", case.switches, f"{case.iou:.3f}", f"{case.smoothed_iou:.3f}")
+        table.add(name, case.boxes, case.tracks, case.found, *shares, case.flipped, case.smoothed_flipped)
     finish(figures, arguments.json, table)
 
 

@@ -1,9 +1,9 @@
-"""What the workbench must reach: how long an operator waits, and that no saved edit is ever lost.
+"""The workbench's requirements: the operator's waiting times, and that no saved edit is lost.
 
 python -m benchmarks.workbench [--only switch,views,million,kill,clients] [--json]
 
-The browser is headless Chromium, which draws WebGL in software: on a computer with a graphics card the 3D view is
-faster than measured here.
+The browser is headless Chromium, which renders WebGL in software. On a computer with a graphics card the 3D view is
+faster.
 """
 
 from __future__ import annotations
@@ -25,43 +25,43 @@ from benchmarks.workbench_server import LABEL, PRESET, make_people, make_project
 
 PARTS = ("switch", "views", "million", "kill", "clients")
 KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc")
-# A depth image of so many pixels has a million valid points.
+# A depth image of this size has a million valid points.
 MILLION_PX = (1280, 800)
 
 
 @dataclass
 class Arguments:
-    """Figures of the workbench, on generated recordings and frames of KITTI."""
+    """Measure the workbench on generated recordings and KITTI frames."""
 
     only: str = ",".join(PARTS)
-    """Parts to measure, with commas."""
+    """Parts to measure, separated by commas."""
     frames: int = 12
-    """Of the generated 640 x 480 recording."""
+    """Number of frames of the generated 640 x 480 recording."""
     switches: int = 60
-    """Frames to switch to, on each recording."""
+    """Number of frame switches on each recording."""
     boxes: int = 24
-    """Image boxes to draw."""
+    """Number of image boxes to draw."""
     kills: int = 50
-    """How often the server is killed."""
+    """How often to kill the server."""
     clients: int = 20
-    """At once on one frame."""
+    """Number of simultaneous clients on one frame."""
     edits: int = 5
-    """Of each client."""
+    """Number of edits by each client."""
     shared: Path = Path(os.environ.get("ANNOTATOR_SHARED", "../shared"))
-    """Where `data/kitti` is, KITTI object frames with whole scans; they are left out where that is missing."""
+    """Folder with `data/kitti`, KITTI object frames with whole scans; KITTI is skipped if it is missing."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """The benchmark; what `--json` prints.
+    """Runs the benchmark; returns what `--json` prints.
 
     Raises:
-        ConfigError: a part that there is not, no browser, or a server that does not start.
+        ConfigError: an unknown part, no browser, or a server that does not start.
     """
     parts = [part.strip() for part in args.only.split(",") if part.strip()]
     if unknown := [part for part in parts if part not in PARTS]:
-        raise ConfigError(f"--only: there is no part {unknown[0]!r}; there are {', '.join(PARTS)}")
+        raise ConfigError(f"--only: unknown part {unknown[0]!r}; the parts are {', '.join(PARTS)}")
     with TemporaryDirectory() as temporary:
         return {name: measure(args, Path(temporary)) for name, measure in _measures().items() if name in parts}
 
@@ -72,32 +72,32 @@ def _measures() -> dict[str, Callable[[Arguments, Path], dict[str, Any]]]:
 
 
 def _people(args: Arguments, folder: Path) -> Path:
-    """The generated recording, made once."""
+    """The generated recording, created on first use."""
     path = folder / PRESET
     return path if path.exists() else make_people(path, args.frames, 640, 480)
 
 
 def measure_switch(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Both recordings, each with all its labels shown."""
+    """Switches between the frames of each recording, with all labels shown."""
     projects = folder / "switch"
     recordings = {"rgbd": _people(args, folder), "kitti": args.shared / "data" / "kitti"}
-    there = {name: path for name, path in recordings.items() if path.is_dir()}
-    for name, path in there.items():
+    available = {name: path for name, path in recordings.items() if path.is_dir()}
+    for name, path in available.items():
         make_project(projects, name, (LABEL,) if name == "rgbd" else KITTI, [path])
     with serving(projects) as server, workbench_browser.chromium() as browser:
         return {
             name: workbench_browser.switch(
                 browser, server, name, workbench_browser.frames_of(projects, name), args.switches
             )
-            for name in there
+            for name in available
         }
 
 
 def measure_views(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Boxes around true objects, on frames that nobody has labelled."""
+    """Draws image boxes around true objects, on unlabelled frames."""
     from annotator.geometry.outline import box_on_image
     from annotator.recordings import open_recording
-    from annotator.workflows.truth import load_truth
+    from annotator.workflows.recorded.reading import load_truth
 
     projects, recording = folder / "views", open_recording(_people(args, folder))
     make_project(projects, "views", (LABEL,), [_people(args, folder)])
@@ -113,7 +113,7 @@ def measure_views(args: Arguments, folder: Path) -> dict[str, Any]:
 
 
 def measure_million(args: Arguments, folder: Path) -> dict[str, Any]:
-    """One frame of a million points, beside a small one."""
+    """Opens a frame of a million points after a small one."""
     projects = folder / "million"
     small, large = make_people(folder / "small", 1, 320, 240), make_people(folder / "large", 1, *MILLION_PX)
     make_project(projects, "million", (LABEL,), [small, large])
@@ -123,14 +123,14 @@ def measure_million(args: Arguments, folder: Path) -> dict[str, Any]:
 
 
 def measure_kill(args: Arguments, folder: Path) -> dict[str, Any]:
-    """A scripted run of edits, cut off by `kill -9`."""
+    """Kills the server with `kill -9` during a scripted series of edits."""
     projects = folder / "kill"
     make_project(projects, "kill", (LABEL,), [_people(args, folder)])
     return workbench_edits.kill(projects, "kill", workbench_browser.frames_of(projects, "kill")[0], args.kills)
 
 
 def measure_clients(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Many operators on one frame."""
+    """Lets many operators edit one frame."""
     projects = folder / "clients"
     make_project(projects, "clients", (LABEL,), [_people(args, folder)])
     frame = workbench_browser.frames_of(projects, "clients")[0]

@@ -1,8 +1,8 @@
-"""What an operator waits for: measured in a real browser, from the key or the mouse to what is on the screen.
+"""The operator's waiting times, measured in a real browser from the key or mouse event to the new content on screen.
 
-A probe in the page looks at each animation frame which pictures the editors show. In the 3D view it notes when the
-points of another cloud go to the graphics library and are drawn; it then reads one pixel, which waits until they are,
-and counts to the next animation frame. (Looking at the pixels all the time would cost more than what is measured.)
+A probe in the page checks at each animation frame which images the editors show. For the 3D view it detects when the
+points of another cloud are uploaded to WebGL and drawn. It then reads one pixel, which blocks until the drawing is
+done, and takes the time. (Reading pixels at every animation frame would cost more than what is measured.)
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from benchmarks.workbench_server import Server, answered, percentile
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-# As a browser without a graphics card draws: WebGL through software GL, the page itself without GL.
+# Renders as a browser without a graphics card: WebGL with software GL, the page itself without GL.
 ARGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",
@@ -34,13 +34,13 @@ ARGS = (
 )
 VIEWPORT = {"width": 1366, "height": 768}
 OPENS_WITHIN_S = 90.0
-# After so long at the latest all is on the screen, or the measurement has failed. Before the next one begins, so long
-# nothing may be drawn anew: the detail that comes later belongs to the picture before.
+# A measurement fails if the content is not on screen within WATCH_S. It ends when nothing has changed for QUIET_S, so
+# that detail that loads later is not counted in the next measurement.
 WATCH_S, QUIET_S = 8.0, 1.5
-# A buffer of so many bytes is a cloud: lines and arrows are smaller.
+# A buffer of at least this size is a point cloud; lines and arrows are smaller.
 CLOUD_BYTES = 30_000
 
-# Begins to watch at the next `trigger` event: pictures by selector, and the 3D view where there is one.
+# Measures from the next `trigger` event: the images of the selector, and the 3D view if asked for.
 PROBE = """([trigger, selector, is_view_watched, quiet_ms, longest_ms]) => {
   const pictures = () => [...document.querySelectorAll(selector)].map((i) => (i.complete ? i.src : "")).join(" ");
   let seen = pictures();
@@ -68,7 +68,7 @@ PROBE = """([trigger, selector, is_view_watched, quiet_ms, longest_ms]) => {
   requestAnimationFrame(tick);
 }"""
 
-# Notes when another cloud is drawn: `window.cloud`, in the time of the page.
+# Records in `window.cloud` when another cloud is drawn (the page's clock).
 CLOUD_PROBE = """(cloud_bytes) => {
   const view = document.querySelector("[data-testid=viewport-frame]").contentWindow;
   const gl = view.WebGL2RenderingContext.prototype;
@@ -95,14 +95,14 @@ CLOUD_PROBE = """(cloud_bytes) => {
   });
 }"""
 
-# When such an event was there first, before the page's own listeners, which may keep it.
+# Records the time of the first event of each kind, before the page's own listeners, which may stop its propagation.
 BEGINNINGS = """() => {
   window.began = {};
   for (const name of ["keydown", "pointerup"])
     addEventListener(name, () => (window.began[name] ??= performance.now()), { capture: true });
 }"""
 
-# The longest time for which the page's thread did nothing else.
+# Records in `window.stall` the longest time for which the page's thread was blocked.
 HEARTBEAT = """() => {
   window.stall = 0;
   let last = performance.now();
@@ -117,10 +117,10 @@ HEARTBEAT = """() => {
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Headless Chromium that draws WebGL in software.
+    """Headless Chromium that renders WebGL in software.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: playwright or Chromium is not installed.
     """
     try:
         from playwright.sync_api import sync_playwright
@@ -128,7 +128,7 @@ def chromium() -> Iterator[Browser]:
         raise ConfigError("playwright is not installed; run scripts/setup test") from error
     path = os.environ.get("ANNOTATOR_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
     if path is None:
-        raise ConfigError("there is no chromium on the path; install it, or set ANNOTATOR_CHROMIUM")
+        raise ConfigError("no chromium found on the PATH; install it, or set ANNOTATOR_CHROMIUM")
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, args=list(ARGS))
         try:
@@ -138,7 +138,7 @@ def chromium() -> Iterator[Browser]:
 
 
 def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
-    """A page in a browser context of its own."""
+    """A signed-in page in a browser context of its own."""
     page = browser.new_context(base_url=server.url, viewport=VIEWPORT).new_page()  # type: ignore[arg-type]
     page.add_init_script(f"({BEGINNINGS})()")
     page.request.post("/api/session", data={"operator": operator}, headers={"Origin": server.url})
@@ -146,7 +146,7 @@ def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
 
 
 def open_mode(page: Page, project: str, mode: str, frame: int) -> None:
-    """Opens a mode on a frame, until image and 3D view are there."""
+    """Opens a mode on a frame; waits for the image and the 3D view."""
     page.goto(f"/#/{project}/{mode}/{frame}")
     page.reload()
     until(page, "document.querySelector('[data-testid=viewport]')?.dataset.state === 'ready'", OPENS_WITHIN_S)
@@ -155,39 +155,39 @@ def open_mode(page: Page, project: str, mode: str, frame: int) -> None:
 
 
 def until(page: Page, expression: str, seconds: float) -> None:
-    """Waits for a JavaScript expression.
+    """Waits until a JavaScript expression is true.
 
     Raises:
-        ConfigError: not within the time.
+        ConfigError: it is not true within the time.
     """
     end = time.monotonic() + seconds
     while not page.evaluate(expression):
         if time.monotonic() > end:
-            raise ConfigError(f"not within {seconds:.0f} s: {expression}")
+            raise ConfigError(f"not true within {seconds:.0f} s: {expression}")
         page.wait_for_timeout(50)
 
 
 def watch(page: Page, trigger: str, selector: str, with_view: bool) -> None:
-    """Begins to watch from the next such event on; the 3D view only where asked: reading its pixels takes time."""
+    """Starts a measurement at the next `trigger` event; includes the 3D view only if asked, since that takes time."""
     page.evaluate(PROBE, [trigger, selector, with_view, QUIET_S * 1000, WATCH_S * 1000])
 
 
 def measured(page: Page) -> dict[str, float]:
-    """When picture and 3D view were there, ms after the event.
+    """When the image ("picture") and the 3D view ("view") were on screen, milliseconds after the event.
 
     Raises:
-        ConfigError: one of them never was.
+        ConfigError: the image was not shown in time.
     """
     until(page, "window.measured !== null", WATCH_S + OPENS_WITHIN_S)
-    found: dict[str, float | None] = page.evaluate("window.measured")
-    times = {name: value for name, value in found.items() if value is not None}
+    shown: dict[str, float | None] = page.evaluate("window.measured")
+    times = {name: value for name, value in shown.items() if value is not None}
     if "picture" not in times:
-        raise ConfigError(f"the new picture was not on the screen within {WATCH_S:.0f} s")
+        raise ConfigError(f"the new image was not on screen within {WATCH_S:.0f} s")
     return times
 
 
 def switch(browser: Browser, server: Server, project: str, frames: Sequence[int], rounds: int) -> dict[str, Any]:
-    """From the key N or P to the new frame's image and cloud on the screen, in Review."""
+    """Time from the key N or P until the new frame's image and cloud are on screen, in Review."""
     page = signed_in(browser, server)
     open_mode(page, project, "review", frames[0])
     page.evaluate(CLOUD_PROBE, CLOUD_BYTES)
@@ -212,7 +212,7 @@ def switch(browser: Browser, server: Server, project: str, frames: Sequence[int]
 def views(
     browser: Browser, server: Server, project: str, boxes: Sequence[tuple[int, tuple[float, float, float, float]]]
 ) -> dict[str, Any]:
-    """From the release of the mouse, an image box drawn, to its two pseudo-views on the screen, in Label.
+    """Time from the release of the mouse after drawing an image box until its two pseudo-views are on screen, in Label.
 
     Args:
         boxes: frame, and x_min, y_min, x_max, y_max on its image, pixels.
@@ -242,7 +242,7 @@ def _wait_for_frame(page: Page, frame: int) -> None:
 
 
 def _on_page(page: Page, box: tuple[float, float, float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Two corners of a box on the image, in pixels of the page."""
+    """Two opposite corners of an image box, in page pixels."""
     image = page.locator("[data-testid=image-editor] img.picture").first
     rect = image.evaluate("(i) => ({...i.getBoundingClientRect().toJSON(), w: i.naturalWidth, h: i.naturalHeight})")
     x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
@@ -251,7 +251,7 @@ def _on_page(page: Page, box: tuple[float, float, float, float]) -> tuple[tuple[
 
 
 def million(browser: Browser, server: Server, project: str, small: int, large: int) -> dict[str, Any]:
-    """Opens a frame of a million points beside a small one: what is shown, and the longest stall anywhere."""
+    """Opens a frame of a million points after a small one; measures the shown points and the longest stalls."""
     page = signed_in(browser, server)
     open_mode(page, project, "review", small)
     with server.client() as client, _pinged(server) as pings:
@@ -260,19 +260,19 @@ def million(browser: Browser, server: Server, project: str, small: int, large: i
         began = time.perf_counter()
         page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/review/{large}")
         until(page, f"document.querySelector(\"img.picture[src*='frames/{large}/image']\")?.complete", 60)
-        answer = "document.querySelector('[data-testid=viewport-points]').textContent"
-        until(page, f"/ of /.test({answer})", 60)
+        points_text = "document.querySelector('[data-testid=viewport-points]').textContent"
+        until(page, f"/ of /.test({points_text})", 60)
         opened_s = time.perf_counter() - began
         page.wait_for_timeout(1000)
-        # and it still turns
-        place = page.get_by_test_id("viewport").bounding_box()
-        assert place is not None
-        x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+        # rotate the view
+        area = page.get_by_test_id("viewport").bounding_box()
+        assert area is not None
+        x, y = area["x"] + area["width"] / 2, area["y"] + area["height"] / 2
         page.mouse.move(x, y)
         page.mouse.down()
         page.mouse.move(x + 60, y + 20, steps=10)
         page.mouse.up()
-        stall_ms, text = page.evaluate("window.stall"), page.evaluate(answer)
+        stall_ms, text = page.evaluate("window.stall"), page.evaluate(points_text)
         slowest_ms = max(pings, default=float("nan"))
         state = answered(client.get(f"/api/projects/{project}/frames/{large}"))
     page.context.close()
@@ -289,7 +289,7 @@ def million(browser: Browser, server: Server, project: str, small: int, large: i
 
 @contextmanager
 def _pinged(server: Server) -> Iterator[list[float]]:
-    """How long the server takes for the smallest request, asked all the time, ms."""
+    """Response times of a minimal request that is sent repeatedly during the block, milliseconds."""
     times: list[float] = []
     stop = threading.Event()
 

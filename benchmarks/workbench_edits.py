@@ -1,4 +1,4 @@
-"""What is never lost: edits under `kill -9`, and under many operators on one frame."""
+"""Checks that no saved edit is lost: when the server is killed with `kill -9`, and with many operators on one frame."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 SIZE_M = [0.5, 0.6, 1.7]
 IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-# A killed server had at least and at most so long to be edited on, seconds.
+# Shortest and longest time of editing before the server is killed, seconds.
 LIVES_S = (0.3, 2.5)
-# All clients are connected by then, seconds.
+# Time limit for all clients to connect, seconds.
 READY_WITHIN_S = 90.0
 
 Stored = dict[str, tuple[str, float]]
-"""Labels by uid: state, and x of the centre, which tells each edit from any other."""
+"""Labels by uid: state, and x of the centre, which is different for each edit."""
 
 
 def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> dict[str, Any]:
-    """Edits, kills the server in the middle, and looks what is stored, so many times."""
+    """Edits a frame, kills the server meanwhile, and compares what is stored; repeated `times` times."""
     chance = random.Random(seed)
     acknowledged = lost = 0
     for _ in range(times):
@@ -42,7 +42,7 @@ def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> di
         timer = threading.Timer(chance.uniform(*LIVES_S), server.kill)
         with server.client() as client:
             script = _Script(client, name, frame, chance)
-            # it lives so long with the edits, not with being asked for the frame
+            # started after the frame is loaded, so that the time is spent on edits
             timer.start()
             script.run()
         timer.join()
@@ -52,12 +52,12 @@ def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> di
 
 
 class _Script:
-    """Creates, moves, accepts and deletes boxes until the server is gone.
+    """Creates, moves, accepts and deletes boxes until the server is killed.
 
     Attributes:
-        known: labels as of the last acknowledged edit.
-        expected: labels as they are if the edit on its way was stored before the answer could come.
-        acknowledged: how many edits were.
+        known: labels after the last acknowledged edit.
+        expected: labels if the pending edit was stored without being acknowledged.
+        acknowledged: number of acknowledged edits.
     """
 
     def __init__(self, client: httpx.Client, name: str, frame: int, chance: random.Random) -> None:
@@ -78,7 +78,7 @@ class _Script:
                 return
             state = answered(response)
             if change["kind"] == "create":
-                # the server gives a new box its uid
+                # the server assigns the uid of a new box
                 (uid,) = _labels(state).keys() - self.known.keys()
                 self.expected = {**self.known, uid: self.expected["?"]}
             if _labels(state) != self.expected:
@@ -87,7 +87,7 @@ class _Script:
             self.acknowledged += 1
 
     def accounts_for(self, stored: Stored) -> bool:
-        """True where all acknowledged edits are stored, and besides them at most the one that was on its way."""
+        """Whether all acknowledged edits are stored, and besides them at most the pending one."""
         new = stored.keys() - self.known.keys()
         if "?" in self.expected and len(new) == 1:
             return stored == {**self.known, new.pop(): self.expected["?"]}
@@ -127,13 +127,13 @@ def _stored(projects: Path, name: str, frame: int) -> Stored:
     with open_project(projects / name) as project:
         if problems := project.problems():
             raise ConfigError(f"the database is damaged: {problems[0]}")
-        labels = project.frame_state(frame).labels
+        labels = project.labels.of_frame(frame)
     return {label.uid: (label.state.value, round(float(label.box.center_m[0]), 6)) for label in labels}
 
 
 @dataclass
 class _Listener:
-    """A client's socket of events: when it heard of which revision."""
+    """A client's event socket: when each revision was announced."""
 
     heard_s: dict[int, float] = field(default_factory=dict)
 
@@ -154,10 +154,10 @@ class _Listener:
 def clients(
     browser: Browser | None, server: Server, project: str, frame: int, number: int, edits: int
 ) -> dict[str, Any]:
-    """So many clients add boxes to one frame at once, two browsers look on: what is lost, crossed, or late.
+    """Lets several clients add boxes to one frame at once while two browsers show it; counts lost and late edits.
 
-    A client that is refused for a stale revision takes the present one and sends its edit again, about as soon as a
-    person could.
+    A client whose edit is refused for a stale revision takes the current revision and sends the edit again, after a
+    short delay like that of a person.
     """
     path = f"/api/projects/{project}/frames/{frame}"
     with server.client() as client:
@@ -168,7 +168,7 @@ def clients(
         page.evaluate(COUNT_ROWS)
     listeners = [_Listener() for _ in range(number)]
     saved: dict[int, float] = {}
-    made: dict[str, float] = {}
+    created: dict[str, float] = {}
     refused: list[int] = []
     lock = threading.Lock()
     ready = threading.Barrier(2 * number)
@@ -195,10 +195,10 @@ def clients(
                 now = time.time()
                 state = answered(response)
                 revision = state["frame"]["revision"]
-                mine = [uid for uid, (_, at) in _labels(state).items() if at == x]
+                new_uids = [uid for uid, (_, at) in _labels(state).items() if at == x]
                 with lock:
                     saved[revision] = now
-                    made.update(dict.fromkeys(mine, x))
+                    created.update(dict.fromkeys(new_uids, x))
                 time.sleep(chance.uniform(0.2, 1.0))
             listening.result()
 
@@ -216,7 +216,7 @@ def clients(
         "clients": number,
         "edits": number * edits,
         "refused_as_stale": len(refused),
-        "lost": sum(after.get(uid, ("", None))[1] != x for uid, x in made.items()) + number * edits - len(made),
+        "lost": sum(after.get(uid, ("", None))[1] != x for uid, x in created.items()) + number * edits - len(created),
         "crossed": len(after) - len(before) - number * edits,
         "events_missed": unheard,
         "event_p95_s": percentile(late, 95),
@@ -228,7 +228,7 @@ def clients(
     }
 
 
-# How many boxes the page lists, and since when.
+# Records in `window.rows` how many boxes the page lists, and since when.
 COUNT_ROWS = """() => {
   window.rows = [];
   setInterval(() => {
@@ -239,7 +239,7 @@ COUNT_ROWS = """() => {
 
 
 def _pump(waiting: Any, pages: list[Page]) -> None:
-    """Waits for a client; the pages' own messages are taken meanwhile."""
+    """Waits for a client; meanwhile the browser's events are processed."""
     while not waiting.done():
         if pages:
             pages[0].wait_for_timeout(100)
@@ -249,7 +249,7 @@ def _pump(waiting: Any, pages: list[Page]) -> None:
 
 
 def _shown_late(page: Page, before: int, saved: dict[int, float]) -> dict[str, Any]:
-    """How long after each save the page listed as many boxes, seconds."""
+    """Delay from each save until the page lists the number of boxes, seconds."""
     page.wait_for_timeout(1500)
     rows: list[list[float]] = page.evaluate("window.rows")
     late = []

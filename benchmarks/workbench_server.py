@@ -1,4 +1,4 @@
-"""A workbench server in a process of its own, as `annotator serve` starts it, and clients of it."""
+"""A workbench server in a process of its own (`annotator serve`), and its clients."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ class Server:
     def __init__(self, projects: Path) -> None:
         port = _free_port()
         self.url = f"http://127.0.0.1:{port}"
-        words = ["-m", "annotator.cli.main", "serve", "--root", str(projects), "--port", str(port)]
+        words = ["-m", "annotator", "serve", "--projects", str(projects), "--port", str(port)]
         self._process = subprocess.Popen(
             [sys.executable, *words], env=os.environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._wait()
 
     def client(self, operator: str = "Ada") -> httpx.Client:
-        """A client that has signed in and asks from the server's own page."""
+        """A signed-in client that sends the origin of the server's own page."""
         headers = {"Origin": self.url}
         session = httpx.post(f"{self.url}/api/session", json={"operator": operator}, headers=headers, timeout=60.0)
         answered(session)
         return httpx.Client(base_url=self.url, headers=headers, cookies=session.cookies, timeout=60.0)
 
     def kill(self) -> None:
-        """`kill -9`, as a crash does it."""
+        """Kills the server like a crash (`kill -9`)."""
         self._process.send_signal(signal.SIGKILL)
         self._process.wait()
 
     def stop(self) -> None:
-        """Ends it in order."""
+        """Stops the server cleanly; kills it after 20 s."""
         self._process.terminate()
         try:
             self._process.wait(20)
@@ -71,7 +71,7 @@ class Server:
 
 @contextmanager
 def serving(projects: Path) -> Iterator[Server]:
-    """A server that ends with the block."""
+    """A server that is stopped at the end of the block."""
     server = Server(projects)
     try:
         yield server
@@ -80,10 +80,10 @@ def serving(projects: Path) -> Iterator[Server]:
 
 
 def answered(response: httpx.Response) -> Any:
-    """The JSON of an answer.
+    """The JSON of a response; None if it is empty.
 
     Raises:
-        ConfigError: the server refused.
+        ConfigError: the response is an error.
     """
     if response.is_error:
         raise ConfigError(f"{response.request.method} {response.request.url.path}: {response.text[:300]}")
@@ -91,7 +91,7 @@ def answered(response: httpx.Response) -> Any:
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
-    """The smallest value that so many percent of the values do not exceed; NaN for none."""
+    """The percentile of the values, by the nearest-rank method; NaN without values."""
     if not values:
         return float("nan")
     ordered = sorted(values)
@@ -99,18 +99,18 @@ def percentile(values: Sequence[float], percent: float) -> float:
 
 
 def make_people(folder: Path, frames: int, width_px: int, height_px: int) -> Path:
-    """A generated RGB-D recording."""
-    from annotator.recordings.generated import write_generated
+    """Generates an RGB-D recording of people."""
+    from annotator.synthetic import write_generated
 
     write_generated(folder, PRESET, frames, 0, width_px, height_px)
     return folder
 
 
 def make_project(projects: Path, name: str, classes: Sequence[str], recordings: Sequence[Path]) -> None:
-    """A project with these recordings, their own boxes as labels."""
+    """Creates a project with these recordings; their own boxes become labels."""
     from annotator.project import create_project
     from annotator.recordings import open_recording
-    from annotator.workflows.recordings import register_recording
+    from annotator.workflows.add_recordings import register_recording
 
     with create_project(projects, name, classes) as project:
         for path in recordings:

@@ -1,4 +1,4 @@
-"""Draws docs/loop.jpg, the README's picture, from a generated recording: python docs/make_picture.py"""
+"""Draws docs/loop.jpg, the figure of the README, from a generated recording: python docs/make_picture.py"""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.propose import propose
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.recordings import open_recording
-from annotator.recordings.generated import write_generated
+from annotator.synthetic import write_generated
 from annotator.types import Frame, PointCloud, Proposal, StepTrace
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 
 OUT = Path(__file__).parent / "loop.jpg"
 RED, GREEN, YELLOW = (230, 60, 50), (60, 220, 90), (250, 220, 60)
@@ -62,32 +62,32 @@ def gap(height: int) -> np.ndarray:
 
 
 def camera_image(frame: Frame, proposals: list[Proposal], boxes_3d: bool = True) -> np.ndarray:
-    picture = np.ascontiguousarray(frame.rgb).copy()
+    image = np.ascontiguousarray(frame.rgb).copy()
     for proposal in proposals:
         if boxes_3d:
             corners = np.rint(project(frame.camera, box_corners(proposal.box))).astype(int)
             for a, b in EDGES:
-                cv2.line(picture, tuple(map(int, corners[a])), tuple(map(int, corners[b])), GREEN, 2, cv2.LINE_AA)
+                cv2.line(image, tuple(map(int, corners[a])), tuple(map(int, corners[b])), GREEN, 2, cv2.LINE_AA)
         else:
             low_high = np.rint(np.array(proposal.image_box.xyxy)).astype(int).tolist()
-            cv2.rectangle(picture, tuple(low_high[:2]), tuple(low_high[2:]), RED, 2, cv2.LINE_AA)
-    return picture
+            cv2.rectangle(image, tuple(low_high[:2]), tuple(low_high[2:]), RED, 2, cv2.LINE_AA)
+    return image
 
 
 def step_tiles(frame: Frame, proposal: Proposal, step: StepTrace) -> list[np.ndarray]:
-    """The step's pictures with the boxes that were used, drawn anew from the points that the step saw."""
+    """The step's pseudo-views with the boxes that were used, rendered again from the points of the step."""
     cloud = cloud_of(frame, proposal, step)
-    frames = [np.array(view.axes) for view in step.views[::2]]
-    pictures = render_pairs(cloud, frames, ViewConfig(size_px=TILE))
+    axes = [np.array(view.axes) for view in step.views[::2]]
+    rendered = render_pairs(cloud, axes, ViewConfig(size_px=TILE))
     tiles = []
-    for picture, view in zip(pictures, step.views, strict=True):
-        tile = np.ascontiguousarray(picture.rgb).copy()
-        if view.used is not None:
-            box = view.boxes[view.used]
-            spans = np.array(view.origin_m) + np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]]) * (
-                view.metres_per_px
+    for view, trace in zip(rendered, step.views, strict=True):
+        tile = np.ascontiguousarray(view.rgb).copy()
+        if trace.used is not None:
+            box = trace.boxes[trace.used]
+            spans = np.array(trace.origin_m) + np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]]) * (
+                trace.metres_per_px
             )
-            low, high = np.rint((spans - picture.origin_m) / picture.metres_per_px).astype(int)
+            low, high = np.rint((spans - view.origin_m) / view.metres_per_px).astype(int)
             cv2.rectangle(tile, tuple(map(int, low)), tuple(map(int, high)), RED, 2)
         square = np.full((TILE + GAP, TILE + GAP, 3), 255, np.uint8)
         height, width = tile.shape[:2]
@@ -99,6 +99,7 @@ def step_tiles(frame: Frame, proposal: Proposal, step: StepTrace) -> list[np.nda
 
 
 def cloud_of(frame: Frame, proposal: Proposal, step: StepTrace) -> PointCloud:
+    """The points of a step: those of the frustum in the first step, else those of it near the final box."""
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, proposal.image_box)
     if step is not proposal.trace[0]:
         mask &= contains(proposal.box, frame.cloud.xyz_m, 0.08)

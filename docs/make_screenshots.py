@@ -1,7 +1,7 @@
-"""Takes the README's pictures of the workbench: `python docs/make_screenshots.py DEMO_FOLDER`.
+"""Takes the README's screenshots of the workbench: `python docs/make_screenshots.py DEMO_FOLDER`.
 
-DEMO_FOLDER is what `annotator demo DEMO_FOLDER --no-serve` has made. Needs the `test` extra and a Chromium. The project
-is copied first: taking pictures leaves no trace in it.
+DEMO_FOLDER is created by `annotator demo DEMO_FOLDER --no-serve`. Needs the `test` extra and Chromium. The project is
+copied first, so it does not change.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from annotator.web.settings import ServerSettings
 
 HERE = Path(__file__).resolve().parent
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-# The page is drawn without GL, so that the software GL is there for the 3D view alone.
+# The page itself is rendered without GL, so that only the 3D view uses the software GL.
 ARGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",
@@ -61,7 +61,7 @@ def sign_in(page: Page, address: str) -> None:
 
 
 def label(page: Page, address: str) -> None:
-    """The first frame, where the simulated operator has finished some objects; one of them opened."""
+    """Label: the first frame, where the simulated operator has finished some objects; one of them is opened."""
     page.goto(f"{address}#/demo/label/1")
     page.get_by_test_id("object").first.click()
     page.get_by_test_id("view-side").locator("img.picture[src]").wait_for()
@@ -69,7 +69,7 @@ def label(page: Page, address: str) -> None:
 
 
 def review(page: Page, address: str) -> None:
-    """The second frame, which nobody has labelled, with its first proposal."""
+    """Review: the second frame, which is unlabelled, with its first proposal."""
     page.goto(f"{address}#/demo/review/2")
     page.get_by_test_id("ortho-side").locator("rect.line").wait_for()
     page.keyboard.press("r")
@@ -78,7 +78,7 @@ def review(page: Page, address: str) -> None:
 
 def wait_for_3d(page: Page) -> None:
     page.locator('[data-testid="viewport"][data-state="ready"]').wait_for()
-    page.wait_for_timeout(8_000)  # software draws the points slowly
+    page.wait_for_timeout(8_000)  # software rendering of the points is slow
 
 
 if __name__ == "__main__":

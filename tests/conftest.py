@@ -5,12 +5,14 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
 from jaxtyping import install_import_hook
 
 if TYPE_CHECKING:
@@ -18,17 +20,42 @@ if TYPE_CHECKING:
 
 install_import_hook("annotator", "beartype.beartype")
 
-# No test is timed: how long an example takes depends on what else the machine does.
-settings.register_profile("annotator", deadline=None)
+# No test is timed: how long an example takes depends on what else the machine does. The suite tries the same examples
+# on every run; `scripts/fuzz` looks for others, and what it finds becomes an `@example`.
+COMMON = settings(deadline=None, database=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("annotator", COMMON, derandomize=True)
+settings.register_profile("fuzz", COMMON)
 settings.load_profile("annotator")
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("fuzz", "what scripts/fuzz asks for")
+    group.addoption("--fuzz-until", type=float, help="no test begins after this time, seconds since the epoch")
+    group.addoption("--fuzz-examples", type=int, help="of each property test, in place of its own number")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if settings().derandomize:
+        # Hypothesis also draws numbers that it reads in the modules that are loaded: others in every process
+        providers._get_local_constants = providers.Constants
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Files with slow tests first: side by side, the longest one shall not begin when all others are done."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+    if count := config.getoption("fuzz_examples"):
+        for function in {getattr(item, "obj", None) for item in items}:
+            if own := getattr(function, "_hypothesis_internal_use_settings", None):
+                function._hypothesis_internal_use_settings = settings(own, max_examples=count)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    until = item.config.getoption("fuzz_until")
+    if until is not None and time.time() > until:
+        pytest.skip("the time for fuzzing is over")
 
 
 @pytest.fixture(scope="session")
@@ -65,7 +92,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 @pytest.fixture(scope="session")
 def generated(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Two small generated recordings, `people` (three of them) and `hands` (two), 5 frames each; not to be changed."""
-    from annotator.recordings.generated import write_generated
+    from annotator.synthetic import write_generated
 
     def fill(folder: Path) -> None:
         for preset in ("people", "hands"):
@@ -91,7 +118,7 @@ def knowing(generated: Path) -> Callable[..., Detectors]:
     from annotator.recordings import open_recording
     from annotator.types import BoxKind
     from annotator.workflows.detectors import Detectors
-    from annotator.workflows.truth import load_truth
+    from annotator.workflows.recorded.reading import load_truth
 
     made: dict[tuple[str, BoxKind], PerfectDetector] = {}
 

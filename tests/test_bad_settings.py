@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,8 @@ from annotator.cli.main import main
 from annotator.types.errors import MissingExtraError
 from benchmarks import axes, pseudo_view
 from benchmarks.report import guarded
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture
@@ -38,8 +42,8 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["demo", "--image-pictures", "0"], "--image-pictures must be 1 or more, not 0"),
         (["demo", "d", "--view-pictures", "-7"], "--view-pictures must be 1 or more, not -7"),
         (["generate", "g", "--seed", "-1"], "the seed must be 0 or more, not -1"),
-        (["generate", "file/g"], "cannot be made"),
-        (["generate", "file/deep/g"], "cannot be made"),
+        (["generate", "file/g"], "cannot be created"),
+        (["generate", "file/deep/g"], "cannot be created"),
         (["generate", "n" * 300], "File name too long; choose another path"),
         (["inspect", "n" * 300], "File name too long; give a shorter path"),
         (["add", "p", "n" * 300], "File name too long; give a shorter path"),
@@ -97,6 +101,14 @@ def test_a_fault_of_a_benchmark_is_not_hidden() -> None:
 
 
 def test_a_missing_extra_is_installed_from_the_clone() -> None:
-    message = str(MissingExtraError("viser", "web"))
-    assert "scripts/setup web" in message
-    assert "pip install '.[web]'" in message
+    message = str(MissingExtraError("pywebview", "desktop"))
+    assert "scripts/setup desktop" in message
+    assert 'pip install "rcv-annotator[desktop]"' in message
+
+
+def test_the_extras_that_errors_name_exist() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    code = "\n".join(path.read_text() for path in (ROOT / "annotator").rglob("*.py"))
+    named = re.findall(r'MissingExtraError\("[^"]+", "(\w+)"\)|rcv-annotator\[(\w+)\]', code)
+    assert len(named) >= 5
+    assert {name for pair in named for name in pair if name} <= set(extras)

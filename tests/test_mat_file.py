@@ -72,7 +72,7 @@ CONTENT = written()
 PLACES = st.integers(120, len(CONTENT) - 1)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.tuples(PLACES, st.binary(max_size=5), st.integers(0, 9)), min_size=1, max_size=4))
 def test_damage_is_an_error_and_never_a_crash(tmp_path: Path, damages: list[tuple[int, bytes, int]]) -> None:
     """scipy's reader ends the program at many of these."""
@@ -91,9 +91,9 @@ def test_damage_is_an_error_and_never_a_crash(tmp_path: Path, damages: list[tupl
     ("place", "value", "problem"),
     [
         # the array's length, its rows, the length of field names: after head, tag and flags, with its size and name
-        (132, 2**31 - 1, "is cut off"),
-        (160, 2**30, "promises .* elements in"),
-        (160, 2**32 - 1, "impossible size"),
+        (132, 2**31 - 1, "is truncated"),
+        (160, 2**30, "declares .* elements in"),
+        (160, 2**32 - 1, "invalid size"),
     ],
 )
 def test_huge_counts_take_no_memory(tmp_path: Path, place: int, value: int, problem: str) -> None:
@@ -133,7 +133,7 @@ def write_mat(path: Path, content: bytes) -> Path:
 )
 def test_sizes_that_no_array_has(tmp_path: Path, sizes: bytes, sizes_type: int) -> None:
     path = write_mat(tmp_path / "a.mat", array(6, sizes, element(9, b""), sizes_type=sizes_type))
-    with pytest.raises(MatFileError, match="has an array of an impossible size"):
+    with pytest.raises(MatFileError, match="has an array with an invalid size"):
         read_mat(path, "ab", 2**20)
 
 
@@ -173,6 +173,6 @@ def test_elements_without_content_are_one_and_the_same(tmp_path: Path) -> None:
 def test_other_things_than_numbers_are_refused_where_numbers_are_asked_for(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"cells": CELLS, "text": "inside", "number": np.eye(2)})
     for name in ("cells", "text"):
-        with pytest.raises(MatFileError, match=f"has other things than numbers in {name}"):
+        with pytest.raises(MatFileError, match=f"has values other than numbers in {name}"):
             read_mat(tmp_path / "a.mat", name, 2**20, numbers_only=True)
     np.testing.assert_array_equal(read_mat(tmp_path / "a.mat", "number", 2**20, numbers_only=True), np.eye(2))

@@ -1,4 +1,4 @@
-"""The README's commands work: each one in a `console` or `sh` block is run, in order, as a reader would.
+"""The README's commands and Python lines work: each command in a `console` or `sh` block is run, in order.
 
 A command that takes long gets a smaller stand-in in `INSTEAD`; there is no other way to leave one out.
 """
@@ -41,7 +41,7 @@ INSTEAD: dict[str, Instead] = {
         None, "it goes on until it is stopped; tests/cli/test_cli_serve.py starts and stops it"
     ),
     "annotator live hands recordings/hands --loop --record recordings/seen": Instead(
-        "annotator live hands recordings/hands --frames 2 --record recordings/seen --port 0",
+        "annotator live hands recordings/hands --limit 2 --record recordings/seen --port 0",
         "it goes on until it is stopped; tests/cli/test_cli_live.py stops it",
     ),
     "annotator generate recordings/hands --preset hands --frames 24": Instead(
@@ -135,7 +135,8 @@ def test_every_command_of_the_readme_is_known_and_no_stand_in_is_left_over() -> 
     for command in found:
         words = as_run(command, Path("shared"))
         if words is not None and words[0] == "annotator":
-            assert words[1].startswith("-") or words[1] in COMMANDS, f"{command!r}: no such command"
+            known = words[1] in COMMANDS or " ".join(words[1:3]) in COMMANDS
+            assert words[1].startswith("-") or known, f"{command!r}: no such command"
     unused = set(INSTEAD) - set(found)
     assert not unused, f"the README has no such commands any more: {unused}"
 
@@ -145,6 +146,32 @@ def test_readme_tells_of_every_command() -> None:
     text = README.read_text(encoding="utf-8")
     missing = [name for name in COMMANDS if not re.search(rf"`annotator {name}\b", text)]
     assert not missing, f"README.md does not mention: {', '.join(missing)}"
+
+
+def python_blocks(text: str) -> list[str]:
+    """The Python blocks, in order."""
+    return [body for indent, language, body in BLOCK.findall(text) if language == "python" and not indent]
+
+
+def test_python_blocks_are_found() -> None:
+    assert python_blocks(TEXT) == ['print("not a command")\n']
+
+
+@pytest.mark.slow
+def test_the_readmes_python_gives_boxes(tmp_path: Path) -> None:
+    """The recording is that of the README's first command, with fewer frames; its first frame is the same."""
+    from annotator.synthetic import write_generated
+
+    readme, guide = (python_blocks(path.read_text(encoding="utf-8")) for path in (README, ROOT / "docs/python.md"))
+    assert len(readme) == 1 and readme[0] == guide[0]
+    assert len(readme[0].splitlines()) <= 10
+    assert "annotator generate recordings/hands --preset hands --frames 24" in readme_commands()
+    write_generated(tmp_path / "recordings/hands", "hands", 1, 0)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", readme[0]]
+    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert len(re.findall(r"^hand \d\.\d+ \[", ran.stdout, re.MULTILINE)) == 2, ran.stdout
 
 
 @pytest.mark.slow

@@ -1,7 +1,8 @@
-"""scripts/setup on a made-up clone: quick the second time, and one clear line where something is missing."""
+"""The scripts in a temporary clone with a fake environment."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -19,30 +20,42 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the scripts are for 
 def clone(tmp_path: Path) -> Path:
     """A repository in a path with spaces, with the scripts and the package's metadata."""
     root = tmp_path / "my work" / "annotator"
-    shutil.copytree(ROOT / "scripts", root / "scripts")
+    shutil.copytree(ROOT / "scripts", root / "scripts", ignore=shutil.ignore_patterns("node_modules"))
     shutil.copy(ROOT / "pyproject.toml", root)
     return root
 
 
 def fake_environment(root: Path, *, imports: str = "exit 0") -> Path:
-    """A `.venv` whose Python notes what pip was asked for instead of doing it; `imports` is how open3d loads."""
+    """A `.venv` whose Python logs the pip commands instead of running them; `imports` replaces the import of open3d."""
     python = root / ".venv/bin/python"
     python.parent.mkdir(parents=True)
     python.write_text(
         "#!/bin/bash\n"
         f'if [[ "$*" == *"pip "* && "$*" == *install* ]]; then echo "$*" >>"{root}/pip.log"; exit 0; fi\n'
         f'if [[ "$*" == *"import open3d"* ]]; then {imports}; fi\n'
+        'if [[ "$*" == *warm_up ]]; then exit 0; fi\n'
         f'exec "{sys.executable}" "$@"\n'
     )
     python.chmod(0o755)
+    fake_npm(root)
     return root / "pip.log"
+
+
+def fake_npm(root: Path) -> None:
+    """A Node.js beside the clone whose npm notes what it was asked for, and makes the folder that `npm ci` makes."""
+    folder = root.parent / "node"
+    folder.mkdir(exist_ok=True)
+    for name, text in [("node", "echo v20.0.0"), ("npm", f'echo "$*" >>"{root}/npm.log"; mkdir -p node_modules')]:
+        (folder / name).write_text(f"#!/bin/bash\n{text}\n")
+        (folder / name).chmod(0o755)
 
 
 def setup(root: Path, *extras: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     script = os.path.relpath(root / "scripts/setup", cwd or Path.cwd())
-    return subprocess.run(
-        [script, *extras], cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False
-    )
+    # the made-up npm, unless a test says what is on the PATH
+    path = os.pathsep.join([str(root.parent / "node"), os.environ["PATH"]])
+    given = {**os.environ, "PATH": path, **environment}
+    return subprocess.run([script, *extras], cwd=cwd, env=given, capture_output=True, text=True, check=False)
 
 
 def test_packages_are_installed_once_for_each_set_of_extras(clone: Path, tmp_path: Path) -> None:
@@ -58,7 +71,7 @@ def test_packages_are_installed_once_for_each_set_of_extras(clone: Path, tmp_pat
     assert log.read_text().endswith("install -q -e .[kinect,test]\n")
 
 
-def test_readers_of_others_have_an_environment_over_the_first(clone: Path) -> None:
+def test_third_party_readers_have_their_own_environment(clone: Path) -> None:
     log = fake_environment(clone)
     wanted = clone / "tests/interop/requirements.txt"
     wanted.parent.mkdir(parents=True)
@@ -74,7 +87,7 @@ def test_readers_of_others_have_an_environment_over_the_first(clone: Path) -> No
     assert len(log.read_text().splitlines()) == 3
 
 
-def test_changed_metadata_is_installed_anew(clone: Path) -> None:
+def test_changed_metadata_is_installed_again(clone: Path) -> None:
     log = fake_environment(clone)
     setup(clone)
     with (clone / "pyproject.toml").open("a") as file:
@@ -82,6 +95,31 @@ def test_changed_metadata_is_installed_anew(clone: Path) -> None:
     setup(clone)
     setup(clone)
     assert len(log.read_text().splitlines()) == 2
+
+
+def old_distribution(site: Path, origin: Path, editable: bool = True) -> dict[str, str]:
+    """Creates a distribution `annotator` installed from a folder; returns environment variables to find it."""
+    info = site / "annotator-0.1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: annotator\nVersion: 0.1.0\n")
+    (info / "direct_url.json").write_text(json.dumps({"url": origin.as_uri(), "dir_info": {"editable": editable}}))
+    return {"PYTHONPATH": str(site)}
+
+
+def test_the_distribution_of_the_old_name_is_removed_first(clone: Path, tmp_path: Path) -> None:
+    log = fake_environment(clone)
+    assert setup(clone, **old_distribution(tmp_path / "site", clone)).returncode == 0
+    assert [line.partition("version-check ")[2] for line in log.read_text().splitlines()] == [
+        "uninstall -q -y annotator",
+        "install -q -e .",
+    ]
+
+
+@pytest.mark.parametrize(("origin", "editable"), [("elsewhere", True), ("my work/annotator", False)])
+def test_another_distribution_of_the_old_name_stays(clone: Path, tmp_path: Path, origin: str, editable: bool) -> None:
+    log = fake_environment(clone)
+    assert setup(clone, **old_distribution(tmp_path / "site", tmp_path / origin, editable)).returncode == 0
+    assert "uninstall" not in log.read_text()
 
 
 def test_a_failed_installation_is_tried_again(clone: Path) -> None:
@@ -93,14 +131,14 @@ def test_a_failed_installation_is_tried_again(clone: Path) -> None:
         assert len(log.read_text().splitlines()) == count
 
 
-def test_without_a_python_one_line_says_so(clone: Path) -> None:
+def test_a_missing_python_is_one_line(clone: Path) -> None:
     result = setup(clone, PYTHON="/bin/false")
     assert (result.returncode, result.stdout) == (1, "")
     assert result.stderr == "setup: PYTHON=/bin/false is not a working Python >= 3.11\n"
     assert not (clone / ".venv").exists()
 
 
-def test_an_environment_that_was_moved_is_made_anew(clone: Path) -> None:
+def test_a_moved_environment_is_created_again(clone: Path) -> None:
     fake_environment(clone)
     assert setup(clone).returncode == 0
     moved = clone.rename(clone.with_name("elsewhere"))
@@ -111,7 +149,7 @@ def test_an_environment_that_was_moved_is_made_anew(clone: Path) -> None:
 
 
 def programs(folder: Path, *names: str, **scripts: str) -> Path:
-    """A folder for the PATH with only these programs of the machine, and made-up ones."""
+    """A folder for the PATH with only these programs of the machine, and fake ones."""
     folder.mkdir()
     for name in names:
         found = shutil.which(name)
@@ -124,13 +162,14 @@ def programs(folder: Path, *names: str, **scripts: str) -> Path:
     return folder
 
 
-NEEDED = ("bash", "env", "dirname", "uname", "sed", "tr", "sort", "paste", "mv", "rm", "tail")
+NEEDED = ("bash", "env", "dirname", "uname", "sed", "tr", "sort", "paste", "mv", "rm", "tail", "cksum", "mkdir")
+NODE = {"node": "echo v20.0.0", "npm": "mkdir -p node_modules"}
 
 
-def test_the_tests_get_a_browser_where_there_is_none(clone: Path, tmp_path: Path) -> None:
+def test_a_missing_browser_is_installed_for_the_tests(clone: Path, tmp_path: Path) -> None:
     fake_environment(clone)
     log = tmp_path / "apt.log"
-    path = programs(tmp_path / "bin", *NEEDED, id="echo 0", apt_get=f'echo "$*" >>"{log}"')
+    path = programs(tmp_path / "bin", *NEEDED, id="echo 0", apt_get=f'echo "$*" >>"{log}"', **NODE)
     result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
     assert result.returncode == 0, result.stderr
     assert log.read_text().splitlines()[-1] == "-qq install -y --no-install-recommends chromium"
@@ -142,14 +181,14 @@ def test_the_tests_get_a_browser_where_there_is_none(clone: Path, tmp_path: Path
     assert not log.exists()
 
 
-def test_without_a_browser_and_rights_one_line_says_what_to_install(clone: Path, tmp_path: Path) -> None:
+def test_without_root_rights_one_line_names_the_package(clone: Path, tmp_path: Path) -> None:
     fake_environment(clone)
     path = programs(tmp_path / "bin", *NEEDED, id="echo 1000", apt_get="exit 1")
     result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
     assert result.returncode == 1
     assert result.stderr.splitlines() == [
-        "setup: the tests drive a browser and found none of chromium chromium-browser google-chrome; install it as "
-        "root and call this again (Debian, Ubuntu: apt-get install chromium)"
+        "setup: the tests need a browser, and none of chromium chromium-browser google-chrome is installed; install it "
+        "as root and run this again (Debian, Ubuntu: apt-get install chromium)"
     ]
 
 
@@ -157,8 +196,113 @@ def test_sudo_without_a_password_is_used(clone: Path, tmp_path: Path) -> None:
     fake_environment(clone)
     log = tmp_path / "apt.log"
     sudo = f'[[ "$1" == -n ]] || exit 1; shift; echo "sudo $*" >>"{log}"; exec "$@"'
-    path = programs(tmp_path / "bin", *NEEDED, "true", id="echo 1000", sudo=sudo, apt_get=f'echo "$*" >>"{log}"')
+    apt = f'echo "$*" >>"{log}"'
+    path = programs(tmp_path / "bin", *NEEDED, "true", id="echo 1000", sudo=sudo, apt_get=apt, **NODE)
     assert setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="").returncode == 0
     said = log.read_text()
     assert "sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y" in said
     assert said.splitlines()[-1].endswith("chromium")
+
+
+PROPERTY = """
+from hypothesis import given, strategies as st
+
+@given(st.integers(0, 10**9))
+def test_small(number):
+    assert number < 10**8
+
+def test_no_property():
+    raise AssertionError("only properties are run")
+"""
+
+
+def fuzz(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([root / "scripts/fuzz", *arguments], capture_output=True, text=True, check=False)
+
+
+def test_fuzzing_prints_the_command_that_reproduces_a_failure(clone: Path) -> None:
+    fake_environment(clone)
+    (clone / "tests").mkdir()
+    shutil.copy(ROOT / "tests/conftest.py", clone / "tests")
+    (clone / "tests/test_property.py").write_text(PROPERTY)
+    found = [fuzz(clone, "--seed", "7", "--rounds", "2", "--examples", "50") for _ in range(2)]
+    for result in found:
+        assert result.returncode == 1, result.stdout + result.stderr
+        assert "fuzz: round 1, seed 7\n" in result.stdout
+        assert "fuzz: FAILED; again: scripts/fuzz --seed 7 --rounds 1 --examples 50 TEST_THAT_FAILED" in result.stdout
+        assert "only properties are run" not in result.stdout
+    first, second = ([line for line in each.stdout.splitlines() if "reproduce_failure" in line] for each in found)
+    assert first == second != []
+    over = fuzz(clone, "--seed", "7", "--minutes", "0")
+    assert (over.returncode, over.stdout.strip()) == (0, "fuzz: 0 rounds from seed 7 found nothing")
+
+
+@pytest.mark.parametrize("words", [("--seed",), ("--minutes", "soon"), ("--examples", "-1")])
+def test_fuzzing_needs_whole_numbers(clone: Path, words: tuple[str, ...]) -> None:
+    result = fuzz(clone, *words)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"fuzz: {words[0]} needs a whole number")
+
+
+def test_the_checks_of_the_page_are_installed_once_for_each_lock_file(clone: Path) -> None:
+    fake_environment(clone)
+    log, lock = clone / "npm.log", clone / "scripts/javascript/package-lock.json"
+    assert setup(clone).returncode == 0  # what only runs the program needs no Node.js
+    assert not log.exists()
+    for _ in range(2):
+        result = setup(clone, "test")
+        assert result.returncode == 0, result.stderr
+        assert log.read_text().splitlines() == ["ci --loglevel=error"]
+    lock.write_text(lock.read_text() + "\n")
+    assert setup(clone, "test").returncode == 0
+    assert len(log.read_text().splitlines()) == 2
+
+
+def test_node_and_npm_are_installed_where_they_are_missing(clone: Path, tmp_path: Path) -> None:
+    fake_environment(clone)
+    log, folder = tmp_path / "apt.log", tmp_path / "bin"
+    # what apt-get installs is on the PATH afterwards
+    apt = f'echo "$*" >>"{log}"; ln -sf /bin/true "{folder}/node"'
+    made = 'mkdir -p "$PWD/node_modules"'
+    path = programs(folder, *NEEDED, "ln", "true", id="echo 0", chromium="exit 0", apt_get=apt, npm=made)
+    result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
+    assert result.returncode == 0, result.stderr
+    assert log.read_text().splitlines()[-1] == "-qq install -y --no-install-recommends nodejs"
+
+
+def test_a_failed_npm_is_tried_again(clone: Path) -> None:
+    fake_environment(clone)
+    (clone.parent / "node/npm").write_text("#!/bin/bash\necho 'no such host' >&2; exit 1\n")
+    for _ in range(2):
+        result = setup(clone, "test")
+        assert result.returncode == 1
+        assert "no such host" in result.stderr and "npm could not install" in result.stderr
+
+
+def test_the_lock_file_pins_every_package_and_names_no_registry() -> None:
+    folder = ROOT / "scripts/javascript"
+    text = (folder / "package-lock.json").read_text()
+    assert "omit-lockfile-registry-resolved=true" in (folder / ".npmrc").read_text().splitlines()
+    assert "registry" not in text and "resolved" not in text
+    packages = json.loads(text)["packages"]
+    wanted = json.loads((folder / "package.json").read_text())["devDependencies"]
+    assert all(packages[f"node_modules/{name}"]["version"] == version for name, version in wanted.items())
+    assert all("integrity" in package for name, package in packages.items() if name)
+    # `npm ci` refuses a lock file that lacks a platform's package, on all platforms
+    needed = [
+        {**package.get("dependencies", {}), **package.get("optionalDependencies", {})} for package in packages.values()
+    ]
+    assert [name for names in needed for name in names if f"node_modules/{name}" not in packages] == []
+
+
+def test_lines_of_the_page_are_short_enough() -> None:
+    files = [*(ROOT / "web_assets").rglob("*.js"), *(ROOT / "web_assets").rglob("*.css")]
+    assert len(files) > 50
+    long = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in files
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if len(line) >= 120
+    ]
+    # the formatter wraps neither comments nor texts
+    assert long == []

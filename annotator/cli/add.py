@@ -7,48 +7,47 @@ from typing import Annotated
 
 import tyro
 
+from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
-from annotator.cli.projects import Root, open_named
+from annotator.cli.projects import open_named
 from annotator.project import REVIEWED
 from annotator.types.errors import ConfigError
-from annotator.workflows.own_labels import OwnLabels, import_own_labels
-from annotator.workflows.recordings import Added, add_recordings
+from annotator.workflows.add_recordings import Added, add_recordings
+from annotator.workflows.recorded.take_over import OwnLabels, import_own_labels
 
 
 def run(
-    project: str,
+    project: ProjectName,
     paths: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...", help_behavior_hint="(required)")],
     /,
     *,
     name: str | None = None,
     up: tuple[float, float, float] | None = None,
     no_labels: bool = False,
-    root: Root = None,
+    projects: Projects = None,
 ) -> None:
-    """Put recordings into a project. Their files stay where they are.
+    """Add recordings to a project. Their files stay where they are.
 
-    3D boxes that a recording brings (label_2, label_02.txt, boxes.json) become imported labels, which the detectors
-    learn from. A recording that the project has already is looked at again for new frames.
+    3D boxes that come with a recording (label_2, label_02.txt, boxes.json) become imported labels, on which the
+    detectors are trained. If the project already has a recording, only new frames are added.
 
     Args:
-        project: the project's name.
-        paths: of the recordings.
-        name: what to call the recording; default: its folder's name.
-        up: direction against gravity in the camera frame (x right, y down, z forward), for a recording that does not
-            know it; a level camera has 0 -1 0.
-        no_labels: leave the recordings' own 3D boxes alone.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        paths: files or folders of the recordings.
+        name: name of the recording in the project; default: the name of its folder.
+        up: direction against gravity in the camera frame (x right, y down, z forward), for a recording that does
+            not contain it; 0 -1 0 for a level camera.
+        no_labels: do not import the 3D boxes that come with the recordings.
     """
     if not paths:
-        raise ConfigError(f"which recordings? annotator add {project} PATH ...")
-    with open_named(project, root) as opened:
+        raise ConfigError(f"no recording given; write annotator add {project} PATH ...")
+    with open_named(project, projects) as opened:
         for added in add_recordings(opened, paths, name=name, up=up):
-            print_line(_told(added))
+            print_line(_summary(added))
             if not no_labels:
                 with counted("reading labels") as progress:
-                    own = import_own_labels(opened, added.recording.id, progress)
-                for line in _told_labels(own):
+                    imported = import_own_labels(opened, added.recording.id, progress)
+                for line in _label_lines(imported):
                     print_line(line)
         if not opened.labels.select(states=REVIEWED):
             print_line(f"next: draw boxes (annotator simulate, annotator import), then annotator train {project}")
@@ -56,18 +55,19 @@ def run(
             print_line(f"next: annotator train {project}")
 
 
-def _told_labels(own: OwnLabels) -> list[str]:
-    lines = [f"  {number} boxes of class {label} imported as labels" for label, number in sorted(own.labels.items())]
+def _label_lines(imported: OwnLabels) -> list[str]:
+    counts = sorted(imported.labels.items())
+    lines = [f"  {number} boxes of class {label} imported as labels" for label, number in counts]
     lines += [
-        f"  left out: {number} boxes of class {label}, which the project does not have"
-        for label, number in sorted(own.other_classes.items())
+        f"  skipped: {number} boxes of class {label}, which is not in the project"
+        for label, number in sorted(imported.other_classes.items())
     ]
-    return lines + [f"  unreadable: {line}" for line in own.unreadable]
+    return lines + [f"  unreadable: {line}" for line in imported.unreadable]
 
 
-def _told(added: Added) -> str:
+def _summary(added: Added) -> str:
     recording = added.recording
     if added.is_new:
         return f"added {recording.name}: {recording.frames} frames ({recording.format})"
-    gone = f", {added.missing_frames} are gone (their labels stay)" if added.missing_frames else ""
-    return f"{recording.name} was there already: {added.new_frames} new frames{gone}"
+    missing = f", {added.missing_frames} missing (their labels are kept)" if added.missing_frames else ""
+    return f"{recording.name} is already in the project: {added.new_frames} new frames{missing}"

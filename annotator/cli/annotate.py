@@ -7,75 +7,69 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
+from annotator.cli.options import BackendOption, Limit, ProjectName, Projects, RecordingNames, Rotation
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
-from annotator.cli.projects import Root, open_named
+from annotator.cli.projects import open_named
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
-from annotator.workflows.annotate import annotate_with, require_limit
-from annotator.workflows.batch_book import AnnotateSummary
-from annotator.workflows.engines.choose import EngineName, make_engine
-from annotator.workflows.engines.sources import trained_detectors
-from annotator.workflows.engines.storage import CACHE_MB, Storage, parse_elsewhere
-from annotator.workflows.rcv_settings import editable, rcv_config
+from annotator.workflows.proposing.annotate import annotate_with, require_limit
+from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+from annotator.workflows.proposing.engines.sources import trained_detectors
+from annotator.workflows.proposing.engines.storage import CACHE_MB, Storage, parse_elsewhere
+from annotator.workflows.settings import editable, rcv_config
 
 SHOWN_FAILURES = 10
 
 
 def run(
-    project: str,
+    project: ProjectName,
     /,
     *,
-    recordings: tuple[str, ...] = (),
+    recordings: RecordingNames = (),
     axes: Strategy | None = None,
-    rotation: BoxRotation | None = None,
+    rotation: Rotation[BoxRotation | None] = None,
     coarse: bool = False,
     config: Path | None = None,
     show_config: bool = False,
-    limit: int | None = None,
+    limit: Limit = None,
     from_reviewed: bool = False,
     engine: EngineName = EngineName.AUTO,
     workers: int | None = None,
     threads: int | None = None,
-    backend: Backend = "auto",
+    backend: BackendOption[Backend] = "auto",
     address: str | None = None,
     elsewhere: tuple[str, ...] = (),
     cache_mb: int = CACHE_MB,
-    root: Root = None,
+    projects: Projects = None,
 ) -> int:
-    """Propose oriented 3D boxes for every frame that these detectors and settings have not done yet.
+    """Propose oriented 3D boxes for every frame not yet processed with the present detectors and settings.
 
-    A frame that fails is stored with its reason and tried again next time; the exit code is 1 if there was one.
+    A frame that fails is stored with the reason and retried by the next call; the exit code is 1 if any frame failed.
 
-    Every threshold of the recursion is a setting: options here win over --config, that over settings.rcv in the
-    project's project.json (which training and simulated drawing follow, too), that over the defaults.
+    Every threshold of the recursion is a setting. Options override the file of --config, this file overrides
+    settings.rcv in the project's project.json (which training and simulated drawing also use), and project.json
+    overrides the defaults.
 
     Args:
-        project: the project's name.
-        recordings: names of the recordings to do; default: all.
-        axes: how the projection axes are found; default: the settings'.
-        rotation: upright, free, or (auto) upright where a recording knows gravity; default: the project's setting.
-        coarse: propose the last box of an object that the recursion loses after its first step.
+        axes: how the projection axes are found; default: as in the settings.
+        coarse: if the recursion loses an object after the first step, propose the object's last box.
         config: JSON file with any of the recursion's settings.
-        show_config: print all settings as they would be used, with units in their names, and do nothing; what is
-            printed can be edited and given to --config.
-        limit: at most so many frames.
-        from_reviewed: start from the reviewed boxes of the frame before, where there are any; a setting of its own,
-            with which all frames are done anew.
-        engine: inline works in this process, local in worker processes, ray on a cluster (docs/cluster.md), all with
-            the same results; auto takes local where there are several cores and enough frames.
-        workers: of the engine; default: one a GPU, or else one a core.
-        threads: of the processor for each worker; default: its share of the cores, with ray one.
-        backend: what runs the detectors; auto takes the fastest that gives what torch does, fastest also half
-            precision on processors that have it.
-        address: of a Ray cluster, HOST:PORT or auto; default: one on this machine, for as long as this takes.
-        elsewhere: FOLDER=PLACE where workers find the recordings below FOLDER, a path or a storage's URL, such as
+        show_config: print all settings that would be used and exit; the output can be edited and passed to --config.
+        from_reviewed: start from the reviewed boxes of the previous frame, if any; frames processed without this option
+            are processed again.
+        engine: inline = this process, local = worker processes, ray = a cluster (docs/cluster.md), auto = local if
+            there are several cores and enough frames, else inline; the results are the same.
+        workers: number of workers; default: one per GPU, or one per core without a GPU.
+        threads: CPU threads of each worker; default: its share of the cores, one with ray.
+        address: address of a Ray cluster, HOST:PORT or auto; default: a temporary one on this machine.
+        elsewhere: FOLDER=PLACE: workers find the recordings below FOLDER at PLACE, a path or a storage URL, such as
             /data=s3://bucket/data.
-        cache_mb: so much of recordings in a storage a worker keeps on its disk, megabytes.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        cache_mb: disk cache of each worker for recordings in object storage, megabytes.
     """
-    with open_named(project, root) as opened:
+    with open_named(project, projects) as opened:
         options: dict[str, JsonValue] = {} if axes is None else {"strategy": axes.value}
         settings = rcv_config(opened, config, options | ({"coarse_box": True} if coarse else {}))
         if show_config:
@@ -83,7 +77,6 @@ def run(
             return 0
         require_limit(limit)
         source = trained_detectors(opened, backend)
-        settings = settings.model_copy(update={"box_kind": source.box_kind})
         chosen = [opened.recordings.find(name).id for name in recordings] or None
         present = opened.frames.count_present(chosen)
         with (
@@ -97,12 +90,12 @@ def run(
                     address=address,
                     storage=Storage(parse_elsewhere(elsewhere), cache_mb),
                 )
-            ) as made,
+            ) as running,
             counted("annotate") as progress,
         ):
             done = annotate_with(
                 opened,
-                made,
+                running,
                 settings,
                 recordings=chosen,
                 rotation=rotation,
@@ -110,14 +103,14 @@ def run(
                 from_reviewed=from_reviewed,
                 progress=progress,
             )
-    for line in told(done):
+    for line in summary_lines(done):
         print_line(line)
     return 1 if done.failures else 0
 
 
-def told(done: AnnotateSummary) -> list[str]:
-    """The summary in lines."""
-    rate = f", {done.seconds / done.done:.2f} s a frame" if done.done else ""
+def summary_lines(done: AnnotateSummary) -> list[str]:
+    """The summary as lines of text."""
+    rate = f", {done.seconds / done.done:.2f} s per frame" if done.done else ""
     named = ", ".join(dict.fromkeys(filter(None, done.backends)))
     backends = f"; detectors on {named}" if named else ""
     lines = [

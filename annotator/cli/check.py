@@ -4,54 +4,59 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.output import AsJson, print_json, print_line
+from annotator.cli.options import AsJson, Projects
+from annotator.cli.output import print_json, print_line
 from annotator.cli.progress import counted
-from annotator.cli.projects import Root, open_named, projects_root
+from annotator.cli.projects import open_named, projects_root
 from annotator.project.config import CONFIG_FILE
 from annotator.types.errors import ConfigError
 
 FAULTY = 1
 
 
-def run(what: str, /, *, project: bool = False, as_json: AsJson = False, root: Root = None) -> int:
-    """Look for what is wrong: in a dataset (exit status 1 where there are errors), or with a project's labels.
+def run(
+    what: str | None = None, /, *, project: str | None = None, as_json: AsJson = False, projects: Projects = None
+) -> int:
+    """Find errors in a dataset, or suspicious labels in a project.
 
-    A dataset is checked by the rules of docs/checks.md: files, labels, boxes, calibration. A project's labels are
-    looked through for odd sizes, empty boxes, heading jumps, duplicates and unknown classes.
+    A dataset is checked by the rules of docs/checks.md: files, labels, boxes, calibration; the exit code is 1 if there
+    are errors. The labels of a project are checked for odd sizes, empty boxes, heading jumps, duplicates and unknown
+    classes.
 
     Args:
-        what: path of a dataset (or of a folder of datasets), or a project's name.
-        project: it is a project's name, also where a folder is called so.
-        as_json: print one JSON object.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        what: path of a dataset, path of a folder of datasets, or name of a project.
+        project: name of a project; needed only if a folder has the same name.
     """
-    if project or not _is_dataset(what, root):
-        _check_project(what, root, as_json)
-        return 0
-    return _check_dataset(Path(what), as_json)
+    name = what if project is None else project
+    if name is None or (what is not None and project is not None):
+        raise ConfigError("name one thing to check: annotator check PATH, or annotator check --project NAME")
+    if project is None and _is_dataset(name, projects):
+        return _check_dataset(Path(name), as_json)
+    _check_project(name, projects, as_json)
+    return 0
 
 
-def _is_dataset(what: str, root: Path | None) -> bool:
-    """True for a path.
+def _is_dataset(what: str, projects: Path | None) -> bool:
+    """Whether the word is the path of a dataset and not the name of a project.
 
     Raises:
-        ConfigError: it may be a project as well, or is the folder of one.
+        ConfigError: both a project and a path have this name, or it is the folder of a project.
     """
     path = Path(what)
     is_name = len(path.parts) == 1 and not what.startswith(".")
-    is_project = is_name and (projects_root(root) / what).is_dir()
+    is_project = is_name and (projects_root(projects) / what).is_dir()
     if path.exists() and is_project:
-        raise ConfigError(f"{what} is a project and a path here; write ./{what}, or {what} --project")
+        raise ConfigError(f"{what} is a project and also a path here; write ./{what} or --project {what}")
     if (path / CONFIG_FILE).is_file():
         name, folder = path.resolve().name, path.resolve().parent
-        raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --root {folder}")
+        raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --projects {folder}")
     return path.exists() or (not is_name and not is_project)
 
 
-def _check_project(name: str, root: Path | None, as_json: bool) -> None:
-    from annotator.workflows.checks import check_project
+def _check_project(name: str, projects: Path | None, as_json: bool) -> None:
+    from annotator.workflows.checking.project_labels import check_project
 
-    with open_named(name, root) as opened:
+    with open_named(name, projects) as opened:
         report = check_project(opened)
     if as_json:
         print_json(report)
@@ -67,8 +72,8 @@ def _check_dataset(path: Path, as_json: bool) -> int:
     from annotator.workflows.checking.check import check_datasets
     from annotator.workflows.checking.rules import Severity
 
-    with counted("checking") as tell:
-        report = check_datasets(path, tell)
+    with counted("checking") as progress:
+        report = check_datasets(path, progress)
     if as_json:
         print_json(report)
     else:

@@ -10,6 +10,7 @@ from tempfile import mkdtemp
 from rich.progress import TaskID
 
 from annotator.cli.generate import Preset
+from annotator.cli.options import Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
 from annotator.types.errors import ConfigError
@@ -22,23 +23,22 @@ def run(
     *,
     preset: Preset = Preset.PEOPLE,
     frames: int = DemoPlan.frames,
-    seed: int = 0,
+    seed: Seed = 0,
     image_pictures: int = DemoPlan.image_pictures,
     view_pictures: int = DemoPlan.view_pictures,
-    serve: bool = True,
+    no_serve: bool = False,
 ) -> None:
-    """Run the whole loop on a generated recording: draw boxes, train, propose, score, write the dataset.
+    """Run the whole loop on a generated recording: draw boxes, train, propose, score, export.
 
-    At a terminal it ends with the workbench, open for the review of the proposals.
+    At a terminal, the workbench opens at the end, ready to review the proposals.
 
     Args:
-        out: a new folder for all of it; default: one below ./out.
-        preset: people in a room, or hands.
-        frames: of the recording; every second one is labelled.
-        seed: another number, another room.
-        image_pictures: how many pictures the image detector is shown in training, repeats counted.
-        view_pictures: the same of the pseudo-view detector.
-        serve: leave the workbench out at the end.
+        out: new folder for everything; default: a folder in ./out.
+        preset: scene to generate: people who walk, turn and gesture in a room, or hands in front of the camera.
+        frames: number of frames to generate; every second one is labelled.
+        image_pictures: number of pictures that the image detector is trained on, repeats included.
+        view_pictures: number of pictures that the pseudo-view detector is trained on, repeats included.
+        no_serve: do not open the workbench at the end.
     """
     _require_counts(2, frames=frames)
     _require_counts(1, image_pictures=image_pictures, view_pictures=view_pictures)
@@ -50,25 +50,25 @@ def run(
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 
-        def tell(stage: str, done: float, total: float) -> None:
+        def progress(stage: str, done: float, total: float) -> None:
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=total, note="")
             bar.update(tasks[stage], completed=done, total=total)
 
-        result = run_demo(root, plan, tell)
-    for line in _told(root, result):
+        result = run_demo(root, plan, progress)
+    for line in _summary(root, result):
         print_line(line)
-    if serve and _somebody_watches():
+    if not no_serve and _is_interactive():
         _review(root)
 
 
-def _somebody_watches() -> bool:
-    """True at a terminal; continuous integration may have one too, but nobody sits there."""
+def _is_interactive() -> bool:
+    """True at a terminal, except in continuous integration, which may have a terminal too."""
     return sys.stdin is not None and sys.stdin.isatty() and not os.environ.get("CI")
 
 
 def _review(root: Path) -> None:
-    """The workbench on a free port, with the demo's proposals."""
+    """Opens the workbench on a free port, with the demo's proposals."""
     from annotator.cli.serve import first_page
     from annotator.web.serve import serve
     from annotator.web.settings import ServerSettings
@@ -77,13 +77,13 @@ def _review(root: Path) -> None:
     serve(ServerSettings(root.resolve(), (root,), port=0), first_page(PROJECT, root), open_browser=True, window=False)
 
 
-def _require_counts(least: int, **given: int) -> None:
-    """Refuses a number that would end the demo after minutes.
+def _require_counts(least: int, **options: int) -> None:
+    """Checks numbers before the work starts; otherwise the demo would fail after minutes.
 
     Raises:
-        ConfigError: one is too small.
+        ConfigError: a number is too small.
     """
-    for name, number in given.items():
+    for name, number in options.items():
         if number < least:
             raise ConfigError(f"--{name.replace('_', '-')} must be {least} or more, not {number}")
 
@@ -94,7 +94,7 @@ def _new_folder() -> Path:
     return Path(mkdtemp(prefix="demo-", dir=parent))
 
 
-def _told(root: Path, result: DemoResult) -> list[str]:
+def _summary(root: Path, result: DemoResult) -> list[str]:
     drawn, done = result.drawn, result.annotated
     return [
         "",
@@ -106,7 +106,7 @@ def _told(root: Path, result: DemoResult) -> list[str]:
         f"proposed   {done.proposals} oriented 3D boxes in {done.done} frames, {done.seconds:.0f} s",
         *(
             f"scored     {s.label}: mean IoU {s.mean_iou:.2f}, AP25 {s.ap25:.2f}, AP50 {s.ap50:.2f} "
-            f"({s.objects} objects in {s.frames} frames that nobody labelled)"
+            f"({s.objects} objects in {s.frames} frames without labels)"
             for s in result.scores
         ),
         f"written    {result.dataset.objects} boxes in {result.dataset.frames} frames",

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.output import AsJson, print_json, print_line
-from annotator.cli.projects import Root, open_named
+from annotator.cli.options import AsJson, Projects, RecordingNames
+from annotator.cli.output import print_json, print_line
+from annotator.cli.projects import open_named
 from annotator.evaluation.report import Report
 from annotator.types.errors import ConfigError
-from annotator.workflows.evaluate import Options, Protocol, evaluate_files, read_frame_names
-from annotator.workflows.evaluate_project import Against, Choice, Measured, evaluate_project
+from annotator.workflows.evaluating.evaluate_files import Options, Protocol, evaluate_files, read_frame_names
+from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
 
-# Where no terminal says how wide it is, nothing shall be cut.
+# Width of tables where the output is not a terminal, so that nothing is cut.
 WIDTH = 160
 
 
@@ -24,55 +25,53 @@ def run(
     project: str | None = None,
     measured: Measured = Measured.LABELS,
     against: Against = Against.TRUTH,
-    recordings: tuple[str, ...] = (),
-    frames: Path | None = None,
+    recordings: RecordingNames = (),
+    frame_list: Path | None = None,
     relaxed: bool = False,
     curves: Path | None = None,
     as_json: AsJson = False,
-    root: Root = None,
+    projects: Projects = None,
 ) -> None:
-    """Measure boxes against truth, by the rules of a benchmark: files, or what is in a project.
+    """Score boxes against ground truth, by a benchmark's protocol: files, or the boxes of a project.
 
     Args:
-        detections: kitti = a folder (or zip) of result files; sunrgbd = a CSV of boxes; oriented = an rcv dataset.
-        truth: the same, of true boxes; kitti = `label_2`.
-        protocol: kitti = AP on the image, in bird's-eye view and 3D, and AOS, as the devkit has them; sunrgbd = mAP
-            as VoteNet has it; oriented = AP with exact 3D IoU of freely turned boxes, mean IoU, errors of the poses.
-        project: measure a project's boxes, in place of files.
-        measured: labels = its boxes as they are now; proposals = what the last automatic pass proposed.
-        against: truth = the boxes that its recordings bring; reviewed = accepted and edited labels, in frames where
-            nothing is left to review.
-        recordings: names of the project's recordings; default: all.
-        frames: file with the names of the frames to evaluate, one a line (kitti: as ImageSets/val.txt; sunrgbd: the
-            images; oriented, and projects: RECORDING/KEY); default: all.
-        relaxed: kitti: the looser overlaps that are often given beside the official ones.
-        curves: folder for the precision-recall curves, as PNG.
-        as_json: print one JSON object.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        detections: boxes to score: kitti = folder (or zip) of result files; sunrgbd = CSV of boxes; oriented = rcv
+            dataset.
+        truth: ground truth in the same format; kitti = folder `label_2`.
+        protocol: kitti = 2D, bird's-eye view and 3D AP, and AOS, as in the devkit; sunrgbd = mAP as in VoteNet;
+            oriented = AP with the exact 3D IoU of freely rotated boxes, mean IoU, pose errors.
+        project: name of a project to score, instead of files.
+        measured: labels = the project's current boxes; proposals = the boxes of the last automatic run.
+        against: truth = the boxes that come with the recordings; reviewed = accepted and edited labels, in fully
+            reviewed frames.
+        frame_list: text file with the names of the frames to evaluate, one per line (kitti: like ImageSets/val.txt;
+            sunrgbd: names of the images; oriented and projects: RECORDING/KEY); default: all.
+        relaxed: kitti: the looser overlap thresholds that are often reported beside the official ones.
+        curves: folder for the precision-recall curves, as PNG files.
     """
     if relaxed and protocol is not Protocol.KITTI:
-        raise ConfigError("--relaxed belongs to the kitti protocol; the others have their thresholds side by side")
-    options = Options(None if frames is None else read_frame_names(frames), relaxed)
+        raise ConfigError("--relaxed is for the kitti protocol; the other protocols always report several thresholds")
+    options = Options(None if frame_list is None else read_frame_names(frame_list), relaxed)
     if project is None:
         if measured is not Measured.LABELS or against is not Against.TRUTH or recordings:
-            raise ConfigError("--measured, --against and --recordings say what of a --project is compared")
+            raise ConfigError("--measured, --against and --recordings need --project")
         if detections is None or truth is None:
-            raise ConfigError("name what was detected and the truth, or a project: annotator evaluate --help")
+            raise ConfigError("name the detections and the ground truth, or a project; see annotator help evaluate")
         report = evaluate_files(detections, truth, protocol, options)
     else:
         if detections is not None:
-            raise ConfigError("--project takes the place of files; name one or the other")
-        with open_named(project, root) as opened:
+            raise ConfigError("name either files or a --project, not both")
+        with open_named(project, projects) as opened:
             ids = tuple(opened.recordings.find(name).id for name in recordings) or None
             report = evaluate_project(opened, protocol, Choice(measured, against, ids), options)
-    # before the curves, whose folder may not be writable: the numbers may have taken minutes
+    # shown before the curves are written, which may fail: the numbers may have taken minutes
     _show(report, as_json)
     if curves is not None:
         from annotator.evaluation.curves import draw_curves
 
-        pictures = draw_curves(report.pictures, curves)
+        files = draw_curves(report.diagrams, curves)
         if not as_json:
-            print_line(f"{curves}: {len(pictures)} pictures")
+            print_line(f"{curves}: {len(files)} images")
 
 
 def _show(report: Report, as_json: bool) -> None:
@@ -93,6 +92,5 @@ def _show(report: Report, as_json: bool) -> None:
 
 def _cell(value: str | int | float | None) -> str:
     if isinstance(value, float):
-        # nothing was measured: not a number
-        return f"{value:.3f}" if value == value else ""
+        return f"{value:.3f}" if value == value else ""  # NaN: nothing was measured
     return "" if value is None else str(value)

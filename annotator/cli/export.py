@@ -5,9 +5,10 @@ from __future__ import annotations
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.cli.output import AsJson, print_json, print_line
+from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed
+from annotator.cli.output import print_json, print_line
 from annotator.cli.progress import counted
-from annotator.cli.projects import Root, open_named
+from annotator.cli.projects import open_named
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting import (
@@ -31,7 +32,7 @@ class ImageFormat(StrEnum):
 
 
 class Pictures(StrEnum):
-    """What formats of 2D boxes hold."""
+    """Which images the formats of 2D boxes contain."""
 
     IMAGES = "images"
     VIEWS = "views"
@@ -39,52 +40,47 @@ class Pictures(StrEnum):
 
 
 def run(
-    project: str,
+    project: ProjectName,
     out: Path,
     /,
     *,
     format: ExportFormat = ExportFormat.RCV,
     states: tuple[ReviewState, ...] = (),
     classes: tuple[str, ...] = (),
-    recordings: tuple[str, ...] = (),
+    recordings: RecordingNames = (),
     empty_frames: bool = False,
     skip_unreadable: bool = False,
     split: str | None = None,
     split_by: SplitBy = SplitBy.FRAMES,
-    seed: int = 0,
+    seed: Seed = 0,
     images: ImageFormat = ImageFormat.PNG,
-    pictures: Pictures = Pictures.IMAGES,
+    boxes_on: Pictures = Pictures.IMAGES,
     vertices: bool = False,
     overwrite: bool = False,
     as_json: AsJson = False,
-    root: Root = None,
+    projects: Projects = None,
 ) -> None:
-    """Write the labels with their images and point clouds as a dataset. Complete, or not at all.
+    """Write the labels with their images and point clouds as a dataset. A failed export leaves nothing behind.
 
     Args:
-        project: the project's name.
-        out: the new folder.
+        out: new folder for the dataset.
         format: {formats}.
-        states: which labels, by their state in the review; default: accepted and edited ones, and with rcv and
-            openlabel, which write each label's state beside it, all but rejected ones.
-        classes: which labels, by class; default: all.
-        recordings: names of the recordings; default: all.
-        empty_frames: also frames without any such label.
-        skip_unreadable: leave out frames that cannot be read, and say which; every frame is read twice then.
-        split: divide the frames into parts, by shares: train=0.8,val=0.2.
-        split_by: recordings = no recording is divided.
-        seed: of the dividing.
-        images: png is lossless.
-        pictures: coco and yolo: 2D boxes on camera images, on pseudo-views, or on both.
-        vertices: labelcloud: the 8 corners of each box instead of centre, size and angles.
-        overwrite: replace a dataset that is at `out` already.
-        as_json: print one JSON object.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        states: review states of the labels to export; default: accepted and edited; with rcv and openlabel, which
+            store the state of each label, all but rejected.
+        classes: classes of the labels to export; default: all.
+        empty_frames: include frames that have no labels to export.
+        skip_unreadable: skip frames that cannot be read, and list them; every frame is then read twice.
+        split: split the frames by shares, such as train=0.8,val=0.2.
+        split_by: frames = assign each frame to a part, recordings = keep the frames of a recording in one part.
+        images: file format of the images; png is lossless.
+        boxes_on: coco and yolo: 2D boxes on camera images, on pseudo-views, or on both.
+        vertices: labelcloud: write the 8 corners of each box instead of centre, size and angles.
+        overwrite: replace an existing dataset at OUT.
     """
     parts = None if split is None else Split(parse_shares(split), split_by, seed)
     if parts is None and split_by is not SplitBy.FRAMES:
-        raise ConfigError("--split-by says what --split may not divide; give --split, too")
-    with open_named(project, root) as opened, counted(f"export {format}") as progress:
+        raise ConfigError("--split-by needs --split")
+    with open_named(project, projects) as opened, counted(f"export {format}") as progress:
         ids = tuple(opened.recordings.find(name).id for name in recordings) or None
         report = export_project(
             opened,
@@ -92,24 +88,24 @@ def run(
             format,
             choose=ExportFilter(states or None, classes or None, ids, empty_frames, skip_unreadable),
             split=parts,
-            options=ExportOptions(images.value, pictures.value, vertices),
+            options=ExportOptions(images.value, boxes_on.value, vertices),
             overwrite=overwrite,
             progress=progress,
         )
     if as_json:
         print_json(report)
     else:
-        _tell(report)
+        _print_report(report)
 
 
-def _tell(report: ExportReport) -> None:
+def _print_report(report: ExportReport) -> None:
     counts = ", ".join(f"{number} {name}" for name, number in report.objects_by_class.items())
-    what = "pictures" if WRITERS[ExportFormat(report.format)].flat else "frames"
+    what = "images" if WRITERS[ExportFormat(report.format)].flat else "frames"
     print_line(f"{report.out}: {report.frames} {what}, {counts}")
     if report.splits:
-        print_line("divided: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
+        print_line("split: " + ", ".join(f"{name} {number}" for name, number in report.splits.items()))
     for loss in report.losses:
-        print_line(f"{report.format} does not hold: {loss.message}")
+        print_line(f"lost in {report.format}: {loss.message}")
     for line in report.unreadable:
         print_line(f"unreadable: {line}")
     for note in report.notes:

@@ -1,4 +1,4 @@
-"""`annotator import --as-2d`: what it does and says."""
+"""`annotator import --as-2d`"""
 
 from __future__ import annotations
 
@@ -9,30 +9,35 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.project import Project
 from annotator.types.errors import ConfigError
-from annotator.workflows.boxes_from_3d import BoxesFrom3d, boxes_from_3d
 from annotator.workflows.importing import BoxFormat, read_labels
-from annotator.workflows.known_labels import KnownLabels, labels_beside, labels_from
+from annotator.workflows.recorded.boxes_from_3d import BoxesFrom3d, boxes_from_3d
+from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
 
 
 def import_as_2d(
     project: Project, path: Path | None, format: str, recording: str | None, fraction: float, seed: int
 ) -> KnownLabels:
-    """Keeps the 2D boxes of known 3D boxes, and tells of them.
+    """Imports the 2D boxes of known 3D boxes, and prints a summary.
 
     Args:
-        path: of the labels; None = those beside the recordings, whatever their format.
+        project: the project to import into.
+        path: file or folder of the labels; None = those that come with the recordings, in any format.
+        format: format of the labels at `path`.
+        recording: name of the recording that the labels belong to; None = all.
+        fraction: share of the labelled frames to import.
+        seed: seed of the choice of frames.
 
     Returns:
-        The labels that there were.
+        The 3D labels.
 
     Raises:
-        ConfigError: a format without 3D boxes, no labels, or none of the project's classes.
-        FormatError: labels that cannot be read, or that fit no frame.
+        ConfigError: the format has no 3D boxes, there are no labels, or none of the project's classes.
+        FormatError: the labels cannot be read, or match no frame.
     """
     labels = _labels(project, path, format, recording)
     with counted("2D boxes") as progress:
         done = boxes_from_3d(project, labels, fraction=fraction, seed=seed, progress=progress)
-    for line in _told(done, len(labels.frames)):
+    for line in _summary(done, len(labels.frames)):
         print_line(line)
     return labels
 
@@ -41,31 +46,33 @@ def _labels(project: Project, path: Path | None, format: str, recording: str | N
     if path is None:
         return labels_beside(project, None if recording is None else [project.recordings.find(recording).id])
     if format not in tuple(BoxFormat):
-        raise ConfigError(f"{format} holds no 3D boxes; say which format {path} has: --format {'|'.join(BoxFormat)}")
+        raise ConfigError(
+            f"{format} contains no 3D boxes; name the format of {path} with --format {'|'.join(BoxFormat)}"
+        )
     return labels_from(project, read_labels(BoxFormat(format), path), recording)
 
 
-def _told(done: BoxesFrom3d, labelled: int) -> list[str]:
+def _summary(done: BoxesFrom3d, labelled: int) -> list[str]:
     lines = [
         f"{done.frames} of {labelled} labelled frames: {_by_class(done.image_boxes)} on camera images; "
         f"{_by_class(done.objects)} on {done.views} pseudo-views, which show {done.view_boxes} boxes"
     ]
     for counter, why in (
-        (done.without_views, "on the image alone, with too few points for pseudo-views"),
-        (done.outside, "out of the picture"),
-        (done.hidden, "behind something else, without a point of their own"),
-        (done.other_classes, "left out, of classes that the project does not have"),
+        (done.without_views, "on the image only, too few points for pseudo-views"),
+        (done.outside, "outside the image"),
+        (done.hidden, "hidden, without points of their own"),
+        (done.other_classes, "skipped, of classes that are not in the project"),
     ):
         if counter:
             lines.append(f"  {why}: {_by_class(counter)}")
     if done.not_reviewed:
-        lines.append(f"  left behind: {done.not_reviewed} boxes that nobody has accepted")
+        lines.append(f"  skipped: {done.not_reviewed} boxes that are not accepted")
     if done.drawn:
-        lines.append(f"  left alone: {done.drawn} frames that somebody has drawn on or finalised")
+        lines.append(f"  unchanged: {done.drawn} frames with drawn boxes, or finalised")
     if done.others_views:
-        lines.append(f"  left alone: {done.others_views} pseudo-views with boxes that somebody else has set")
+        lines.append(f"  unchanged: {done.others_views} pseudo-views with boxes from elsewhere")
     lines += [f"  unreadable: {line}" for line in done.unreadable]
-    return [*lines, f"in all, {done.in_all} frames carry 2D boxes made of 3D boxes"]
+    return [*lines, f"{done.in_all} frames in total have 2D boxes made from 3D boxes"]
 
 
 def _by_class(counter: Counter[str]) -> str:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from annotator.cli.output import AsJson, print_facts, print_json
+from annotator.cli.options import AsJson
+from annotator.cli.output import print_facts, print_json
 from annotator.types.errors import RecordingError
 from annotator.workflows.inspect import FrameReport, RecordingReport, inspect_recording
 
 
 def run(path: Path, /, *, as_json: AsJson = False) -> None:
-    """Say what a recording holds: format, frames, camera, points, labels.
+    """Show what a recording contains: format, frames, camera, points, labels.
 
     Args:
-        path: of the recording.
-        as_json: print one JSON object.
+        path: file or folder of the recording.
     """
     report = inspect_recording(path)
     if as_json:
@@ -43,7 +43,7 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     yield "camera", f"fx {frame.fx:g}, fy {frame.fy:g}, cx {frame.cx:g}, cy {frame.cy:g} px"
     yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
-    yield "points", f"{frame.points} with {' and '.join(extras) or 'nothing but their place'}"
+    yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"
     yield "depth", f"{frame.nearest_m:.2f} to {frame.farthest_m:.2f} m"
     known = frame.up is not None
     yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up and known else "not known"

@@ -6,61 +6,59 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
-from annotator.cli.projects import Root, open_named
-from annotator.project import Project, Role
-from annotator.types import BoxKind, Detector
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.open_frame import OpenFrame
+from annotator.cli.projects import open_named
+from annotator.project import Project
+from annotator.types import BoxKind, Detector, DetectorKind
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
 from annotator.workflows.tracks.interpolate import interpolate
-from annotator.workflows.tracks.snap import Snap, snapper
+from annotator.workflows.workbench.open_frame import OpenFrame
 
 AUTHOR = "annotator interpolate"
 
 
 def run(
-    project: str,
-    recording: str,
+    project: ProjectName,
+    recording: RecordingName,
     /,
     *,
     track: int,
     first: Annotated[str | None, arg(name="from")] = None,
     last: Annotated[str | None, arg(name="to")] = None,
     refit: bool = False,
-    root: Root = None,
+    projects: Projects = None,
 ) -> None:
-    """Propose boxes of a track in the frames between its key frames, where somebody has reviewed its box.
+    """Propose the boxes of a track between its key frames, the frames with a reviewed box.
 
-    Centre, size and rotation change evenly from one key frame to the next. Nothing that somebody has reviewed changes;
-    open proposals of the same object give way.
+    Centre, size and rotation are interpolated from one key frame to the next. Reviewed boxes do not change; open
+    proposals of the same object are replaced.
 
     Args:
-        project: the project's name.
-        recording: its name in the project.
-        track: the track's id.
-        first: key of the key frame to begin with; default: the first one.
-        last: key of the key frame to end with; default: the last one.
-        refit: fit every new box to its frame's points, by the pseudo-view detector where there is one.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        track: id of the track.
+        first: name of the first key frame; default: the track's first one.
+        last: name of the last key frame; default: the track's last one.
+        refit: fit every new box to the points of its frame, with the pseudo-view detector if there is one.
     """
-    with open_named(project, root) as opened:
+    with open_named(project, projects) as opened:
         chosen = opened.recordings.find(recording).id
-        snap = _snap(opened) if refit else None
-        done = interpolate(opened, chosen, track, AUTHOR, first=first, last=last, snap=snap)
-    print_line(f"track {done.track_id}: {len(done.filled)} frames filled, as proposals for the review")
+        fit = _box_fitter(opened) if refit else None
+        done = interpolate(opened, chosen, track, AUTHOR, first=first, last=last, fit=fit)
+    print_line(f"track {done.track_id}: {len(done.filled)} frames filled with proposals")
     if done.finalised or done.covered:
         print_line(
-            f"left alone: {done.finalised} finalised frames, {done.covered} where somebody has said what is there"
+            f"unchanged: {done.finalised} finalised frames, {done.covered} frames where the object is already labelled"
         )
 
 
-def _snap(project: Project) -> Snap:
+def _box_fitter(project: Project) -> FitBox:
     source = FrameSource(project)
-    model = project.models.active(Role.VIEW)
+    model = project.models.active(DetectorKind.VIEW)
     detector: Detector | None = None
     kind = BoxKind.BOX
     if model is not None:
         from annotator.workflows.detectors import load_detector
 
         detector, kind = load_detector(model.path), model.box_kind
-    return snapper(project, lambda frame: OpenFrame(source.read(frame)), detector, kind)
+    return box_fitter(project, lambda frame: OpenFrame(source.read(frame)), detector, kind)

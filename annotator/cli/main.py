@@ -1,4 +1,4 @@
-"""The command `annotator`: finds the subcommand, runs it, and is the one place where its errors end.
+"""The command `annotator`: finds the subcommand, runs it and reports its errors.
 
 Only the standard library is imported at the top, so that `annotator --help` answers at once.
 """
@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any
 
 from annotator import __version__
-from annotator.cli.table import COMMANDS, Command
+from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
 
 USAGE_ERROR = 2
 INTERNAL_ERROR = 1
@@ -29,12 +29,25 @@ commands:
 {commands}
 
 options:
-  -h, --help  this help; `annotator COMMAND --help` explains a command
-  --version   the version
+  -h, --help  show this help; `annotator help COMMAND` explains a command
+  --version   show the version
   --debug     show the traceback of an error
 
-Projects live in ./projects, or where --root or the variable ANNOTATOR_PROJECTS says.
+Projects are in ./projects, or in the folder given by --projects or by the variable ANNOTATOR_PROJECTS.
 """
+
+GROUP_HELP = """\
+usage: annotator {group} COMMAND ...
+
+{summary}
+
+commands:
+{commands}
+
+`annotator help {group} COMMAND` explains a command.
+"""
+
+HELP_FLAGS = ("-h", "--help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write("interrupted\n")
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader has gone (`| head`); whatever is still buffered must not fail again at exit
+        # the reader has closed the pipe (`| head`); flushing the rest at exit must not fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except Exception as error:
@@ -64,57 +77,103 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _without_debug(words: list[str]) -> tuple[list[str], bool]:
-    """The words without `--debug`, which may stand anywhere before a bare `--`."""
+    """The words without `--debug`, and whether it was there; it may stand anywhere before a bare `--`."""
     end = words.index("--") if "--" in words else len(words)
-    kept = [word for word in words[:end] if word != "--debug"]
-    return kept + words[end:], len(kept) < end
+    others = [word for word in words[:end] if word != "--debug"]
+    return others + words[end:], len(others) < end
 
 
 def _dispatch(words: list[str]) -> int:
-    if not words or words[0] in ("-h", "--help"):
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
+    if not words or words[0] in HELP_FLAGS:
         sys.stdout.write(_help())
         return 0 if words else USAGE_ERROR
     if words[0] == "--version":
         sys.stdout.write(f"annotator {__version__}\n")
         return 0
-    command = COMMANDS.get(words[0])
+    if words[0] in GROUPS and (len(words) == 1 or words[1] in HELP_FLAGS):
+        sys.stdout.write(_group_help(words[0]))
+        return 0 if len(words) > 1 else USAGE_ERROR
+    length = 2 if words[0] in GROUPS else 1
+    name = " ".join(words[:length])
+    command = COMMANDS.get(name)
     if command is None:
-        raise _unknown_command(words[0])
-    return _run(words[0], command, words[1:])
+        raise _unknown_command(name)
+    _refuse_old_options(name, words[length:])
+    return _run(name, command, words[length:])
 
 
 def _help() -> str:
-    width = max(map(len, COMMANDS))
-    return HELP.format(commands="\n".join(f"  {name:{width}}  {row.summary}" for name, row in COMMANDS.items()))
+    rows: dict[str, str] = {}
+    for name, command in COMMANDS.items():
+        group, _, member = name.partition(" ")
+        rows[group] = f"{GROUPS[group]}: see `annotator help {group}`" if member else command.summary
+    return HELP.format(commands=_columns(rows))
 
 
-def _unknown_command(word: str) -> Exception:
+def _group_help(group: str) -> str:
+    members = {name.partition(" ")[2]: row.summary for name, row in COMMANDS.items() if name.startswith(f"{group} ")}
+    summary = f"{GROUPS[group].capitalize()}."
+    return GROUP_HELP.format(group=group, summary=summary, commands=_columns(members))
+
+
+def _columns(rows: dict[str, str]) -> str:
+    width = max(map(len, rows))
+    return "\n".join(f"  {name:{width}}  {summary}" for name, summary in rows.items())
+
+
+def _unknown_command(name: str) -> Exception:
     from annotator.types.errors import ConfigError
 
-    near = get_close_matches(word, COMMANDS, 1)
-    meant = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(COMMANDS)}"
-    return ConfigError(f"{word!r} is no command of annotator; {meant}")
+    if name in RENAMED_COMMANDS:
+        return ConfigError(f"`annotator {name}` is now `annotator {RENAMED_COMMANDS[name]}`")
+    group, _, member = name.partition(" ")
+    known = [known for known in COMMANDS if not member or known.startswith(f"{group} ")]
+    near = get_close_matches(name, known, 1)
+    meant = f"did you mean {near[0]!r}?" if near else f"the commands are {', '.join(known)}"
+    return ConfigError(f"unknown command {name!r}; {meant}")
+
+
+def _refuse_old_options(name: str, words: list[str]) -> None:
+    """Refuses options of version 0.1.
+
+    Raises:
+        ConfigError: an option was renamed; the message gives the new name.
+    """
+    renamed = {"--root": "--projects"} | RENAMED_OPTIONS.get(name, {})
+    for word in words[: words.index("--") if "--" in words else None]:
+        old = word.partition("=")[0]
+        if old in renamed:
+            from annotator.types.errors import ConfigError
+
+            raise ConfigError(f"{old} is now {renamed[old]}: annotator {name} ... {renamed[old]} ...")
 
 
 def _run(name: str, command: Command, words: list[str]) -> int:
     import tyro
 
-    module, _, function = command.target.partition(":")
-    target: Callable[..., int | None] = getattr(import_module(module), function)
-    # tyro ends the process itself for --help (0) and for a command line that does not fit (2)
-    result = tyro.cli(target, prog=f"annotator {name}", args=words, config=_style())
+    # tyro exits by itself for --help (0) and for an invalid command line (2)
+    result = tyro.cli(load(command), prog=f"annotator {name}", args=words, config=style())
     return result or 0
 
 
-def _style() -> tuple[Any, ...]:
-    """How command lines look: `--flag` alone, choices as they are written on disk, no word for None."""
+def load(command: Command) -> Callable[..., int | None]:
+    """The command's function."""
+    module, _, function = command.target.partition(":")
+    target: Callable[..., int | None] = getattr(import_module(module), function)
+    return target
+
+
+def style() -> tuple[Any, ...]:
+    """Style of the command lines: flags without a `--no-` form, choices by enum value, no word for None."""
     from tyro import conf
 
     return (conf.FlagCreatePairsOff, conf.EnumChoicesFromValues, conf.DisallowNone, conf.PositionalMetavarFromFieldName)
 
 
 def _report(error: Exception) -> int:
-    """Says on standard error what went wrong, in red where that is a terminal; returns the exit code."""
+    """Writes the error to standard error, in red on a terminal; returns the exit code."""
     from rich.console import Console
     from rich.text import Text
 
@@ -123,11 +182,7 @@ def _report(error: Exception) -> int:
     if isinstance(error, AnnotatorError):
         message, code = str(error), USAGE_ERROR
     else:
-        message = f"{type(error).__name__}: {error}\nthis is a fault of annotator; --debug shows where it happened"
+        message = f"{type(error).__name__}: {error}\nthis is a bug in annotator; --debug shows the traceback"
         code = INTERNAL_ERROR
     Console(stderr=True).print(Text(f"error: {message}", style="red"), soft_wrap=True)
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -11,9 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """A bar with counts, elapsed and remaining time; leaves standard output to results.
+    """A bar with counts, elapsed and remaining time, on standard error.
 
-    Where an error ends the work, the bar is taken away: it would stand above the message and say nothing.
+    If an error ends the work, the bar is removed, so that only the message remains.
     """
     bar = Progress(
         TextColumn("{task.description}"),
@@ -31,9 +31,9 @@ def progress_bar() -> Iterator[Progress]:
         yield bar
     except Exception:
         bar.live.transient = True
-        bar.live.stop()  # not the bar's own stop, which leaves an empty line where there is no terminal
+        bar.live.stop()  # bar.stop() would leave an empty line where there is no terminal
         raise
-    except BaseException:  # an interrupt: how far it came is worth knowing
+    except BaseException:  # an interrupt: the bar stays and shows the progress
         bar.stop()
         raise
     else:
@@ -42,11 +42,11 @@ def progress_bar() -> Iterator[Progress]:
 
 @contextmanager
 def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar that is told (done, all)."""
+    """A bar for countable work; yields a function that sets (done, total)."""
     with progress_bar() as bar:
         task = bar.add_task(what, total=None, note="")
 
-        def tell(done: int, total: int) -> None:
+        def update(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
 
-        yield tell
+        yield update

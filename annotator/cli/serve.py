@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from annotator.cli.options import Host, Port, Projects, Token
 from annotator.cli.projects import open_named, projects_root
 from annotator.types.errors import ConfigError
 
@@ -15,25 +13,21 @@ def run(
     project: str | None = None,
     /,
     *,
-    projects: Annotated[Path | None, tyro.conf.arg(aliases=["--root"])] = None,
     folder: tuple[Path, ...] = (),
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    token: str | None = None,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+    token: Token = None,
     open: bool = False,
     window: bool = False,
+    projects: Projects = None,
 ) -> None:
-    """Serve the workbench, where boxes are drawn, reviewed and exported in the browser.
+    """Start the workbench, a web page to draw, review and export boxes.
 
     Args:
-        project: the project to begin with; default: the start page.
-        projects: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
-        folder: folders that recordings may be added from; nothing else on the disk is shown.
-        host: address to listen on; any but this computer's own asks browsers for a token.
-        port: to listen on; 0 = a free one.
-        token: what browsers must show; default: none on this computer, a new one on another address.
-        open: show the page in the browser.
-        window: show the page in a window of its own.
+        project: name of the project to open; default: the start page.
+        folder: folders that the page may add recordings from; it shows nothing else of the disk.
+        open: open the page in the browser.
+        window: open the page in a window of its own.
     """
     from annotator.web.serve import serve
     from annotator.web.settings import ServerSettings
@@ -47,7 +41,7 @@ def run(
 
 
 def first_page(name: str, root: Path) -> str:
-    """Where to begin with a project: at its proposals, or with drawing boxes where there are none.
+    """The page to open first: the review of the proposals, or drawing where there are none.
 
     Raises:
         ConfigError, ProjectError: as `open_named`.

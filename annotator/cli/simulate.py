@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
+from annotator.cli.options import BoxKindOption, ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
-from annotator.cli.projects import Root, open_named
+from annotator.cli.projects import open_named
 from annotator.types import BoxKind
-from annotator.workflows.rcv_settings import rcv_config
+from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import simulate_recording
 
 
 def run(
-    project: str,
-    recording: str,
+    project: ProjectName,
+    recording: RecordingName,
     /,
     *,
-    operator: BoxKind = BoxKind.SILHOUETTE,
+    box_kind: BoxKindOption = BoxKind.SILHOUETTE,
     every: int = 1,
-    root: Root = None,
+    projects: Projects = None,
 ) -> None:
-    """Let a simulated operator draw 2D boxes from a recording's truth, five an object, as a person would.
+    """Draw 2D boxes from a recording's ground truth, five per object, as an operator would.
 
-    Masks alone (mask/, no boxes.json) are truth enough for silhouettes, in a project with one class.
+    In a project with one class, masks (mask/) without boxes.json are enough for silhouettes.
 
     Args:
-        project: the project's name.
-        recording: its name in the project.
-        operator: silhouette = around what is seen, as a person draws; box = the projected true 3D box.
-        every: label every so many frames, from the first.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        every: label every Nth frame, starting with the first.
     """
-    with open_named(project, root) as opened, counted("drawing") as progress:
+    with open_named(project, projects) as opened, counted("drawing") as progress:
         stored = opened.recordings.find(recording)
-        drawn = simulate_recording(opened, stored.id, operator, rcv_config(opened), every, progress)
+        drawn = simulate_recording(opened, stored.id, box_kind, rcv_config(opened), every, progress)
     print_line(f"{drawn.frames} frames, {drawn.objects} objects, {drawn.boxes} 2D boxes drawn")
     print_line(f"next: annotator train {project}")

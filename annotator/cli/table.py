@@ -1,7 +1,7 @@
-"""The commands: name -> where its function is, and what it does in one line. A new command is one file and one row.
+"""The table of commands. A new command is one file and one row.
 
-A command's function is a plain function: tyro makes the command line from its signature and docstring. It returns
-None or an exit code.
+Each command is a plain function that returns None or an exit code; tyro builds the command line from its signature and
+docstring. A name of two words is a command of a group.
 """
 
 from __future__ import annotations
@@ -18,24 +18,39 @@ class Command(NamedTuple):
 
 COMMANDS: dict[str, Command] = {
     "new": Command("annotator.cli.new:run", "create a project"),
-    "add": Command("annotator.cli.add:run", "put recordings into a project"),
-    "move": Command("annotator.cli.move:run", "say where a recording is now whose folder was moved"),
-    "inspect": Command("annotator.cli.inspect:run", "say what a recording holds"),
-    "import": Command("annotator.cli.import_boxes:run", "take over 2D boxes drawn elsewhere"),
-    "simulate": Command("annotator.cli.simulate:run", "let a simulated operator draw 2D boxes from known truth"),
-    "views": Command("annotator.cli.views:run", "write pseudo-views as pictures, to be labelled elsewhere"),
+    "add": Command("annotator.cli.add:run", "add recordings to a project"),
+    "inspect": Command("annotator.cli.inspect:run", "show what a recording contains"),
+    "import": Command("annotator.cli.import_boxes:run", "import 2D or 3D boxes made elsewhere"),
+    "simulate": Command("annotator.cli.simulate:run", "draw 2D boxes from ground truth with a simulated operator"),
+    "views": Command("annotator.cli.views:run", "write pseudo-views as images, to be labelled in another tool"),
     "train": Command("annotator.cli.train:run", "train the two 2D detectors"),
     "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
-    "track": Command("annotator.cli.track:run", "link the boxes of each object over a recording"),
+    "track": Command("annotator.cli.track:run", "link the boxes of each object into tracks"),
     "interpolate": Command("annotator.cli.interpolate:run", "fill the frames between a track's reviewed boxes"),
-    "export": Command("annotator.cli.export:run", "write a dataset"),
-    "evaluate": Command("annotator.cli.evaluate:run", "measure boxes against truth, by the rules of a benchmark"),
-    "stats": Command("annotator.cli.stats:run", "say how far a project is"),
-    "serve": Command("annotator.cli.serve:run", "open the workbench in the browser"),
-    "live": Command(
-        "annotator.cli.live:run", "show boxes on what a camera sees now, or on a recording as it is played"
-    ),
-    "check": Command("annotator.cli.check:run", "find what is wrong with a dataset, or with a project's labels"),
-    "generate": Command("annotator.cli.generate:run", "make a recording of a generated room, with its truth"),
+    "export": Command("annotator.cli.export:run", "write the labels as a dataset"),
+    "evaluate": Command("annotator.cli.evaluate:run", "score boxes against ground truth, by a benchmark's protocol"),
+    "stats": Command("annotator.cli.stats:run", "show a project's progress"),
+    "serve": Command("annotator.cli.serve:run", "start the workbench, a web page to draw and review boxes"),
+    "live": Command("annotator.cli.live:run", "detect on a camera or on a recording as it plays, and show the boxes"),
+    "check": Command("annotator.cli.check:run", "find errors in a dataset, or suspicious labels in a project"),
+    "project move": Command("annotator.cli.project_move:run", "set the new path of a moved recording"),
+    "generate": Command("annotator.cli.generate:run", "generate a synthetic recording with ground truth"),
+    "doctor": Command("annotator.cli.doctor:run", "show what this machine has, and test that it computes correctly"),
     "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),
+    "completion": Command("annotator.cli.completion:run", "print a shell's completion script"),
 }
+
+GROUPS: dict[str, str] = {"project": "manage a project as a whole"}
+"""First words of the two-word commands, and their summaries in `annotator --help`."""
+
+RENAMED_COMMANDS: dict[str, str] = {"move": "project move"}
+"""Commands of version 0.1 and their new names."""
+
+RENAMED_OPTIONS: dict[str, dict[str, str]] = {
+    "evaluate": {"--frames": "--frame-list"},
+    "export": {"--pictures": "--boxes-on"},
+    "import": {"--kind": "--box-kind"},
+    "live": {"--frames": "--limit"},
+    "simulate": {"--operator": "--box-kind"},
+}
+"""By command: options of version 0.1 and their new names. `--root` is `--projects` in every command."""

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
-from annotator.cli.projects import Root, open_named
-from annotator.workflows.labelling import to_draw_on
-from annotator.workflows.rcv_settings import rcv_config
-from annotator.workflows.views_out import COCO, write_views
+from annotator.cli.projects import open_named
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.views.write_pictures import COCO, write_views
+from annotator.workflows.workbench.drawing_steps import to_draw_on
 
 
-def run(project: str, out: Path, /, *, step: int = 1, root: Root = None) -> None:
-    """Write pseudo-views as PNG pictures, to be labelled with any 2D tool that reads and writes COCO.
+def run(project: ProjectName, out: Path, /, *, step: int = 1, projects: Projects = None) -> None:
+    """Write pseudo-views as PNG files, to be labelled in any 2D tool that reads and writes COCO.
 
-    Step 1 needs boxes on camera images, step 2 boxes on both views of step 1.
+    Step 1 needs boxes on camera images, step 2 needs boxes on both views of step 1.
 
     Args:
-        project: the project's name.
-        out: a new folder for the pictures, `coco.json` (pictures without boxes) and `views.json` (where they lie).
-        step: 1 or 2, the step of the recursion.
-        root: folder of projects; default: ANNOTATOR_PROJECTS, else ./projects.
+        out: new folder for the images, `coco.json` (the images without boxes) and `views.json` (their poses).
+        step: step of the recursion, 1 or 2.
     """
-    with open_named(project, root) as opened:
+    with open_named(project, projects) as opened:
         written = write_views(opened, out, step, to_draw_on(opened, rcv_config(opened)))
-    print_line(f"{written.pictures} pictures in {out}")
+    print_line(f"{written.pictures} pseudo-views in {out}")
     for line in written.unreadable:
-        print_line(f"left out: frame {line}")
+        print_line(f"skipped: frame {line}")
     print_line(f"next: draw boxes, then annotator import {project} {out / COCO} --pictures {out}")

@@ -1,1 +1,1 @@
-"""2D detectors: running them, and training them from labelled boxes."""
+"""2D detectors: running them, and training them on labelled boxes."""

@@ -1,22 +1,23 @@
-"""How a detector is trained, and how it is run."""
+"""Settings for training and running a detector."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-Role = Literal["image", "view"]
-# What runs a trained network; docs/detector_backends.md says how `auto` and `fastest` choose.
+from annotator.types import DetectorKind
+
+# What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
 Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnxruntime"]
 
 
 class Augmentation(BaseModel):
-    """Random changes of training pictures. Only such as keep an axis-aligned box the box of the changed picture.
+    """Random changes of training images, limited to those that map an axis-aligned box onto an axis-aligned box.
 
-    Rotation by any other angle, shear and perspective are missing on purpose: the box around a turned box is larger
-    than the turned object's box, and the detector would learn boxes that are too large.
+    Rotation by other angles, shear and perspective are left out: the box around a rotated box is larger than the box of
+    the rotated object, so the detector would learn boxes that are too large.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -24,86 +25,104 @@ class Augmentation(BaseModel):
     flip_horizontal: float = Field(0.0, ge=0, le=1, description="probability of a left-right mirror image")
     flip_vertical: float = Field(0.0, ge=0, le=1, description="probability of an upside-down mirror image")
     quarter_turns: bool = Field(False, description="turn by a random multiple of 90 degrees")
-    shift: float = Field(0.1, ge=0, le=0.5, description="largest shift, share of the picture's size")
+    shift: float = Field(0.1, ge=0, le=0.5, description="largest shift, share of the image size")
     scale: float = Field(0.2, ge=0, lt=1, description="largest change of size, share")
     hue: float = Field(0.015, ge=0, le=0.5, description="largest change of hue, share of the colour circle")
     saturation: float = Field(0.2, ge=0, le=1, description="largest change of saturation, share")
     brightness: float = Field(0.2, ge=0, le=1, description="largest change of brightness, share")
-    mosaic: float = Field(0.0, ge=0, le=1, description="probability of a picture made from four")
-    mosaic_off_epochs: int = Field(10, ge=0, description="last epochs without mosaic")
+    mosaic: float = Field(0.0, ge=0, le=1, description="probability of an image composed of four")
+    mosaic_off_epochs: int = Field(10, ge=0, description="number of last epochs without mosaic")
 
 
-def default_augmentation(role: Role, free_rotation: bool) -> Augmentation:
-    """What is legal for a role; what of it was measured is in docs/detector_training.md.
+def default_augmentation(role: DetectorKind, free_rotation: bool) -> Augmentation:
+    """Default augmentation for a detector; docs/detector_training.md has the measurements.
 
-    Mirror images of pseudo-views help although views are always drawn from the sensor's side: without them small sets
-    are learnt by heart. Objects in free rotation occur turned in every way, so their views may be turned too.
+    Mirroring pseudo-views reduces overfitting on small sets, although real views are never mirrored. Views of objects
+    in free rotation may also be turned, because such objects occur in any rotation.
     """
     if role == "image":
         return Augmentation(flip_horizontal=0.5, scale=0.3, saturation=0.5, brightness=0.4)
     return Augmentation(flip_horizontal=0.5, flip_vertical=0.5 if free_rotation else 0.0, quarter_turns=free_rotation)
 
 
+def _present_name(optimizer: Any) -> Any:
+    """The present name of a stored optimiser: before version 0.2, our MuonSgd was stored as "MuSGD"."""
+    return "MuonSgd" if optimizer == "MuSGD" else optimizer
+
+
 class TrainingConfig(BaseModel):
-    """Settings of a training run; docs/detector_training.md says which defaults were measured, and how."""
+    """Settings of a training run; docs/detector_training.md explains the defaults."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     model: str = Field("yolo11n", description="an ultralytics detection model: yolo11n, yolov8s, yolov5nu, yolo26n ...")
     pretrained: Literal["auto", "never"] | Path = Field(
         "auto",
-        description="auto: published weights where they are found or can be downloaded; never: random weights; "
-        "or a weights file to start from",
+        description="auto: published weights if found or downloadable, else random ones; never: random weights; "
+        "or the path of a weights file",
     )
-    image_size_px: int = Field(224, ge=32, le=2048, multiple_of=32, description="longer side of a picture, pixels")
+    image_size_px: int = Field(
+        224, ge=32, le=2048, multiple_of=32, description="longer side of a training image, pixels"
+    )
     epochs: int | None = Field(
-        None, ge=1, description="passes over the pictures; None: as many as make `pictures_seen`"
+        None, ge=1, description="passes over the training images; None: as many as `pictures_seen` needs"
     )
-    pictures_seen: int = Field(4000, ge=1, description="length of a run whose epochs are not given, pictures")
-    batch: int = Field(16, ge=2, description="pictures a step")
-    patience: int = Field(0, ge=0, description="stop after this many epochs without a better measurement; 0: never")
-    measure_every: int | None = Field(None, ge=1, description="epochs between measurements; None: about 12 in a run")
+    pictures_seen: int = Field(4000, ge=1, description="length of a run without `epochs`, in images")
+    batch: int = Field(16, ge=2, description="images per step")
+    patience: int = Field(0, ge=0, description="stop after this many epochs without improvement; 0: never")
+    measure_every: int | None = Field(
+        None, ge=1, description="epochs between validations; None: about 12 validations per run"
+    )
 
-    optimizer: Literal["MuSGD", "AdamW", "SGD"] = "MuSGD"
-    learning_rate: float = Field(0.01, gt=0, description="at its highest (AdamW likes 0.002)")
-    final_learning_rate: float = Field(0.01, gt=0, le=1, description="at the end, share of the highest")
+    optimizer: Annotated[Literal["MuonSgd", "AdamW", "SGD"], BeforeValidator(_present_name)] = Field(
+        "MuonSgd", description="MuonSgd: `annotator/detection/muon.py`; the others are torch's"
+    )
+    learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")
+    final_learning_rate: float = Field(0.01, gt=0, le=1, description="final learning rate, share of the peak")
     momentum: float = Field(0.9, ge=0, lt=1)
     weight_decay: float = Field(0.0005, ge=0)
-    warmup_epochs: float = Field(1.0, ge=0, description="the learning rate rises over these")
+    warmup_epochs: float = Field(1.0, ge=0, description="epochs over which the learning rate rises")
     box_gain: float = Field(7.5, gt=0, description="weight of the box overlap loss")
     class_gain: float = Field(0.5, gt=0, description="weight of the class loss")
-    edge_gain: float = Field(1.5, gt=0, description="weight of the loss on each edge's distance")
+    edge_gain: float = Field(
+        1.5, gt=0, description="weight of the loss on the distance of each edge (distribution focal loss)"
+    )
 
-    free_rotation: bool = Field(False, description="objects turn freely, so that turned pseudo-views are real ones")
-    augmentation: Augmentation | None = Field(None, description="None: what suits the role")
+    free_rotation: bool = Field(False, description="objects rotate freely, so turned pseudo-views are realistic")
+    augmentation: Augmentation | None = Field(None, description="None: the default for the detector's kind")
     seed: int = Field(0, ge=0)
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
-    download_timeout_s: float = Field(60.0, gt=0, description="longest wait for published weights, seconds")
+    download_timeout_s: float = Field(60.0, gt=0, description="timeout for downloading published weights, seconds")
 
-    def augmentation_for(self, role: Role) -> Augmentation:
-        """The configured augmentation, or what suits the role."""
+    def augmentation_for(self, role: DetectorKind) -> Augmentation:
+        """The configured augmentation, or the default for the detector's kind."""
         return self.augmentation or default_augmentation(role, self.free_rotation)
 
     def epochs_for(self, images: int) -> int:
-        """Epochs of a run over that many training pictures; at least 10 and at most 300 where they are not given."""
+        """Epochs for a number of training images: `epochs` if set, else as `pictures_seen` needs, from 10 to 300."""
         return self.epochs or min(max(round(self.pictures_seen / images), 10), 300)
 
 
 class DetectorConfig(BaseModel):
-    """Settings of a trained detector at work; what runs it (device, backend, threads) is not in its fingerprint."""
+    """Settings for running a trained detector. Device, backend and threads are not part of its fingerprint."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     image_size_px: int = Field(
-        ge=32, description="the longer side of a picture is scaled to this; best what it was trained with; pixels"
+        ge=32, description="input size of the network, longer side, pixels; the training size works best"
     )
     confidence: float = Field(
-        0.05, ge=0, le=1, description="boxes with a lower score are left out; low, because the 3D method weighs them"
+        0.05,
+        ge=0,
+        le=1,
+        description="boxes with a lower score are dropped; low, because the 3D method weights boxes by score",
     )
-    iou: float = Field(0.6, ge=0, le=1, description="of two boxes of a class that overlap more (IoU), the better stays")
+    iou: float = Field(
+        0.6, ge=0, le=1, description="IoU above which, of two boxes of a class, only the better one is kept"
+    )
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
     backend: Backend = Field(
         "auto",
-        description="what runs the network; auto: the fastest that answers as torch does; fastest: also in bfloat16",
+        description="what runs the network; auto: the fastest with the same boxes as torch; fastest: also in bfloat16",
     )
-    threads: int | None = Field(None, ge=1, description="of the processor; None: all cores that the process may use")
+    threads: int | None = Field(None, ge=1, description="processor threads; None: all cores available to the process")

@@ -1,7 +1,7 @@
-"""From labelled pictures to a YOLO training set on disk.
+"""Writes labelled images as a YOLO training set.
 
-The folder holds `images/{train,val}`, `labels/{train,val}` (one text file a picture, `class cx cy w h` as shares of
-the picture; an empty file is a background picture), `data.yaml` and `manifest.json`.
+The folder holds `images/{train,val}`, `labels/{train,val}` (one text file per image, `class cx cy w h` as shares of the
+image size; an empty file marks a background image), `data.yaml` and `manifest.json`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from jaxtyping import UInt8
 
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
 from annotator.files import new_folder
-from annotator.geometry.image_shares import cut_to_picture, shares_of
+from annotator.geometry.image_shares import clip_to_image, shares_of
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError
 
 JPEG_QUALITY = 95
-# A box of which less than this is on the picture is no label, pixels.
+# A box with a shorter side than this inside the image is not a label, pixels.
 MIN_SIDE_PX = 1.0
 SPLITS: tuple[Split, Split] = ("train", "val")
 
@@ -34,15 +34,15 @@ Rgb = UInt8[np.ndarray, "h w 3"]
 
 @dataclass(frozen=True, eq=False)
 class TrainingSample:
-    """One labelled picture.
+    """One labelled image.
 
     Attributes:
-        rgb: (H, W, 3) uint8 in RGB order, or something that gives it when called, or an image file.
-        boxes: its labels, in its own pixels; none means that it shows no object.
-        group: key of the frame it comes from; pictures of one group are never split between training and measuring.
-        origin: how the boxes came about, such as "drawn", "imported" or "projected".
-        label_uids: the labels that the boxes come from, as far as these have uids: of the first boxes.
-        look_px: longer side, pixels, that a detector will look at it with; 0: with what it is trained at (`tiles`).
+        rgb: (H, W, 3) uint8 in RGB order, a function that returns it, or an image file.
+        boxes: its labels, in pixels of this image; none = no object is visible.
+        group: key of the source frame; images of one group are never split between training and validation.
+        origin: where the boxes come from, such as "drawn", "imported" or "projected".
+        label_uids: uids of the source labels, for the first boxes; may be shorter than `boxes`.
+        look_px: longer side at which the detector will see this image, pixels; 0: the training size (see `tiles`).
     """
 
     rgb: Rgb | Callable[[], Rgb] | Path
@@ -53,16 +53,16 @@ class TrainingSample:
     look_px: int = 0
 
     def load(self) -> Rgb:
-        """The picture.
+        """The image as an array.
 
         Raises:
-            DetectionError: its file cannot be read.
+            DetectionError: the file cannot be read.
         """
         if isinstance(self.rgb, Path):
             bgr = cv2.imread(str(self.rgb), cv2.IMREAD_COLOR)
             if bgr is None:
                 raise DetectionError(
-                    f"{self.rgb}: training picture cannot be read; remove its labels or restore the file"
+                    f"{self.rgb}: training image cannot be read; restore the file or remove its labels"
                 )
             return np.ascontiguousarray(bgr[:, :, ::-1])
         return self.rgb() if callable(self.rgb) else self.rgb
@@ -70,7 +70,7 @@ class TrainingSample:
 
 @dataclass(frozen=True)
 class _Written:
-    """A sample whose files are in the temporary folder."""
+    """A sample that is written to the temporary folder."""
 
     stem: str
     group: str
@@ -90,28 +90,28 @@ def write_dataset(
     kind: BoxKind | None = None,
     image_format: Literal["png", "jpg"] = "png",
 ) -> DatasetManifest:
-    """Writes a training set, one picture in memory at a time, and gives its manifest.
+    """Writes a training set, with one image in memory at a time, and returns its manifest.
 
-    It is written beside `folder` and then renamed, so that `folder` is always whole; an older training set there is
+    The set is written beside `folder` and then renamed, so `folder` is never incomplete. An existing training set is
     replaced.
 
     Args:
-        folder: where it shall be; its parents are made.
-        samples: at least one of them with a box.
-        classes: every class name that may occur; the order numbers them.
-        val_share: share of the groups that is held back to measure, 0 to 0.9. With fewer than two groups that have
-            boxes none is held back, and the training pictures are measured on (the manifest says so).
-        seed: of the split, which depends on it and the group names alone.
-        kind: what the boxes measure, recorded in the manifest.
-        image_format: png is exact; jpg (quality 95) suits large camera images.
+        folder: the new folder; missing parents are created.
+        samples: at least one of them must have a box.
+        classes: all class names, in the order of the class numbers.
+        val_share: share of the groups used for validation, 0 to 0.9. If fewer than two groups have boxes, the
+            training images are used for validation, and the manifest says so.
+        seed: seed of the split. The split depends only on the seed and the group names.
+        kind: what the boxes measure; recorded in the manifest.
+        image_format: png is lossless; jpg (quality 95) suits large camera images.
 
     Raises:
-        ConfigError: an unusable class list or share, or a box of an unknown class.
-        DetectionError: no box at all, an unreadable picture, or a `folder` that is something else than a training set.
-        FormatError: the folder cannot be made.
+        ConfigError: an invalid class list or share, or a box of an unknown class.
+        DetectionError: there is no box, an image is unreadable, or `folder` is not a training set.
+        FormatError: the folder cannot be created.
     """
     _check(folder, classes, val_share)
-    with new_folder(folder, lambda _: True) as temporary:  # `_check` has looked at what is there
+    with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder
         written = [
             _write_sample(temporary, f"{index:06d}", sample, classes, image_format)
             for index, sample in enumerate(samples)
@@ -126,8 +126,8 @@ def write_dataset(
 
 
 def yolo_line(box: Box2D, width_px: int, height_px: int, class_number: int) -> str | None:
-    """`class cx cy w h` as shares of the picture, clipped to it; None where nothing of the box is on it."""
-    cut = cut_to_picture(box, width_px, height_px, MIN_SIDE_PX)
+    """`class cx cy w h` as shares of the image size, clipped to the image; None if the box is outside."""
+    cut = clip_to_image(box, width_px, height_px, MIN_SIDE_PX)
     if cut is None:
         return None
     return " ".join([str(class_number), *(f"{share:.7f}" for share in shares_of(cut, width_px, height_px))])
@@ -135,9 +135,9 @@ def yolo_line(box: Box2D, width_px: int, height_px: int, class_number: int) -> s
 
 def _check(folder: Path, classes: Sequence[str], val_share: float) -> None:
     if not classes or len(set(classes)) != len(classes) or not all(name.strip() for name in classes):
-        raise ConfigError(f"the classes of a training set must be different, non-empty names, not {list(classes)}")
+        raise ConfigError(f"the class names of a training set must be unique and not empty, but are {list(classes)}")
     if not 0 <= val_share <= 0.9:
-        raise ConfigError(f"the share of groups that is held back must be 0 to 0.9, not {val_share}")
+        raise ConfigError(f"the validation share must be 0 to 0.9, not {val_share}")
     if folder.exists() and not (folder / MANIFEST_NAME).is_file() and (folder.is_file() or any(folder.iterdir())):
         raise DetectionError(f"{folder}: exists and is not a training set; choose another folder or remove it")
 
@@ -170,7 +170,7 @@ def _write_sample(
 
 
 def _val_groups(written: Sequence[_Written], val_share: float, seed: int) -> frozenset[str]:
-    """The groups that are held back: drawn among those with boxes and those without alike."""
+    """The validation groups: the same share of the groups with boxes and of those without."""
     with_boxes = {item.group for item in written if item.boxes}
     if not with_boxes:
         raise DetectionError("a training set needs at least one labelled box; label some frames first")

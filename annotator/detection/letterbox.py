@@ -1,4 +1,4 @@
-"""Pictures of any size into one batch for a network, and boxes back."""
+"""Puts images of any size into a batch for a network, and maps boxes back to the images."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float64, Int64, UInt8
 
-# The border's grey; networks are trained with it, and pseudo-views have it as background.
+# Grey of the border. Networks are trained with it, and pseudo-views have it as background.
 GREY = 114
-# Below, the border around a narrow picture costs less than it does to have canvases of several sizes side by side.
+# Canvases up to this size are square: a wider border costs less time than batches of several canvas sizes.
 SQUARE_UP_TO_PX = 128
 
 
 @dataclass(frozen=True)
 class Placement:
-    """How a picture is scaled and framed before it goes into a network, all in pixels.
+    """How an image is scaled and padded for a network, all in pixels.
 
     Attributes:
-        width_px, height_px: its own size.
+        width_px, height_px: size of the image.
         scaled_width_px, scaled_height_px: its size in the batch.
-        canvas: (width, height) with the border around it.
+        canvas: (width, height) including the border.
     """
 
     width_px: int
@@ -33,13 +33,15 @@ class Placement:
 
     @property
     def corner(self) -> tuple[int, int]:
-        """Left and top border; an odd pixel goes to the right or bottom."""
+        """Left and top border; an odd pixel is added on the right or at the bottom."""
         return (self.canvas[0] - self.scaled_width_px) // 2, (self.canvas[1] - self.scaled_height_px) // 2
 
 
 def place(size: tuple[int, int], longer_side_px: int, stride: int) -> Placement:
-    """A picture of (height, width) with its longer side scaled to the given length, on the smallest canvas around it
-    whose sides are multiples of `stride`; small ones on a square, so that all of a call can be computed alike."""
+    """Scales the longer side of a (height, width) image to `longer_side_px` and pads it to multiples of `stride`.
+
+    Small images get square canvases, so that all images of a call share one size.
+    """
     height_px, width_px = size
     scale = longer_side_px / max(height_px, width_px)
     scaled_width_px, scaled_height_px = max(round(width_px * scale), 1), max(round(height_px * scale), 1)
@@ -50,11 +52,11 @@ def place(size: tuple[int, int], longer_side_px: int, stride: int) -> Placement:
 
 
 def fill_batch(pictures: Sequence[np.ndarray], placements: Sequence[Placement]) -> UInt8[np.ndarray, "n h w 3"]:
-    """Pictures that share a canvas, each in the middle of it.
+    """A batch of images that share a canvas size, each centred on its canvas.
 
     Args:
-        pictures: each (height, width, 3) uint8, of its own size.
-        placements: of each picture.
+        pictures: images of any sizes, each (height, width, 3) uint8.
+        placements: one per image.
     """
     width_px, height_px = placements[0].canvas
     batch = np.full((len(pictures), height_px, width_px, 3), GREY, np.uint8)
@@ -72,15 +74,15 @@ def to_pictures(
     picture: Int64[np.ndarray, "k"],
     placements: Sequence[Placement],
 ) -> Float64[np.ndarray, "k 4"]:
-    """Boxes on canvases as boxes in their pictures, clipped to them.
+    """Maps boxes from canvases to their images, and clips them to the images.
 
-    Resizing keeps a picture's edges in place, so pixels are counted from its corner in between; in the result they
-    count from the centre of the first one, half a pixel further in.
+    Resizing preserves image corners, so the mapping measures from the corner of the first pixel. The result measures
+    from its centre, half a pixel further in.
 
     Args:
-        boxes: x_min y_min x_max y_max, pixels from the canvas's corner.
-        picture: for each box, the number of its picture.
-        placements: of each picture.
+        boxes: x_min y_min x_max y_max, pixels from the corner of the canvas.
+        picture: index of each box's image.
+        placements: one per image.
     """
     border = np.array([p.corner * 2 for p in placements], np.float64)[picture]
     size = np.array([(p.width_px, p.height_px) * 2 for p in placements], np.float64)[picture]

@@ -1,4 +1,4 @@
-"""What a training set is made of, as it is written beside its pictures."""
+"""The manifest of a training set, written beside its images."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Split = Literal["train", "val"]
 
 
 class ManifestEntry(BaseModel):
-    """One picture of a training set.
+    """One image of a training set.
 
     Attributes:
         image: its file, relative to the set's folder.
-        split: trained on, or held back to measure.
-        group: the frame it comes from; all pictures of a group share a split.
-        origin: how its boxes came about, such as "drawn" or "projected".
-        label_uids: the project's labels that its boxes come from, where there are any.
+        split: training or validation.
+        group: the source frame; all images of a group share a split.
+        origin: where its boxes come from, such as "drawn" or "projected".
+        label_uids: uids of the project's labels that its boxes come from, if any.
         boxes: class names of its boxes, in the order of the label file.
     """
 
@@ -37,20 +37,20 @@ class ManifestEntry(BaseModel):
 
 
 class DatasetManifest(BaseModel):
-    """A whole training set.
+    """A training set.
 
     Attributes:
         version: of this file's format.
-        sha256: of all pictures, labels, classes and the split; the same labels give the same hash.
+        sha256: hash of all images, labels, classes and the split.
         classes: names, in the order of the class numbers in the label files.
         kind: what the boxes measure; None for boxes on camera images, where it does not matter.
-        seed, val_share: what decided the split.
-        measured_on: "train" where there were too few groups to hold any back, so that its metrics flatter.
-        images: number of pictures by split.
+        seed, val_share: parameters of the split.
+        measured_on: "train" if there were too few groups for a validation set; the metrics are then too optimistic.
+        images: number of images by split.
         boxes_by_class: number of boxes by split and class.
-        images_by_origin: number of pictures by split and origin.
-        dropped_boxes: boxes left out because nothing of them lies on their picture.
-        entries: every picture.
+        images_by_origin: number of images by split and origin.
+        dropped_boxes: number of boxes that were dropped because they lie outside their image.
+        entries: all images.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -70,10 +70,10 @@ class DatasetManifest(BaseModel):
 
 
 def read_manifest(folder: Path) -> DatasetManifest:
-    """The manifest of a training set folder.
+    """Reads the manifest of a training set folder.
 
     Raises:
-        FormatError: the folder has no manifest, or one that cannot be read.
+        FormatError: there is no manifest, or it cannot be read.
     """
     path = folder / MANIFEST_NAME
     try:

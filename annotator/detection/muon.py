@@ -1,11 +1,11 @@
-"""Muon with SGD, the optimiser that learns most from few pictures, at a price a CPU can pay.
+"""Muon with SGD, the most accurate optimiser on small training sets, fast enough for a CPU.
 
 Muon (K. Jordan et al., "Muon: an optimizer for hidden layers in neural networks", 2024) replaces each weight matrix's
 momentum by the nearest matrix with equal singular values, found by Newton-Schulz iteration. Ultralytics trains YOLO26
-with a mix of it and SGD; its version computes in bfloat16 and pads matrices to batches, which suits a GPU and on a CPU
-takes nearly as long as the rest of a training step. This one works in float32 and batches only equal shapes.
+with a mix of it and SGD; its version computes in bfloat16 and pads matrices to batches. That suits a GPU; on a CPU it
+takes nearly as long as the rest of a training step. This version computes in float32 and batches equal shapes only.
 
-Imports torch: import this module only where a detector is about to be trained.
+This module imports torch; import it only to train.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ITERATIONS = 5
 
 
 def orthogonalised(matrices: torch.Tensor) -> torch.Tensor:
-    """Each of (n, rows, columns) matrices with all its singular values brought near 1 (0.7 to 1.2)."""
+    """The (n, rows, columns) matrices with all singular values moved close to 1 (0.7 to 1.2)."""
     a, b, c = NEWTON_SCHULZ
     x = matrices / (matrices.norm(dim=(1, 2), keepdim=True) + 1e-7)
     tall = x.shape[1] > x.shape[2]
@@ -34,17 +34,17 @@ def orthogonalised(matrices: torch.Tensor) -> torch.Tensor:
 
 
 class MuonSgd(torch.optim.Optimizer):
-    """SGD with Nesterov momentum for all parameters, plus a Muon update for those of groups with `use_muon`.
+    """SGD with Nesterov momentum for all parameters, plus a Muon update for groups with `use_muon`.
 
-    Groups have `lr`, `momentum`, `weight_decay` (of the SGD part) and `use_muon`; parameters of a Muon group have at
-    least two dimensions, of which all but the first are taken as one.
+    Groups have `lr`, `momentum`, `weight_decay` (of the SGD part) and `use_muon`. Parameters of a Muon group have at
+    least two dimensions; all but the first are flattened.
     """
 
     def __init__(self, groups: list[dict[str, Any]], muon: float = 0.2, sgd: float = 1.0) -> None:
         """
         Args:
             groups: parameter groups.
-            muon, sgd: what the learning rate is multiplied with for either part.
+            muon, sgd: factors of the learning rate for the two parts.
         """
         super().__init__(groups, {"lr": 0.01, "momentum": 0.9, "weight_decay": 0.0, "use_muon": False})
         self._muon, self._sgd = muon, sgd

@@ -1,4 +1,4 @@
-"""A detector that knows the truth: what the rest of the method reaches when its 2D boxes are right, or a little off."""
+"""A detector that answers from ground truth, exactly or with noise, to measure the method without detector errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
-from annotator.geometry.image_shares import cut_to_picture
+from annotator.geometry.image_shares import clip_to_image
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Region, Truth
@@ -21,14 +21,14 @@ MIN_SIDE_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the detector knows of one frame.
+    """The ground truth of one frame.
 
     Attributes:
         key: the frame's key.
         camera: its colour camera.
         xyz_m: (n, 3) its cloud, camera frame.
-        truths: its objects.
-        points: for each object, how many points of the cloud lie in its box.
+        truths: the objects.
+        points: for each object, the number of points in its box.
     """
 
     key: str
@@ -46,11 +46,11 @@ class Scene:
 
 
 class PerfectDetector:
-    """Image detector and pseudo-view detector in one, from the true 3D boxes of the frames it is given.
+    """Image and pseudo-view detector in one, from the true 3D boxes of given frames.
 
-    On a `Frame` or a `Region` of one it answers with what each object's 3D box (or, for silhouettes, its points) spans
-    on the image; on a `PseudoView` with the same on the view, for each object of which it shows enough points.
-    Boxes are clipped to the picture, as a real detector cannot answer outside it. It knows only frames it was made for.
+    On a `Frame`, or a `Region` of one, it returns the 2D extent of each object's 3D box (for silhouettes: of its
+    points). On a `PseudoView` it returns the same for each object of which the view shows enough points. Boxes are
+    clipped to the image. Other frames are refused.
     """
 
     def __init__(
@@ -64,14 +64,13 @@ class PerfectDetector:
     ) -> None:
         """
         Args:
-            scenes: the frames that will be asked about.
+            scenes: the frames that it can answer for.
             kind: what the boxes measure.
-            jitter: standard deviation by which each edge is moved, as a share of the view's extent in that direction
-                (on a camera image: of the box's own extent there).
-            seed: of the jitter, which depends on the picture and not on the order of calls.
-            min_points: objects with fewer points in the whole cloud are not seen.
-            min_view_share: objects of which a view shows fewer than this share of their points (and fewer than 3
-                points) are not seen on it.
+            jitter: standard deviation of the noise on each edge, as a share of the view's extent in that direction
+                (on a camera image: of the box's extent).
+            seed: seed of the noise, which depends on the image, not on the order of calls.
+            min_points: objects with fewer points in the cloud are not detected.
+            min_view_share: an object is detected on a view that shows at least this share of its points, and 3.
 
         Raises:
             ValueError: two scenes with one key.
@@ -92,17 +91,22 @@ class PerfectDetector:
         seed: int = 0,
         min_points: int = 1,
     ) -> PerfectDetector:
-        """A detector for one frame and all pseudo-views of it; for several, make it from several `Scene`s."""
+        """A detector for one frame and its pseudo-views."""
         return cls([Scene.of(frame, truths)], kind, jitter, seed, min_points)
 
     @property
+    def box_kind(self) -> BoxKind:
+        """What the boxes measure."""
+        return self._kind
+
+    @property
     def labels(self) -> tuple[str, ...]:
-        """The classes of the known objects, sorted."""
+        """The classes of the objects, sorted."""
         return tuple(sorted({t.label for scene in self._scenes.values() for t in scene.truths}))
 
     @property
     def fingerprint(self) -> str:
-        """A hash of the known boxes and the settings."""
+        """Hash of the boxes and the settings."""
         digest = hashlib.sha256(
             f"{self._kind} {self._jitter} {self._seed} {self._min_points} {self._min_view_share}".encode()
         )
@@ -114,35 +118,37 @@ class PerfectDetector:
         return "perfect-" + digest.hexdigest()
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One list of boxes an image; the object with most points first.
+        """One list of boxes per image; the object with most points first.
 
         Raises:
-            DetectionError: a frame that the detector was not made for, or a picture that is neither a `Frame`, a
-                `Region` of one nor a `PseudoView`.
+            DetectionError: the frame is not one of `scenes`, or the image is neither a `Frame`, a `Region` of one,
+                nor a `PseudoView`.
         """
-        # The views of one step share their points, so each cloud is looked up once.
+        # The views of one step share their points, so each cloud is searched once.
         counted: dict[int, tuple[Scene | None, Int64[np.ndarray, "k"]]] = {}
-        found = []
+        answers = []
         for image in images:
             if isinstance(image, Frame):
-                found.append(self._on_image(image))
+                answers.append(self._on_image(image))
             elif isinstance(image, Region) and isinstance(image.of, Frame):
-                found.append([box for whole in self._on_image(image.of) if (box := _on_region(image, whole))])
+                answers.append([box for whole in self._on_image(image.of) if (box := _on_region(image, whole))])
             elif isinstance(image, PseudoView):
                 known = counted.get(id(image.xyz_m))
                 if known is None:
                     known = counted[id(image.xyz_m)] = self._count(image.xyz_m)
-                found.append(self._on_view(image, *known))
+                answers.append(self._on_view(image, *known))
             else:
                 raise DetectionError(
-                    f"a perfect detector sees frames, regions of them and pseudo-views, not {type(image).__name__}"
+                    f"a perfect detector takes frames, regions of frames and pseudo-views, not {type(image).__name__}"
                 )
-        return found
+        return answers
 
     def _on_image(self, frame: Frame) -> list[Box2D]:
         scene = self._scenes.get(frame.key)
         if scene is None:
-            raise DetectionError(f"the perfect detector does not know frame {frame.key}; it knows {list(self._scenes)}")
+            raise DetectionError(
+                f"the perfect detector has no truth for frame {frame.key}, only for {list(self._scenes)}"
+            )
         size = (frame.camera.width_px, frame.camera.height_px)
         boxes = []
         for index in np.argsort(scene.points, kind="stable")[::-1]:
@@ -164,7 +170,7 @@ class PerfectDetector:
         return points_on_image(scene.camera, xyz_m, truth.label, MIN_SIDE_PX)
 
     def _count(self, xyz_m: Float32[np.ndarray, "n 3"]) -> tuple[Scene | None, Int64[np.ndarray, "k"]]:
-        """The frame that a view's points come from, and how many of each of its objects' points are among them."""
+        """The frame that a view shows, and the number of points of each object among the view's points."""
         scene = self._scene_of(xyz_m)
         truths = scene.truths if scene is not None else ()
         return scene, np.array([contains(t.box, xyz_m).sum() for t in truths], np.int64)
@@ -173,13 +179,13 @@ class PerfectDetector:
         scenes = list(self._scenes.values())
         if len(scenes) == 1 or not len(xyz_m):
             return scenes[0] if scenes else None
-        # Views draw points of their frame's cloud unchanged, so a few exact coordinates tell frames apart.
+        # Views draw unchanged points of their frame, so a few exact coordinates identify the frame.
         probes = xyz_m[:: max(len(xyz_m) // 4, 1)]
         return next((s for s in scenes if all((s.xyz_m == probe).all(axis=1).any() for probe in probes)), None)
 
     def _on_view(self, view: PseudoView, scene: Scene | None, shown: Int64[np.ndarray, "k"]) -> list[Box2D]:
         if scene is None:
-            raise DetectionError("the perfect detector was not made for the frame that a pseudo-view shows")
+            raise DetectionError("the perfect detector has no truth for the frame of this pseudo-view")
         height_px, width_px = view.rgb.shape[:2]
         size = np.array([width_px, height_px], np.float64)
         geometry = view.axes.tobytes() + view.origin_m.tobytes() + np.float64(view.metres_per_px).tobytes()
@@ -199,14 +205,14 @@ class PerfectDetector:
         return [box for box in boxes if box is not None]
 
     def _rng(self, picture: bytes, index: int) -> np.random.Generator:
-        """Noise that depends on the seed, the picture and the object alone."""
+        """A generator that depends only on the seed, the image and the object."""
         digest = hashlib.sha256(picture + f" {index} {self._seed}".encode()).digest()
         return np.random.default_rng(int.from_bytes(digest[:8], "little"))
 
 
 def _on_region(region: Region, box: Box2D) -> Box2D | None:
-    """A box on the whole image as it is on a part of it."""
-    return cut_to_picture(box.shifted(-region.x_px, -region.y_px), region.width_px, region.height_px, MIN_SIDE_PX)
+    """A box of the whole image in pixels of the region, clipped to it; None if it is outside."""
+    return clip_to_image(box.shifted(-region.x_px, -region.y_px), region.width_px, region.height_px, MIN_SIDE_PX)
 
 
 def _answer(
@@ -216,7 +222,7 @@ def _answer(
     size: tuple[int, int],
     rng: np.random.Generator,
 ) -> Box2D | None:
-    """The 2D box over `span` (rows low and high, columns x and y, pixels), its edges moved, clipped to the picture."""
+    """The 2D box over `span` (rows low and high, columns x and y, pixels) with noise, clipped to the image."""
     moved = np.sort(span + rng.normal(size=(2, 2)) * sigma_px, axis=0)
     low, high = np.clip(moved, -0.5, np.array(size) - 0.5)
     if (high - low < MIN_SIDE_PX).any():

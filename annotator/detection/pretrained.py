@@ -1,4 +1,4 @@
-"""Published weights to start from, where they can be had, and never a crash or a hang where they cannot."""
+"""Finds pretrained weights to start from; without them, a training starts from random weights."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.ultralytics_api import api, cache_dir, load_weights
 from annotator.types.errors import ConfigError, DetectionError
 
-# The last layer of ultralytics' detection models; those of others that are detection models too (segmentation, poses)
-# end differently.
+# Last layers of ultralytics' detection models. Models for segmentation or poses, which derive from them, have others.
 DETECTING_LAYERS = {"Detect", "v10Detect"}
 
 
@@ -22,8 +21,8 @@ class StartingPoint:
     """What a training run starts from.
 
     Attributes:
-        model: what ultralytics is told to build: a weights file, or "NAME.yaml" for random weights.
-        pretrained: whether it has learnt something already.
+        model: ultralytics' model argument: a weights file, or "NAME.yaml" for random weights.
+        pretrained: whether the weights are pretrained.
         note: the same in words, for the user.
     """
 
@@ -33,7 +32,7 @@ class StartingPoint:
 
 
 def find_starting_point(config: TrainingConfig) -> StartingPoint:
-    """Weights to start from as `config.pretrained` asks; random ones where none can be had.
+    """The weights to start from, by `config.pretrained`; random ones if none are available.
 
     Raises:
         ConfigError: the model name is unknown, or a given weights file is missing.
@@ -46,42 +45,42 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
     scratch = f"{name}.yaml"
     if config.pretrained == "never":
         return StartingPoint(scratch, False, "starts from random weights, as asked")
-    found = find_locally(f"{name}.pt")
-    if found is not None:
-        return StartingPoint(str(found), True, f"starts from published weights in {found}")
+    local = find_locally(f"{name}.pt")
+    if local is not None:
+        return StartingPoint(str(local), True, f"starts from published weights in {local}")
     if api().user_offline:
         return StartingPoint(
-            scratch, False, f"starts from random weights: {name}.pt is not here and YOLO_OFFLINE is set"
+            scratch, False, f"starts from random weights: {name}.pt is not cached and YOLO_OFFLINE is set"
         )
     try:
         path = within(config.download_timeout_s, lambda: download(f"{name}.pt"))
-    except Exception as error:  # anything that goes wrong on the way to the weights leads to random ones
+    except Exception as error:  # without a download, whatever the reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         return StartingPoint(
-            scratch, False, f"starts from random weights: {name}.pt is not here and cannot be downloaded ({reason})"
+            scratch, False, f"starts from random weights: {name}.pt is not cached and cannot be downloaded ({reason})"
         )
     return StartingPoint(str(path), True, f"starts from published weights, downloaded to {path}")
 
 
 def check_start(config: TrainingConfig) -> None:
-    """Finds out before a long preparation whether a training could begin; nothing is downloaded or trained.
+    """Checks the model and the weights before a long preparation; downloads and trains nothing.
 
     Raises:
-        ConfigError: the model name is unknown; or the weights file, given or found here, is missing, damaged or holds
-            no detection model.
+        ConfigError: the model name is unknown, or the given or cached weights file is missing, damaged or holds no
+            detection model.
         DetectionError: the packages cannot be loaded.
     """
     name = check_model_name(config.model)
     if isinstance(config.pretrained, Path):
         check_weights(config.pretrained, "give another file, or auto")
     elif config.pretrained == "auto":
-        found = find_locally(f"{name}.pt")
-        if found is not None:
-            check_weights(found, "replace or remove it")
+        local = find_locally(f"{name}.pt")
+        if local is not None:
+            check_weights(local, "replace or remove it")
 
 
 def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
-    """Reads a weights file as a training would.
+    """Reads a weights file as a training does.
 
     Raises:
         ConfigError: it is missing, damaged or holds no detection model.
@@ -96,20 +95,20 @@ def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
         raise ConfigError(str(error)) from error
     head = type(model.model[-1]).__name__
     if head not in DETECTING_LAYERS:
-        raise ConfigError(f"{path}: holds a model that ends in {head}, not one that detects boxes; {remedy}")
+        raise ConfigError(f"{path}: holds a model with the last layer {head}, which does not detect boxes; {remedy}")
 
 
 def check_model_name(name: str) -> str:
-    """The name without a file ending.
+    """The model name without a file extension.
 
     Raises:
-        ConfigError: ultralytics builds no detection model of that name.
+        ConfigError: ultralytics has no detection model of that name.
     """
     stem = name.removesuffix(".pt").removesuffix(".yaml")
     if stem.startswith("yolo") and "/" not in stem:
         try:
             model = api().DetectionModel(f"{stem}.yaml", nc=1, verbose=False)
-        except Exception as error:  # an unknown name ends in one of many errors
+        except Exception as error:  # ultralytics raises many kinds for an unknown name
             raise ConfigError(_unknown(name)) from error
         if type(model.model[-1]).__name__ in DETECTING_LAYERS:
             return stem
@@ -118,21 +117,28 @@ def check_model_name(name: str) -> str:
 
 def _unknown(name: str) -> str:
     return (
-        f"{name!r} is no detection model that ultralytics can build; "
-        "try yolo11n, yolov8n, yolov5nu or yolo26n, or a larger one of them such as yolo11s"
+        f"{name!r} is not a detection model of ultralytics; "
+        "try yolo11n, yolov8n, yolov5nu or yolo26n, or a larger one such as yolo11s"
     )
 
 
 def find_locally(file_name: str) -> Path | None:
     """A weights file in annotator's cache or in ultralytics' own weights folder."""
-    for folder in (cache_dir() / "weights", api().weights_dir):
-        if (folder / file_name).is_file():
-            return folder / file_name
-    return None
+    return next((path for path in local_weights() if path.name == file_name), None)
+
+
+def local_weights() -> list[Path]:
+    """All weights files in annotator's cache and in ultralytics' own weights folder.
+
+    Raises:
+        DetectionError: ultralytics, which defines that folder, cannot be loaded.
+    """
+    folders = (cache_dir() / "weights", api().weights_dir)
+    return [path for folder in folders for path in sorted(folder.glob("*.pt")) if path.is_file()]
 
 
 def download(file_name: str) -> Path:
-    """Fetches published weights to annotator's cache through ultralytics' downloader, and gives their path."""
+    """Downloads published weights into annotator's cache with ultralytics' downloader; returns their path."""
     folder = cache_dir() / "weights"
     folder.mkdir(parents=True, exist_ok=True)
     path = Path(api().downloads.attempt_download_asset(str(folder / file_name), progress=False, retry=0))
@@ -142,13 +148,13 @@ def download(file_name: str) -> Path:
 
 
 def within(timeout_s: float, work: Callable[[], Any]) -> Any:
-    """The result of `work`, or TimeoutError; what hangs is left behind in a thread that ends with the process."""
+    """The result of `work`, or TimeoutError. Work that hangs is left running in a daemon thread."""
     outcome: list[Any] = []
 
     def run() -> None:
         try:
             outcome.extend((True, work()))
-        except BaseException as error:  # carried over to the waiting thread
+        except BaseException as error:  # raised again in the waiting thread
             outcome.extend((False, error))
 
     thread = threading.Thread(target=run, daemon=True, name="annotator-download")

@@ -1,4 +1,4 @@
-"""How far a training run is, and the wish to stop it."""
+"""Progress of a training run, and the request to stop it."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annotator.detection.config import Role
 from annotator.detection.trained import RunRecord
+from annotator.types import DetectorKind
 from annotator.types.errors import DetectionError
 
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a run is.
+    """Progress of a training run.
 
     Attributes:
-        role: which detector.
-        epoch, epochs: epochs that are finished, of how many.
-        batch, batches: batches of the running epoch that are finished, of how many.
-        losses: the running epoch's mean losses by name, or the last one's.
-        map50, map50_95: of the last measurement; None before the first.
-        seconds: since the run began (this time, where it was resumed).
-        seconds_left: an estimate; None before there is anything to estimate from.
-        note: what it started from.
+        role: the detector's kind.
+        epoch, epochs: finished epochs, and all epochs.
+        batch, batches: finished batches of the current epoch, and all of its batches.
+        losses: mean losses of the current epoch by name, or of the last one.
+        map50, map50_95: of the last validation; None before the first.
+        seconds: since the run started or was resumed.
+        seconds_left: an estimate; None before the first batch.
+        note: what the run started from.
     """
 
-    role: Role
+    role: DetectorKind
     epoch: int
     epochs: int
     batch: int
@@ -42,25 +42,25 @@ class TrainingProgress:
 
     @property
     def epochs_done(self) -> float:
-        """Epochs with the part of the running one."""
+        """Finished epochs, including the finished fraction of the current one."""
         if self.epoch >= self.epochs or self.batches == 0:
             return float(self.epoch)
         return self.epoch + (self.batch % self.batches) / self.batches
 
 
 class TrainingStoppedError(DetectionError):
-    """The caller's `stop` said so; what was learnt so far is kept and the run can go on."""
+    """The caller stopped the training; the weights so far are kept and the run can be resumed."""
 
 
 Report = Callable[[TrainingProgress], None]
 
 
 class Watch:
-    """Carries progress to the caller, asks whether to stop, and keeps the time over resumes."""
+    """Reports progress to the caller, checks for a stop request, and adds up the time over resumes."""
 
     def __init__(
         self,
-        role: Role,
+        role: DetectorKind,
         run: RunRecord,
         out: Path,
         epochs: int,
@@ -83,11 +83,11 @@ class Watch:
             self._first_epoch = trainer.start_epoch
         batches = len(trainer.train_loader)
         self._batch = self._batch % batches + 1
-        self._tell(trainer, trainer.epoch, self._batch, batches)
+        self._send(trainer, trainer.epoch, self._batch, batches)
         if self._stop is not None and self._stop():
             raise TrainingStoppedError(
                 f"training was stopped in epoch {trainer.epoch + 1} of {self.epochs}; "
-                "train again with the same labels and settings to go on from there"
+                "train again with the same labels and settings to resume"
             )
 
     def on_epoch(self, trainer: Any) -> None:
@@ -95,9 +95,9 @@ class Watch:
             self._map50 = float(trainer.metrics["metrics/mAP50(B)"])
             self._map50_95 = float(trainer.metrics["metrics/mAP50-95(B)"])
         self.run.model_copy(update={"seconds": self.run.seconds + self.seconds}).write(self.out)
-        self._tell(trainer, trainer.epoch + 1, 0, len(trainer.train_loader))
+        self._send(trainer, trainer.epoch + 1, 0, len(trainer.train_loader))
 
-    def _tell(self, trainer: Any, epoch: int, batch: int, batches: int) -> None:
+    def _send(self, trainer: Any, epoch: int, batch: int, batches: int) -> None:
         if self._progress is None:
             return
         done = epoch - self._first_epoch + batch / batches

@@ -1,4 +1,4 @@
-"""From a network's raw answer to boxes; for a whole batch of pictures at once, whatever has run the network."""
+"""Decodes the raw output of a network into candidate boxes, for a whole batch at once and for every backend."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
-# Only the most certain candidates of a picture are compared for overlap.
+# Only the candidates with the highest scores of an image enter non-maximum suppression.
 MAX_CANDIDATES = 300
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What a batch's raw answer amounts to before boxes are compared with each other.
+    """The candidates of a batch before non-maximum suppression.
 
     Attributes:
-        picture: (k,) number of the picture in its batch.
-        boxes: (k, 4) x_min y_min x_max y_max, pixels from the batch's corner.
+        picture: (k,) index of the image in its batch.
+        boxes: (k, 4) x_min y_min x_max y_max, pixels from the corner of the batch's canvas.
         scores: (k,)
         numbers: (k,) class numbers.
     """
@@ -29,15 +29,15 @@ class Candidates:
 
 
 def candidates(prediction: Float32[np.ndarray, "n c a"], end2end: bool, confidence: float) -> Candidates:
-    """The candidates of each picture that are certain enough, at most `MAX_CANDIDATES` of them.
+    """The candidates of each image whose score exceeds `confidence`, at most `MAX_CANDIDATES` per image.
 
     Args:
-        prediction: a column an anchor: four numbers of its box, then the score of each class. The box is centre and
-            size; of networks that answer each object once (end2end: YOLO26, YOLOv10) x_min y_min x_max y_max.
-        end2end: which of the two it is.
-        confidence: a box with a lower score is none.
+        prediction: one column per anchor: four numbers of its box, then the score of each class. The box is centre and
+            size, or x_min y_min x_max y_max if `end2end`.
+        end2end: whether the network needs no suppression (YOLO26, YOLOv10).
+        confidence: score threshold.
     """
-    if end2end:  # as ultralytics ranks them: a box may count for two classes
+    if end2end:  # as in ultralytics, one anchor may give boxes of two classes
         picture, number, anchor = np.nonzero(prediction[:, 4:] > confidence)
     else:
         best = prediction[:, 4:].max(axis=1)
@@ -54,7 +54,7 @@ def candidates(prediction: Float32[np.ndarray, "n c a"], end2end: bool, confiden
 
 
 def _best_of_each(picture: Int64[np.ndarray, "k"], scores: Float[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
-    """Which of the candidates are among the first `MAX_CANDIDATES` of their picture, best score first."""
+    """Mask of the candidates that are among the best `MAX_CANDIDATES` of their image."""
     counts = np.bincount(picture)
     if len(counts) == 0 or counts.max() <= MAX_CANDIDATES:
         return np.ones(len(picture), bool)

@@ -1,6 +1,6 @@
-"""Of boxes that overlap, the better stays; for a whole batch of pictures at once.
+"""Non-maximum suppression of 2D boxes, for a whole batch at once.
 
-torchvision has this too, but loading it takes as long as loading torch itself.
+torchvision has it, too, but takes as long to load as torch itself.
 """
 
 from __future__ import annotations
@@ -15,18 +15,21 @@ def suppress(
     groups: Int64[np.ndarray, "n"],
     iou: float,
 ) -> Int64[np.ndarray, "k"]:
-    """Which boxes stay, best score first: greedy non-maximum suppression within each group.
+    """Greedy non-maximum suppression within each group.
 
     Args:
         boxes: x_min y_min x_max y_max.
-        scores: the better of two overlapping boxes has the higher one; of equals the first.
-        groups: only boxes of the same group (picture and class) suppress each other.
-        iou: a box that overlaps a better one by more than this goes.
+        scores: of two overlapping boxes, the one with the higher score is kept; on a tie, the first.
+        groups: only boxes of the same group (image and class) suppress each other.
+        iou: a box is removed if its IoU with a better box exceeds this.
+
+    Returns:
+        Indices of the kept boxes, best score first.
     """
     order = np.lexsort((-scores, groups))
     kept = [np.empty(0, np.int64)]
-    # All groups take a step together: the best box left of each stays, and what it beats goes. So there are as many
-    # steps as the fullest group keeps boxes, however many pictures the batch has.
+    # Each step handles all groups at once: it keeps the best remaining box of each group and removes the boxes that it
+    # suppresses. The number of steps is the largest number of boxes kept in one group, whatever the batch size.
     while len(order):
         group = groups[order]
         begins = np.concatenate([[True], group[1:] != group[:-1]])
@@ -34,12 +37,12 @@ def suppress(
         kept.append(best)
         beaten = _ious(boxes[best[np.cumsum(begins) - 1]], boxes[order]) > iou
         order = order[~(begins | beaten)]
-    found = np.concatenate(kept)
-    return found[np.lexsort((found, -scores[found]))]
+    indices = np.concatenate(kept)
+    return indices[np.lexsort((indices, -scores[indices]))]
 
 
 def _ious(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
-    """Of each box with the one in the same row."""
+    """IoU of the boxes in the same row of `a` and `b`."""
     low = np.maximum(a[:, :2], b[:, :2])
     high = np.minimum(a[:, 2:], b[:, 2:])
     shared = np.prod(np.clip(high - low, 0, None), axis=1)

@@ -1,8 +1,8 @@
-"""Pictures that a detector will look at larger than it is trained at, as tiles of the size that it is trained at.
+"""Cuts images that a detector will see at a larger size than its training size into tiles of the training size.
 
-In such a picture objects are small; scaled down for training, they would be a pixel or two. Tiles show them as large as
-the detector will see them: one around each object, and one of anything, of each picture. The few that are larger than a
-tile are scaled down to fill most of one.
+Objects in such an image are small: scaled down to the training size, they would cover a pixel or two. Tiles show them
+at the size at which the detector will see them. Each image gives one tile around each object and one at a random place.
+An object that is larger than a tile is scaled down to fill most of one.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.detection.dataset import TrainingSample
-from annotator.geometry.image_shares import cut_to_picture
+from annotator.geometry.image_shares import clip_to_image
 from annotator.types import Box2D
 
-# An object of which less than this share is on a tile is not labelled there.
+# An object is labelled on a tile if at least this share of its box lies on it.
 MIN_SHARE = 0.3
-# Around an object that fits into none, one is cut that is so many times as large.
+# Side of the tile around an object that is too large for a normal tile, as a multiple of the object's longer side.
 ROOM = 1.15
 
 
 def tiled(samples: Iterable[TrainingSample], size_px: int) -> Iterator[TrainingSample]:
-    """The samples; in place of each that is looked at with more than `size_px`, its tiles.
+    """The samples, with each one whose `look_px` exceeds `size_px` replaced by its tiles.
 
-    Where the tiles lie is random, but depends on nothing but the picture and its boxes.
+    The places of the tiles are random, and depend only on the image and its boxes.
 
     Args:
-        size_px: longer side that pictures are trained at.
+        size_px: longer side of training images, pixels.
     """
     for sample in samples:
         if sample.look_px <= size_px:
@@ -49,7 +49,7 @@ def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
     if scale != 1:
         size = (max(round(width_px * scale), 1), max(round(height_px * scale), 1))
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    scales = (rgb.shape[1] / width_px, rgb.shape[0] / height_px)  # of the rounded size
+    scales = (rgb.shape[1] / width_px, rgb.shape[0] / height_px)  # the size was rounded
     boxes = [(_scaled(box, *scales), uid) for box, uid in zip_longest(sample.boxes, sample.label_uids)]
     rng = np.random.default_rng(list(hashlib.sha256(rgb.tobytes() + repr(sample.boxes).encode()).digest()))
     for box, _ in boxes:
@@ -58,19 +58,19 @@ def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
 
 
 def _scaled(box: Box2D, across: float, along: float) -> Box2D:
-    """Box edges count from the first pixel's centre, pictures from its corner."""
+    """The box on the scaled image. Box edges are measured from the centre of the first pixel, not from its corner."""
     x_min, x_max = ((x + 0.5) * across - 0.5 for x in (box.x_min, box.x_max))
     y_min, y_max = ((y + 0.5) * along - 0.5 for y in (box.y_min, box.y_max))
     return replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max)
 
 
 Corner = tuple[int, int, int]
-"""First column and row of a tile, and its side, pixels; what lies outside the picture is left away."""
+"""First column and row of a tile, and its side, pixels; a tile is clipped to its image."""
 
 
 def _corner_around(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D, size_px: int, rng: np.random.Generator) -> Corner:
-    """Somewhere that shows all of a box that is on the picture; larger than `size_px` for a larger one."""
-    # the columns and rows that it touches: from the first up to, and without, the last
+    """A random tile that contains the visible part of a box; larger than `size_px` if the box is."""
+    # the columns and rows that the box touches, as half-open ranges
     edges = ((box.x_min, box.x_max), (box.y_min, box.y_max))
     spans = [(math.floor(low + 0.5), math.ceil(high + 0.5)) for low, high in edges]
     longest = max(end - begin for begin, end in spans)
@@ -103,6 +103,6 @@ def _tile(
 
 
 def _share_on(rgb: UInt8[np.ndarray, "h w 3"], box: Box2D) -> float:
-    """The share of a box's area that is on a picture."""
-    cut = cut_to_picture(box, rgb.shape[1], rgb.shape[0])
+    """The share of a box's area that lies on the image."""
+    cut = clip_to_image(box, rgb.shape[1], rgb.shape[0])
     return 0.0 if cut is None else cut.width_px * cut.height_px / (box.width_px * box.height_px)

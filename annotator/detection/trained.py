@@ -1,4 +1,4 @@
-"""What is kept of a training run: `model.json` of a finished one, `run.json` from the start on."""
+"""Files of a training run: `run.json` from its start, `model.json` when it is finished."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.detection.config import Role, TrainingConfig
+from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import Split
 from annotator.files import write_atomic
-from annotator.types import BoxKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FormatError
 
 MODEL_NAME, RUN_NAME = "model.json", "run.json"
 
 
 class TrainingMetrics(BaseModel):
-    """How good the kept weights are on the pictures that were held back.
+    """Accuracy of the kept weights on the validation images.
 
     Attributes:
         map50, map50_95: mean average precision at IoU 0.5, and over IoU 0.5 to 0.95.
         precision, recall: at the confidence with the best F1.
-        measured_on: "train" where no pictures could be held back; such figures flatter.
+        measured_on: "train" if there were no validation images; such figures are too optimistic.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -34,26 +34,26 @@ class TrainingMetrics(BaseModel):
 
 
 class TrainedModel(BaseModel):
-    """A trained detector and where it comes from.
+    """A trained detector and its origin.
 
     Attributes:
         role: image or pseudo-view detector.
-        weights: its weights file.
-        classes: in the order of the class numbers.
-        kind: what the boxes it was taught measure.
-        image_size_px: the picture size that it was trained at.
+        weights: the weights file.
+        classes: class names, in the order of the class numbers.
+        kind: what the boxes of its training set measure.
+        image_size_px: training size, longer side, pixels.
         metrics: of the best epoch, whose weights are kept.
-        epochs: epochs that were run.
-        seconds: over all parts of an interrupted run.
-        pretrained: whether it started from weights that had learnt something before.
+        epochs: number of epochs that were run.
+        seconds: training time, over all parts of an interrupted run.
+        pretrained: whether it started from pretrained weights.
         note: what it started from, in words.
-        dataset_sha256: of its training set's manifest.
-        config: its settings.
+        dataset_sha256: hash of the training set's manifest.
+        config: the training settings.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    role: Role
+    role: DetectorKind
     weights: Path
     classes: tuple[str, ...]
     kind: BoxKind | None
@@ -67,18 +67,18 @@ class TrainedModel(BaseModel):
     config: TrainingConfig
 
     def write(self, folder: Path) -> None:
-        """Writes `model.json`; the weights are named relative to it, so that the folder can be moved."""
+        """Writes `model.json`. It names the weights relative to itself, so the folder can be moved."""
         relative = self.model_copy(update={"weights": Path(self.weights.name)})
         write_atomic(folder / MODEL_NAME, relative.model_dump_json(indent=1).encode())
 
 
 class RunRecord(BaseModel):
-    """A run that has begun.
+    """A training run that has started.
 
     Attributes:
-        fingerprint: of training set, settings and role; only a run with the same can be gone on with.
-        pretrained, note: what it started from.
-        seconds: spent up to the last whole epoch.
+        fingerprint: hash of training set, settings and detector kind; a run is resumed only if it is equal.
+        pretrained, note: what the run started from.
+        seconds: time spent up to the last complete epoch.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -94,10 +94,10 @@ class RunRecord(BaseModel):
 
 
 def read_trained(folder: Path) -> TrainedModel:
-    """A finished run.
+    """Reads a finished run.
 
     Raises:
-        FormatError: the folder holds none, or one that cannot be read.
+        FormatError: the folder holds none, or it cannot be read.
     """
     path = folder / MODEL_NAME
     try:
@@ -110,10 +110,10 @@ def read_trained(folder: Path) -> TrainedModel:
 
 
 def read_run(folder: Path) -> RunRecord | None:
-    """The run that a folder holds, or None where it holds none.
+    """Reads the run in a folder; None if there is none.
 
     Raises:
-        FormatError: its record cannot be read.
+        FormatError: the record cannot be read.
     """
     path = folder / RUN_NAME
     if not path.is_file():

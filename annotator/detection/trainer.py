@@ -1,10 +1,10 @@
-"""Ultralytics' detection trainer, fitted to small sets of pseudo-views and to a CPU.
+"""Ultralytics' detection trainer, adapted to small training sets and to a CPU.
 
-What differs from the trainer as it comes: an optimiser step after every batch (it gathers 64 pictures, which on a set
-of 100 leaves hardly any steps), Muon in float32, all cores instead of one fewer, channels-last memory, measuring every
-few epochs only, checkpoints that are whole at any moment, and quarter turns. It looks for no font and no network.
+It differs from the original in these points: an optimiser step after every batch (the original accumulates 64 images,
+which leaves few steps on a set of 100); Muon in float32; all cores instead of all but one; channels-last memory;
+validation every few epochs only; atomic checkpoints; quarter turns; no search for fonts and no network access.
 
-Imports ultralytics: import this module only where a detector is about to be trained.
+This module imports ultralytics; import it only to train.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from annotator.detection.ultralytics_api import api
 _API = api()
 _Dataset: Any = _API.YOLODataset
 _Trainer: Any = _API.DetectionTrainer
-# The classification branch starts from rare-object biases and gains from larger steps, as in ultralytics' own mix.
+# Learning rate factor of the classification branch, whose biases are initialised for rare objects; as in Ultralytics.
 HEAD_LR_FACTOR = 3.0
-# How fast normalisation forgets, a batch. Ultralytics' 0.03 suits runs of many thousand steps; after a hundred, the
-# statistics would still be those of random weights.
+# Momentum of the batch normalisation statistics. Ultralytics' 0.03 suits runs of many thousand steps; after a hundred
+# steps, the statistics would still be those of random weights.
 NORM_MOMENTUM = 0.1
-# A checkpoint takes a second to write, which in a run over few small pictures is longer than an epoch.
+# Writing a checkpoint takes a second, which is longer than an epoch over a few small images.
 SAVE_EVERY_S = 20.0
 
 
 @dataclass(frozen=True)
 class TrainerHooks:
-    """What a run has beyond ultralytics' own settings.
+    """What a run needs beyond ultralytics' settings.
 
     Attributes:
         dataset: folder of the training set.
         manifest: of the training set.
         device: torch device.
-        measure_every: epochs between measurements; the last epoch is always measured.
-        quarter_turns: turn training pictures by random multiples of 90 degrees.
+        measure_every: epochs between validations; the last epoch is always validated.
+        quarter_turns: turn training images by random multiples of 90 degrees.
         on_batch, on_epoch: called with the trainer after each batch, and after each epoch is saved.
     """
 
@@ -57,7 +57,7 @@ class TrainerHooks:
 
 
 class QuarterTurn:
-    """Turns a training picture and its boxes by a random multiple of 90 degrees."""
+    """Turns a training image and its boxes by a random multiple of 90 degrees."""
 
     def __call__(self, labels: dict[str, Any]) -> dict[str, Any]:
         turns = random.randrange(4)
@@ -74,7 +74,7 @@ class QuarterTurn:
 
 
 def turn_boxes(boxes: np.ndarray, width: int, height: int, turns: int) -> np.ndarray:
-    """(n, 4) boxes x_min y_min x_max y_max, measured from the picture's corner, after `np.rot90(picture, turns)`."""
+    """(n, 4) boxes x_min y_min x_max y_max, measured from the image corner, after `np.rot90(picture, turns)`."""
     for _ in range(turns):
         x_min, y_min, x_max, y_max = boxes.T
         boxes = np.stack([y_min, width - x_max, y_max, width - x_min], axis=1)
@@ -83,7 +83,7 @@ def turn_boxes(boxes: np.ndarray, width: int, height: int, turns: int) -> np.nda
 
 
 class ViewDataset(_Dataset):
-    """A YOLO set with quarter turns, held in memory without a progress bar of its own."""
+    """A YOLO training set with quarter turns, cached in memory without a progress bar."""
 
     quarter_turns = False
 
@@ -103,7 +103,7 @@ class TurningDataset(ViewDataset):
 
 
 class ViewTrainer(_Trainer):
-    """The trainer; `hooks` is set by `make_trainer` before ultralytics' own set-up runs."""
+    """The trainer; `make_trainer` sets `hooks` before ultralytics' set-up runs."""
 
     hooks: TrainerHooks
     model: Any
@@ -141,7 +141,7 @@ class ViewTrainer(_Trainer):
         )
 
     def get_model(self, cfg: Any = None, weights: Any = None, verbose: bool = True) -> Any:
-        # The weights follow from the seed alone, whatever was drawn from the generators before.
+        # The initial weights depend only on the seed.
         _API.torch.manual_seed(self.args.seed)
         model = super().get_model(cfg, weights, verbose=False)
         for module in model.modules():
@@ -150,7 +150,7 @@ class ViewTrainer(_Trainer):
         return model
 
     def _setup_train(self) -> None:
-        # The base class has just limited torch to one thread fewer than there are cores.
+        # The base class has just limited torch to one thread fewer than cores.
         _API.torch.set_num_threads(_API.threads)
         super()._setup_train()
         if self.hooks.device.type == "cpu":
@@ -171,7 +171,7 @@ class ViewTrainer(_Trainer):
         decay: float = 0.0,
         iterations: float | int = 0,
     ) -> Any:
-        if name == "MuSGD":
+        if name == "MuonSgd":
             return MuonSgd(parameter_groups(model, lr, momentum, decay))
         return super().build_optimizer(model, name, lr, momentum, decay, iterations)
 
@@ -181,7 +181,7 @@ class ViewTrainer(_Trainer):
         return dict.fromkeys(self.metrics, float("nan")), None
 
     def save_model(self) -> bool:
-        """As the base class, but not after every short epoch, and a checkpoint takes its name only once it is whole."""
+        """As in the base class, but not after every short epoch, and atomic."""
         measured, last = self.fitness is not None, self.epoch + 1 >= self.epochs
         if measured or last or time.monotonic() - self.saved_at_s > SAVE_EVERY_S:
             self._save_whole()
@@ -201,11 +201,11 @@ class ViewTrainer(_Trainer):
             self.last, self.best = names
 
     def final_eval(self) -> None:
-        """Nothing: the best epoch has been measured already."""
+        """Does nothing, because the best epoch has been validated already."""
 
 
 def make_trainer(overrides: dict[str, Any], hooks: TrainerHooks) -> ViewTrainer:
-    """A trainer with ultralytics' settings `overrides`, ready for `train()`."""
+    """A trainer that is ready for `train()`; `overrides` are ultralytics' settings."""
     ready = type("ReadyTrainer", (ViewTrainer,), {"hooks": hooks})
     trainer = ready(overrides=overrides)
     trainer.add_callback("on_train_batch_end", hooks.on_batch)
@@ -213,7 +213,9 @@ def make_trainer(overrides: dict[str, Any], hooks: TrainerHooks) -> ViewTrainer:
 
 
 def parameter_groups(model: Any, lr: float, momentum: float, decay: float) -> list[dict[str, Any]]:
-    """Weights (Muon, with decay), biases and normalisation (neither), each apart for the classification branches."""
+    """Parameter groups: weights (Muon, with decay), biases and normalisation (neither), separate for the classification
+    branches.
+    """
     head = model.model[-1]
     branches = (getattr(head, "cv3", None), getattr(head, "one2one_cv3", None))
     boosted = {id(p) for branch in branches if branch is not None for p in branch.parameters()}

@@ -1,4 +1,4 @@
-"""Training one detector from a training set on disk, with progress, cancelling and resuming."""
+"""Trains one detector from a training set on disk; reports progress, can be stopped and resumed."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from annotator.detection.config import Role, TrainingConfig
+from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import DatasetManifest, read_manifest
 from annotator.detection.pretrained import StartingPoint, check_weights, find_starting_point
 from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
 from annotator.detection.ultralytics_api import api, pick_device
+from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
 MEASUREMENTS = 12
@@ -29,33 +30,33 @@ def train_detector(
     out: Path,
     config: TrainingConfig,
     progress: Report | None = None,
-    role: Role = "view",
+    role: DetectorKind = DetectorKind.VIEW,
     stop: Callable[[], bool] | None = None,
 ) -> TrainedModel:
-    """Trains a detector, or goes on with an interrupted run of the same set and settings in `out`.
+    """Trains a detector, or resumes an interrupted run of the same training set and settings in `out`.
 
-    A run that is already complete is not repeated. Another set or other settings start afresh, and what was in `out`
-    is replaced. An interrupt (Ctrl-C, `stop`, a killed process) loses no more than the running epoch.
+    A complete run is not repeated. With another training set or other settings the training starts again and replaces
+    the content of `out`. An interrupt (Ctrl-C, `stop`, a killed process) loses at most the current epoch.
 
     Args:
-        dataset: folder that `write_dataset` wrote.
-        out: folder of the run; it gets `detector.pt`, `model.json` and `curves.csv`.
+        dataset: a folder written by `write_dataset`.
+        out: folder of the run; `detector.pt`, `model.json` and `curves.csv` are written there.
         config: settings.
         progress: called after every batch and every epoch.
-        role: which detector; it decides the augmentation.
-        stop: asked after every batch; true ends the run.
+        role: the detector's kind; it selects the augmentation.
+        stop: called after every batch; true stops the run.
 
     Returns:
-        the trained model, as `read_trained(out)` gives it again later.
+        the trained model; `read_trained(out)` reads it again.
 
     Raises:
-        ConfigError: an unknown model name, a weights file that is missing or damaged, or a path that ultralytics
-            cannot read.
-        DetectionError: the device is not there, or the training fails.
+        ConfigError: the model name is unknown, the weights file is missing or damaged, or ultralytics cannot read the
+            path.
+        DetectionError: the device is missing, or the training fails.
         FormatError: `dataset` is not a training set.
-        TrainingStoppedError: `stop` said so.
+        TrainingStoppedError: `stop` returned true.
     """
-    if "?" in str(out.resolve()):  # ultralytics reads no weights there, and would say so after the training
+    if "?" in str(out.resolve()):  # ultralytics fails on it, but only after the training
         raise ConfigError(f"{out.resolve()}: a detector cannot be kept in a folder with a question mark; rename it")
     manifest = read_manifest(dataset)
     device = pick_device(config.device)
@@ -87,7 +88,7 @@ def _run(
     manifest: DatasetManifest,
     out: Path,
     config: TrainingConfig,
-    role: Role,
+    role: DetectorKind,
     device: Any,
     start: StartingPoint,
     checkpoint: Path | None,
@@ -110,7 +111,7 @@ def _run(
     else:
         settings["model"] = settings["resume"] = str(checkpoint)
         _trim_curves(out / "results.csv", _epochs_done(checkpoint))
-    # The trainer checks that its data file exists before it asks the hooks for the data.
+    # The trainer checks that its data file exists before it calls get_dataset.
     settings["data"] = str(dataset.resolve() / "data.yaml")
     with _unchanged_torch():
         try:
@@ -119,10 +120,10 @@ def _run(
             raise DetectionError(f"training in {out} failed: {error}") from error
 
 
-def trainer_settings(config: TrainingConfig, role: Role, epochs: int, device: str, out: Path) -> dict[str, Any]:
-    """The settings in ultralytics' own names."""
+def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, device: str, out: Path) -> dict[str, Any]:
+    """The settings under ultralytics' names."""
     change = config.augmentation_for(role)
-    # bfloat16 needs no trial run with downloaded weights, as ultralytics' other mixed precision does.
+    # Unlike ultralytics' other mixed precision, bfloat16 needs no trial run with downloaded weights.
     mixed = "bf16" if device.startswith("cuda") and api().torch.cuda.is_bf16_supported() else False
     return {
         "task": "detect",
@@ -168,7 +169,7 @@ def trainer_settings(config: TrainingConfig, role: Role, epochs: int, device: st
 
 @contextmanager
 def _unchanged_torch() -> Iterator[None]:
-    """Puts back torch's number of threads, which the trainer changes for the whole process."""
+    """Restores torch's number of threads, which the trainer changes for the whole process."""
     torch = api().torch
     threads = torch.get_num_threads()
     try:
@@ -177,8 +178,8 @@ def _unchanged_torch() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def _fingerprint(manifest: DatasetManifest, config: TrainingConfig, role: Role) -> str:
-    """Same hash, same run: what is learnt from, how, and for what."""
+def _fingerprint(manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind) -> str:
+    """Hash of all that determines a run: training set, settings, detector kind."""
     settings = config.model_dump_json(exclude={"device", "download_timeout_s"})
     return hashlib.sha256(f"{manifest.sha256} {role} {settings}".encode()).hexdigest()
 
@@ -199,36 +200,38 @@ def _resumable(out: Path, fingerprint: str) -> RunRecord | None:
 
 
 def _epochs_done(checkpoint: Path) -> int:
-    """Epochs that a checkpoint has behind it; 0 where there is none to go on from."""
+    """Finished epochs of a checkpoint; 0 if there is none to resume from."""
     if not checkpoint.is_file():
         return 0
     try:
         _, content = api().load_checkpoint(str(checkpoint))
-    except Exception:  # damaged in any way: the run starts afresh
+    except Exception:  # a damaged checkpoint: the run starts again
         return 0
     return int(content["epoch"]) + 1 if content.get("optimizer") is not None else 0
 
 
 def _clear(out: Path) -> None:
-    """Removes an earlier run's files, and no others."""
+    """Removes the files of an earlier run, and no others."""
     for name in ("model.json", "run.json", "detector.pt", "curves.csv", "results.csv", "args.yaml"):
         (out / name).unlink(missing_ok=True)
     shutil.rmtree(out / "weights", ignore_errors=True)
 
 
 def _trim_curves(path: Path, epochs_done: int) -> None:
-    """Drops the rows of epochs that will be run again."""
+    """Drops the rows of epochs that will be repeated."""
     if not path.is_file():
         return
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     path.write_text("".join(lines[: epochs_done + 1]), encoding="utf-8")
 
 
-def _finish(out: Path, manifest: DatasetManifest, config: TrainingConfig, role: Role, watch: Watch) -> TrainedModel:
-    """Keeps the best weights, the curves and what is known of them; removes what only a resume needs."""
+def _finish(
+    out: Path, manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind, watch: Watch
+) -> TrainedModel:
+    """Writes the best weights, the curves and `model.json`; removes the files that only a resume needs."""
     best = out / "weights" / "best.pt"
     if not best.is_file():
-        raise DetectionError(f"{best}: the training ended without weights; train again")
+        raise DetectionError(f"{best}: the training wrote no weights; train again")
     part = out / "detector.part.pt"
     content = api().strip_optimizer(str(best), s=str(part))
     measured = {name: float(value) for name, value in content["train_metrics"].items() if value is not None}

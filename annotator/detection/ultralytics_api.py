@@ -1,8 +1,8 @@
-"""The one door to ultralytics and torch: what is switched off before they load, and the few parts that are used.
+"""The only module that imports ultralytics; it switches off the side effects of the import.
 
-Ultralytics looks for the network, writes a settings file, installs packages, reports usage and limits torch to one
-thread, all while it is imported or soon after. None of that may happen behind a user's back, so this module sets its
-switches first and puts back what it changes in the process. Nothing here is imported before it is used.
+When ultralytics is imported, or soon after, it contacts hosts, writes a settings file, installs packages, reports
+usage and limits torch to one thread. This module sets ultralytics' switches first, and restores what the import
+changes in the process. The packages are imported on first use.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from typing import Any
 
 from annotator.types.errors import DetectionError
 
-# Read by ultralytics.utils as it is imported.
+# Environment variables that ultralytics.utils reads when it is imported.
 SWITCHES = {
-    "YOLO_OFFLINE": "true",  # no look-up of hosts, no usage events, no update check
+    "YOLO_OFFLINE": "true",  # no network access, usage events or update check
     "YOLO_AUTOINSTALL": "false",  # a missing package is an error, not a pip run
     "YOLO_VERBOSE": "false",
-    "ULTRALYTICS_SAFE_LOAD": "true",  # weights files may hold known classes only, no code
+    "ULTRALYTICS_SAFE_LOAD": "true",  # unpickle known classes only
 }
-# Read by the OpenMP library as torch loads it: threads that wait shall sleep. By default they spin, and where anything
-# else runs on the machine, training then takes up to twenty times as long (docs/detector_training.md).
+# Environment variables that the OpenMP library reads when torch loads it: waiting threads sleep. By default they spin,
+# and training beside another program then takes up to twenty times as long (docs/detector_training.md).
 THREAD_SWITCHES = {"OMP_WAIT_POLICY": "PASSIVE", "KMP_BLOCKTIME": "0"}
-# Reporting to services, each used by ultralytics where its package happens to be installed.
+# Services to which ultralytics reports if their packages are installed.
 SERVICES = ("sync", "clearml", "comet", "dvc", "mlflow", "raytune", "tensorboard", "wandb", "vscode_msg")
 
 
 def cache_dir() -> Path:
-    """Where downloaded weights and ultralytics' own settings are kept: the user's cache folder."""
+    """The user's cache folder, for downloaded weights and ultralytics' settings."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "annotator"
 
@@ -42,8 +42,8 @@ def api() -> SimpleNamespace:
     """The parts of ultralytics and torch that are used here, loaded on the first call.
 
     Attributes: `torch`, `load_checkpoint`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`,
-    `strip_optimizer`, `downloads`, `weights_dir`, `version`; `threads`, how many torch uses by itself; and
-    `user_offline`, whether the user had asked ultralytics to stay offline.
+    `strip_optimizer`, `downloads`, `weights_dir`, `version`; `threads`, torch's default number of threads; and
+    `user_offline`, whether the user had set YOLO_OFFLINE.
 
     Raises:
         DetectionError: a package is missing or broken.
@@ -65,13 +65,13 @@ def _load() -> SimpleNamespace:
     os.environ.setdefault("YOLO_CONFIG_DIR", str(cache_dir()))
     for name, value in THREAD_SWITCHES.items():
         os.environ.setdefault(name, value)
-    import torch  # before ultralytics, which would hold it to one thread
+    import torch  # before ultralytics, which limits it to one thread
 
     threads = torch.get_num_threads()
     import ultralytics
     import ultralytics.utils as utils
 
-    # Past its own `update`, which would write the user's settings file.
+    # SETTINGS.update would write the user's settings file
     dict.update(utils.SETTINGS, dict.fromkeys(SERVICES, False))
     utils.LOGGER.setLevel("ERROR")
     from ultralytics.data.dataset import YOLODataset
@@ -98,13 +98,15 @@ def _load() -> SimpleNamespace:
 
 
 def _hide_repository(trainer: ModuleType) -> None:
-    """Checkpoints would otherwise hold the path, branch and origin of whatever repository surrounds the packages."""
+    """Keeps path, branch and origin of a surrounding git repository out of checkpoints."""
     trainer.GIT = SimpleNamespace(root=None, branch=None, commit=None, message=None, origin=None)  # type: ignore[attr-defined]
 
 
 def _take_paths_as_they_are(downloads: ModuleType) -> None:
-    """Ultralytics looks for weights without the quotation marks and outer spaces of their path; a file that is there
-    needs no looking for. (Also, it would take a user's own yolov5n.pt for its newer relative.)"""
+    """Makes ultralytics use an existing weights file as it is.
+
+    Its own search strips quotation marks and spaces from paths, and replaces a user's yolov5n.pt by yolov5nu.pt.
+    """
     search = downloads.attempt_download_asset
 
     def attempt_download_asset(file: str | Path, *args: Any, **kwargs: Any) -> str:
@@ -115,7 +117,7 @@ def _take_paths_as_they_are(downloads: ModuleType) -> None:
 
 @contextmanager
 def _unchanged_process() -> Iterator[None]:
-    """Puts back what importing ultralytics changes for everybody: environment, numpy's printing, OpenCV's threads."""
+    """Restores what importing ultralytics changes: environment variables, numpy's print options, OpenCV's threads."""
     import cv2
     import numpy as np
 
@@ -132,10 +134,10 @@ def _unchanged_process() -> Iterator[None]:
 
 
 def pick_device(device: str) -> Any:
-    """A torch device from "auto", "cpu", "cuda", "cuda:1" or "mps"; auto takes a CUDA device where there is one.
+    """A torch device from "auto", "cpu", "cuda", "cuda:1" or "mps"; auto prefers CUDA.
 
     Raises:
-        DetectionError: the device is unknown or not there.
+        DetectionError: the device is unknown or missing.
     """
     torch = api().torch
     if device == "auto":
@@ -150,10 +152,10 @@ def pick_device(device: str) -> Any:
 
 
 def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
-    """A detection model in eval mode from a weights file.
+    """Loads a detection model in eval mode.
 
     Args:
-        remedy: what the user is told to do where the file is of no use.
+        remedy: what the error message tells the user to do.
 
     Raises:
         DetectionError: the file is missing, unreadable or holds no detection model.

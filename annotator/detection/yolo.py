@@ -1,8 +1,8 @@
-"""Running a trained YOLO on many pictures at once.
+"""Runs a trained YOLO on many images at once.
 
-Pictures of all sizes go in with one call, and a picture's answer does not depend on what else is asked with it;
-ultralytics' own predictor gives the same boxes (tests/detection/test_yolo.py compares them), a good deal more slowly,
-and pads differently where sizes are mixed.
+One call takes images of any sizes, and the boxes of an image do not depend on the other images of the call.
+Ultralytics' own predictor gives the same boxes (tests/detection/test_yolo.py), but is slower and pads
+mixed sizes differently.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from annotator.detection.suppression import suppress
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
-# At most this many pixels of scaled pictures are worked on at once; it bounds the memory.
+# Most pixels of scaled images in one batch; bounds the memory.
 MAX_CALL_PX = 64 * 320 * 320
 MIN_SIDE_PX = 0.5
-# Part of the fingerprint; raise it when the same weights and settings would give other boxes.
+# Part of the fingerprint; increase it when the same weights and settings give other boxes.
 REVISION = 2
 
 
 class YoloDetector:
-    """A trained detector: RGB pictures of any size in, boxes in their own pixels out.
+    """A trained detector: takes RGB images of any size, returns boxes in pixels of each image.
 
     Attributes:
-        weights: its weights file.
+        weights: the weights file.
     """
 
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """
         Args:
-            weights: `detector.pt` of a training run, or any detection weights of ultralytics.
+            weights: `detector.pt` of a training run, or any ultralytics detection weights.
             config: settings.
 
         Raises:
-            ConfigError: a backend that cannot use the device.
-            DetectionError: unusable weights, device or backend.
+            ConfigError: the backend cannot use the device.
+            DetectionError: the weights, the device or the backend cannot be used.
             MissingExtraError: the backend is not installed.
         """
         self.weights = weights
@@ -68,29 +68,29 @@ class YoloDetector:
 
     @property
     def backend(self) -> Backend:
-        """What runs its network."""
+        """What runs the network."""
         return self._network.backend
 
     @property
     def device(self) -> str:
-        """Where its network runs, as torch names devices: "cpu", "cuda", "cuda:1", "mps"."""
+        """Device of the network, in torch's notation: "cpu", "cuda", "cuda:1", "mps"."""
         return self._network.device
 
     @property
     def fingerprint(self) -> str:
         """SHA-256 of the weights file and the settings.
 
-        The backend is not in it: all that auto chooses from give the same boxes, within a pixel and a hundredth of the
-        score (tests/detection/test_backends.py), so what one machine has begun another one may go on with. Boxes in
-        bfloat16 are nearly the same (docs/detector_backends.md), and no reason to do a frame again either.
+        The backend is not part of it. All backends that `auto` chooses from give the same boxes, within a pixel and
+        0.01 of the score (tests/detection/test_backends.py), so another machine may continue a batch. Boxes in bfloat16
+        differ little more (docs/detector_backends.md), so such frames are not repeated either.
         """
         return self._fingerprint
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One list of boxes an image, in the order given, best score first, clipped to the image.
+        """One list of boxes per image, best score first, clipped to the image.
 
         Raises:
-            DetectionError: a picture is not (H, W, 3) uint8, or the backend fails.
+            DetectionError: an image is not (H, W, 3) uint8, or the backend fails.
         """
         pictures = [_checked(image.rgb) for image in images]
         stride = self._network.facts.stride
@@ -98,9 +98,9 @@ class YoloDetector:
             place(picture.shape[:2], self._looked_at(image), stride)
             for picture, image in zip(pictures, images, strict=True)
         ]
-        found: list[list[Box2D]] = [[] for _ in pictures]
+        boxes: list[list[Box2D]] = [[] for _ in pictures]
         for part in _parts(placements):
-            # Pictures that need the same canvas share a batch, so narrow ones are not computed with wide borders.
+            # Images with the same canvas share a batch, so that narrow images get no wide borders.
             by_canvas: dict[tuple[int, int], list[int]] = defaultdict(list)
             for index in part:
                 by_canvas[placements[index].canvas].append(index)
@@ -109,11 +109,11 @@ class YoloDetector:
                 [fill_batch([pictures[i] for i in group], [placements[i] for i in group]) for group in groups]
             )
             for index, box in self._boxes(groups, answers, placements):
-                found[index].append(box)
-        return found
+                boxes[index].append(box)
+        return boxes
 
     def _looked_at(self, image: Image) -> int:
-        """The longer side of a picture in the network, pixels."""
+        """The longer side of an image after scaling for the network, pixels."""
         if isinstance(image, Region):
             return max(round(self._config.image_size_px * image.share), 1)
         return max(self._config.image_size_px, image.look_px if isinstance(image, PseudoView) else 0)
@@ -121,15 +121,15 @@ class YoloDetector:
     def _boxes(
         self, groups: Sequence[Sequence[int]], answers: Sequence[Answer], placements: Sequence[Placement]
     ) -> Iterator[tuple[int, Box2D]]:
-        """Boxes with the number of their picture, best score first."""
+        """Pairs of image index and box, best score first."""
         facts, config = self._network.facts, self._config
         each = [candidates(answer, facts.end2end, config.confidence) for answer in answers]
         picture = np.concatenate([np.array(group)[c.picture] for group, c in zip(groups, each, strict=True)])
         boxes = np.concatenate([c.boxes for c in each])
         scores = np.concatenate([c.scores for c in each])
         numbers = np.concatenate([c.numbers for c in each])
-        # One suppression for all: boxes of different pictures or classes never meet. Networks that need none are sure
-        # of their boxes, and lose nothing by it.
+        # One suppression for the batch; groups separate images and classes. It leaves the boxes of end2end networks as
+        # they are.
         kept = suppress(boxes, scores, picture * len(facts.labels) + numbers, config.iou)
         edges = to_pictures(boxes[kept], picture[kept], placements)
         wide_enough = (edges[:, 2:] - edges[:, :2] >= MIN_SIDE_PX).all(axis=1)
@@ -140,7 +140,7 @@ class YoloDetector:
 
 
 def _parts(placements: Sequence[Placement]) -> Iterator[list[int]]:
-    """Numbers of pictures that are worked on together."""
+    """Batches of image indices, each within `MAX_CALL_PX`."""
     part: list[int] = []
     pixels = 0
     for index, placement in enumerate(placements):
@@ -156,5 +156,5 @@ def _parts(placements: Sequence[Placement]) -> Iterator[list[int]]:
 
 def _checked(rgb: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
     if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3 or 0 in rgb.shape:
-        raise DetectionError(f"a detector needs (height, width, 3) uint8 pictures, not {rgb.shape} {rgb.dtype}")
+        raise DetectionError(f"a detector needs (height, width, 3) uint8 images, not {rgb.shape} {rgb.dtype}")
     return rgb

@@ -1,1 +1,1 @@
-"""How good boxes are, against truth."""
+"""Evaluation of boxes against true boxes."""

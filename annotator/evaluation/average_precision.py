@@ -1,7 +1,7 @@
-"""Average precision as the area under the precision envelope (PASCAL VOC 2010 on), frames pooled.
+"""Average precision as the area under the precision envelope (PASCAL VOC since 2010), over all frames together.
 
-Detections in descending score each look at the true box of their frame that they overlap most, taken or not; a hit
-needs IoU above the threshold and a box not yet taken, there is no second choice.
+Detections are processed by falling score. Each is compared only with the true box of its frame that it overlaps most.
+It is a true positive if the IoU is above the threshold and the box has not been matched before.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from annotator.evaluation.boxes import BoxPairs
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """Precision and recall after each detection, the surest first; both 0..1."""
+    """Precision and recall after each detection, in order of falling score; both 0..1."""
 
     recall: Float64[np.ndarray, "n"]
     precision: Float64[np.ndarray, "n"]
 
     @property
     def area(self) -> float:
-        """Average precision: the area under the envelope, the best precision at this recall or any above; 0..1."""
+        """Average precision, 0..1: the area under the envelope, the best precision at this or any higher recall."""
         recall = np.concatenate([[0.0], self.recall, [1.0]])
         precision = np.concatenate([[0.0], self.precision, [0.0]])
         envelope = np.maximum.accumulate(precision[::-1])[::-1]
@@ -31,7 +31,7 @@ class PrecisionRecall:
 
     @property
     def final_recall(self) -> float:
-        """The share of the true boxes that were found at all."""
+        """The share of the true boxes that were detected."""
         return float(self.recall[-1]) if len(self.recall) else 0.0
 
 
@@ -41,20 +41,21 @@ def precision_recall(
     """The curve of one class.
 
     Args:
-        score: of each detection; of equal ones the first row comes first.
-        pairs: which detections and true boxes overlap.
-        counts: for each true box, whether it is asked for; to find one that is not is neither right nor wrong. At
+        score: of each detection; equal scores are processed in the order of the rows.
+        pairs: the overlapping pairs of detections and true boxes.
+        counts: whether each true box counts; a detection of an ignored one is neither a true nor a false positive. At
             least one must count.
+        iou_threshold: a match needs a larger IoU.
     """
     best = pairs.best()
     best = best.take(best.iou > iou_threshold)
-    looked_at = np.full(len(score), -1)
-    looked_at[best.detection] = best.truth
+    target = np.full(len(score), -1)
+    target[best.detection] = best.truth
     order = np.argsort(-score, kind="stable")
-    looked_at = looked_at[order]
-    looked_at = looked_at[(looked_at < 0) | counts[looked_at]]
-    hits = np.zeros(len(looked_at), bool)
-    hits[np.unique(looked_at, return_index=True)[1]] = True
-    hits &= looked_at >= 0
-    found = np.cumsum(hits)
-    return PrecisionRecall(found / counts.sum(), found / np.arange(1, len(hits) + 1))
+    target = target[order]
+    target = target[(target < 0) | counts[target]]
+    hits = np.zeros(len(target), bool)
+    hits[np.unique(target, return_index=True)[1]] = True
+    hits &= target >= 0
+    true_positives = np.cumsum(hits)
+    return PrecisionRecall(true_positives / counts.sum(), true_positives / np.arange(1, len(hits) + 1))

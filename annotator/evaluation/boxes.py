@@ -1,4 +1,4 @@
-"""Oriented boxes of a whole dataset as columns, and which of them overlap."""
+"""Oriented boxes of a whole dataset as columns, and the pairs that overlap."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from annotator.evaluation.pairs import pairs_within
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.types import OrientedBox
 
-# Boxes looked at in one pass, so that memory does not grow with the dataset.
+# Detections per pass, so that memory does not grow with the dataset.
 BLOCK = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class BoxTable:
-    """Boxes of many frames, in any order of the frames.
+    """Boxes of many frames, in any order.
 
     Attributes:
         frame: number of the frame, the same for detections and truth.
         label: class name.
-        center, rotation, size: as of `OrientedBox`; of one frame all in the same frame of reference.
-        score: of detections; any number, higher is surer.
+        center, rotation, size: as in `OrientedBox`; all boxes of a frame in the same coordinates.
+        score: of detections; any number, higher means more confident.
     """
 
     frame: Int64[np.ndarray, "n"]
@@ -38,7 +38,7 @@ class BoxTable:
         return len(self.frame)
 
     def take(self, rows: Shaped[np.ndarray, "k"]) -> BoxTable:
-        """The rows of these numbers, or of this mask."""
+        """The rows selected by indices or a mask."""
         return BoxTable(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def of_class(self, label: str) -> BoxTable:
@@ -51,7 +51,7 @@ class BoxTable:
 
     @classmethod
     def of(cls, rows: Iterable[tuple[int, str, OrientedBox, float]]) -> BoxTable:
-        """From frame number, class, box and score of each."""
+        """A table from the frame number, class, box and score of each box."""
         frames, labels, boxes, scores = list(map(list, zip(*rows, strict=True))) or ([], [], [], [])
         poses = np.array([box.T_camera_box.as_matrix() for box in boxes]).reshape(-1, 4, 4)
         return cls(
@@ -66,10 +66,10 @@ class BoxTable:
 
 @dataclass(frozen=True, eq=False)
 class BoxPairs:
-    """The pairs of a detection and a true box of the same frame that overlap, ordered by detection.
+    """The overlapping pairs of a detection and a true box of the same frame, ordered by detection.
 
     Attributes:
-        detection, truth: row numbers.
+        detection, truth: row indices.
         iou: exact 3D IoU, above 0.
     """
 
@@ -78,31 +78,31 @@ class BoxPairs:
     iou: Float64[np.ndarray, "p"]
 
     def take(self, pairs: Shaped[np.ndarray, "k"]) -> BoxPairs:
-        """The pairs of these numbers, or of this mask."""
+        """The pairs selected by indices or a mask."""
         return BoxPairs(self.detection[pairs], self.truth[pairs], self.iou[pairs])
 
     def best(self) -> BoxPairs:
-        """For each detection the true box that it overlaps most; of equal ones the first."""
+        """For each detection, the pair with the largest IoU; for equal IoUs, the first true box."""
         order = np.lexsort((self.truth, -self.iou, self.detection))
         _, first = np.unique(self.detection[order], return_index=True)
         return self.take(order[first])
 
 
 def overlapping(detections: BoxTable, truth: BoxTable) -> BoxPairs:
-    """The overlapping pairs of two tables, whatever their classes."""
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    """The overlapping pairs of two tables, regardless of class."""
+    parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for start in range(0, len(detections), BLOCK):
         rows, columns = pairs_within(detections.frame[start : start + BLOCK], truth.frame)
         rows += start
         near = _meet(detections, truth, rows, columns)
         rows, columns = rows[near], columns[near]
         iou = _iou(detections.take(rows), truth.take(columns))
-        found.append((rows[iou > 0], columns[iou > 0], iou[iou > 0]))
-    return BoxPairs(*map(np.concatenate, zip(*found, strict=True)))
+        parts.append((rows[iou > 0], columns[iou > 0], iou[iou > 0]))
+    return BoxPairs(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _meet(a: BoxTable, b: BoxTable, rows: Int[np.ndarray, "k"], columns: Int[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
-    """Whether the circumscribed spheres of chosen pairs meet."""
+    """Which of the given pairs have intersecting circumscribed spheres."""
     reach = [0.5 * np.linalg.norm(table.size, axis=1) for table in (a, b)]
     apart = np.linalg.norm(a.center[rows] - b.center[columns], axis=1)
     return np.asarray(apart <= reach[0][rows] + reach[1][columns])

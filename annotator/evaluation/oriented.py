@@ -1,18 +1,89 @@
-"""Fully oriented boxes against truth, a few frames at a time: average precision, mean IoU, points inside."""
+"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors, point masks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.optimize import linear_sum_assignment
 
-from annotator.evaluation.average_precision import precision_recall
+from annotator.evaluation.average_precision import PrecisionRecall, precision_recall
 from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
+from annotator.evaluation.poses import pose_errors
 from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox, PointCloud
+
+THRESHOLDS = (0.25, 0.5, 0.7)
+# Minimum IoU of pairs whose poses are compared; below, an angle is meaningless.
+POSE_IOU = 0.25
+
+
+@dataclass(frozen=True)
+class OrientedClass:
+    """The result of one class.
+
+    Attributes:
+        curves: by IoU threshold.
+        objects, detections: number of true boxes and of detections.
+        matched: number of pairs whose poses were compared: assigned to each other, IoU above `POSE_IOU`.
+        mean_iou: mean over all true boxes, 0 for those without a detection.
+        center_error_m, rotation_error_rad, size_error: means over the matched pairs (see `pose_errors`); NaN
+            without pairs.
+    """
+
+    curves: Mapping[float, PrecisionRecall]
+    objects: int
+    detections: int
+    matched: int
+    mean_iou: float
+    center_error_m: float
+    rotation_error_rad: float
+    size_error: float
+
+
+@dataclass(frozen=True)
+class OrientedResult:
+    """The results of all classes with a true box."""
+
+    classes: Mapping[str, OrientedClass]
+
+    def mean(self, threshold: float) -> float:
+        """Mean average precision over the classes, 0..1; NaN without classes."""
+        areas = [one.curves[threshold].area for one in self.classes.values()]
+        return float(np.mean(areas)) if areas else float("nan")
+
+
+def evaluate_oriented(
+    detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = THRESHOLDS
+) -> OrientedResult:
+    """Evaluates the detections of all frames, class by class."""
+    labels = np.unique(truth.label).tolist()
+    return OrientedResult(
+        {label: _class(detections.of_class(label), truth.of_class(label), thresholds) for label in labels}
+    )
+
+
+def _class(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float]) -> OrientedClass:
+    pairs, counts = overlapping(detections, truth), np.ones(len(truth), bool)
+    chosen = assigned(pairs, truth.frame)
+    near = chosen.take(chosen.iou > POSE_IOU)
+    errors = pose_errors(detections.take(near.detection), truth.take(near.truth))
+    return OrientedClass(
+        curves={threshold: precision_recall(detections.score, pairs, counts, threshold) for threshold in thresholds},
+        objects=len(truth),
+        detections=len(detections),
+        matched=len(near.iou),
+        mean_iou=float(chosen.iou.sum() / len(truth)),
+        center_error_m=_mean(errors.center_m),
+        rotation_error_rad=_mean(errors.rotation_rad),
+        size_error=_mean(errors.size),
+    )
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +91,10 @@ class FrameResult:
     """Detections and truth of one class in one frame.
 
     Attributes:
-        boxes, scores: what was proposed.
-        truth: what is there and shall be found.
-        ignored: what is there, too, but cannot be asked for, as with too few points; to find it is neither right nor
-            wrong, as in KITTI's own evaluation.
+        boxes, scores: detections.
+        truth: true boxes.
+        ignored: true boxes that do not count, such as objects with too few points. A detection of one is neither a true
+            nor a false positive, as in KITTI's evaluation.
     """
 
     boxes: Sequence[OrientedBox]
@@ -33,7 +104,7 @@ class FrameResult:
 
 
 def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
-    """The exact IoU of each true box with the proposal assigned to it (best total, one to one); 0 where none is."""
+    """The exact IoU of each true box with its detection, in the one-to-one assignment of largest total IoU; else 0."""
     ious = np.zeros(len(result.truth))
     pairs = assigned(overlapping(_table([result.boxes]), _table([result.truth])), np.zeros(len(ious), np.int64))
     ious[pairs.truth] = pairs.iou
@@ -43,10 +114,8 @@ def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
 def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> float:
     """Average precision of one class with exact oriented 3D IoU, as in `annotator.evaluation.average_precision`.
 
-    A detection whose box is one that is ignored, with IoU above the threshold, does not count.
-
     Returns:
-        0..1; NaN where there is no true box.
+        0..1; NaN without true boxes.
     """
     detections = _table([result.boxes for result in results])
     known = _table([[*result.truth, *result.ignored] for result in results])
@@ -59,38 +128,38 @@ def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> f
 
 
 def assigned(pairs: BoxPairs, truth_frame: Int64[np.ndarray, "g"]) -> BoxPairs:
-    """Of the pairs that overlap those that are assigned to each other: one to one, the most IoU in total, per frame.
+    """The pairs of the one-to-one assignment with the largest total IoU, per frame.
 
     Args:
-        pairs: what overlaps.
+        pairs: all overlapping pairs.
         truth_frame: the frame of each true box.
     """
     chosen = [np.zeros(0, np.int64)]
     order = np.argsort(truth_frame[pairs.truth], kind="stable")
     starts = np.flatnonzero(np.diff(truth_frame[pairs.truth[order]])) + 1
-    for own in np.split(order, starts):
-        _, rows = np.unique(pairs.detection[own], return_inverse=True)
-        _, columns = np.unique(pairs.truth[own], return_inverse=True)
+    for in_frame in np.split(order, starts):
+        _, rows = np.unique(pairs.detection[in_frame], return_inverse=True)
+        _, columns = np.unique(pairs.truth[in_frame], return_inverse=True)
         shape = (rows.max(initial=-1) + 1, columns.max(initial=-1) + 1)
-        iou, place = np.zeros(shape), np.full(shape, -1)
-        iou[rows, columns], place[rows, columns] = pairs.iou[own], own
-        found = place[linear_sum_assignment(-iou)]
-        chosen.append(found[found >= 0])
+        iou, pair = np.zeros(shape), np.full(shape, -1)
+        iou[rows, columns], pair[rows, columns] = pairs.iou[in_frame], in_frame
+        matched = pair[linear_sum_assignment(-iou)]
+        chosen.append(matched[matched >= 0])
     return pairs.take(np.concatenate(chosen))
 
 
 def _table(boxes: Sequence[Sequence[OrientedBox]]) -> BoxTable:
-    """The boxes of each frame, of one class."""
-    return BoxTable.of((frame, "", box, 0.0) for frame, own in enumerate(boxes) for box in own)
+    """A table of each frame's boxes, of one class."""
+    return BoxTable.of((frame, "", box, 0.0) for frame, in_frame in enumerate(boxes) for box in in_frame)
 
 
 @dataclass(frozen=True)
 class MaskAgreement:
-    """How well boxes hold the points of a mask, points inside boxes grown by nothing.
+    """Agreement of the points inside boxes with a point mask.
 
     Attributes:
         recall: share of the mask's points that lie in a box.
-        precision: share of the boxes' points that are of the mask.
+        precision: share of the points in boxes that belong to the mask.
     """
 
     recall: float
@@ -98,7 +167,7 @@ class MaskAgreement:
 
 
 def mask_agreement(boxes: Sequence[OrientedBox], cloud: PointCloud, of_object: Bool[np.ndarray, "n"]) -> MaskAgreement:
-    """Compares the points inside any box with the points that belong to the object; (0, 0) without a box."""
+    """Compares the points inside any box with the points of an object; (0, 0) without boxes."""
     inside = np.zeros(len(cloud), bool)
     for box in boxes:
         inside |= contains(box, cloud.xyz_m)

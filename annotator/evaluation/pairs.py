@@ -1,4 +1,4 @@
-"""Which rows of two tables belong together, for whole datasets at once."""
+"""Pairs of rows of two tables that belong to the same group, for whole datasets at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Int
 def pairs_within(
     groups_a: Int[np.ndarray, "n"], groups_b: Int[np.ndarray, "m"]
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
-    """Every row of one table with every row of the other that is of the same group, such as the same frame.
+    """All pairs of a row of one table and a row of the other in the same group, such as the same frame.
 
     Args:
         groups_a, groups_b: the group of each row, any integers.
@@ -26,7 +26,7 @@ def pairs_within(
 
 
 def place_within(groups: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """How many rows of the same group stand before each row, in a table where the rows of a group stand together."""
+    """The position of each row within its group, from 0; the rows of a group must be adjacent."""
     if len(groups) == 0:
         return np.zeros(0, np.int64)
     starts = np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1]]))

@@ -1,4 +1,4 @@
-"""What an evaluation says: one JSON object for programs, a table for people, curves to be drawn."""
+"""The report of an evaluation: a JSON object, a table, and curves to draw."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, RootModel
 from annotator.evaluation.average_precision import PrecisionRecall
 from annotator.evaluation.kitti import KittiCurve, KittiResult, Metric
 from annotator.evaluation.kitti.protocol import DIFFICULTIES, SAMPLES
-from annotator.evaluation.oriented_protocol import OrientedClass, OrientedResult
+from annotator.evaluation.oriented import OrientedClass, OrientedResult
 from annotator.evaluation.sunrgbd import SunRgbdResult
 
 Row = tuple[str | int | float | None, ...]
@@ -20,7 +20,7 @@ Row = tuple[str | int | float | None, ...]
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One curve: precision (or what takes its place) over recall, both 0..1."""
+    """One curve: precision (for AOS, orientation similarity) over recall, both 0..1."""
 
     name: str
     recall: Float64[np.ndarray, "n"]
@@ -28,8 +28,8 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Some curves in one diagram; `name` is fit for a file."""
+class Diagram:
+    """The curves of one diagram; `name` is used as a file name."""
 
     name: str
     title: str
@@ -39,19 +39,19 @@ class Picture:
 
 @dataclass(frozen=True)
 class Report:
-    """An evaluation.
+    """The report of one evaluation.
 
     Attributes:
         content: the JSON object.
-        columns, rows: the table; numbers are rounded for reading, None and NaN are nothing.
-        pictures: the curves.
-        notes: what a reader of the numbers must know.
+        columns, rows: the table; the user interface rounds numbers and leaves None and NaN empty.
+        diagrams: the diagrams.
+        notes: remarks needed to interpret the numbers.
     """
 
     content: BaseModel
     columns: Sequence[str]
     rows: Sequence[Row]
-    pictures: Sequence[Picture]
+    diagrams: Sequence[Diagram]
     notes: Sequence[str] = ()
 
 
@@ -70,7 +70,7 @@ KittiContent = RootModel[dict[str, dict[Metric, KittiAp]]]
 
 
 class SunRgbdAp(_Record):
-    """Average precision at one IoU threshold, 0..1; null where there is no class."""
+    """Average precision at one IoU threshold, 0..1; null without classes."""
 
     mAP: float | None
     AP: dict[str, float]
@@ -80,7 +80,7 @@ SunRgbdContent = RootModel[dict[str, SunRgbdAp]]
 
 
 class OrientedClassContent(_Record):
-    """One class, as `OrientedClass` explains it; null where nothing could be measured."""
+    """The content of `OrientedClass`; null for values that could not be measured."""
 
     AP: dict[str, float]
     mean_iou: float
@@ -100,22 +100,31 @@ class OrientedContent(_Record):
 
 
 def kitti_report(result: KittiResult) -> Report:
-    """R11 and R40, percent; a picture for each class and metric."""
+    """R11 and R40, percent; one diagram per class and metric."""
     content = {
-        label: {metric: KittiAp(R11=_three(curves, "r11"), R40=_three(curves, "r40")) for metric, curves in own.items()}
-        for label, own in result.curves.items()
+        label: {
+            metric: KittiAp(R11=_three(curves, "r11"), R40=_three(curves, "r40"))
+            for metric, curves in by_metric.items()
+        }
+        for label, by_metric in result.curves.items()
     }
-    rows: list[Row] = [(label, m.value, *ap.R11, *ap.R40) for label, own in content.items() for m, ap in own.items()]
+    rows: list[Row] = [
+        (label, m.value, *ap.R11, *ap.R40) for label, by_metric in content.items() for m, ap in by_metric.items()
+    ]
     heads = [f"{name} {level}" for name in ("R11", "R40") for level in DIFFICULTIES]
-    pictures = [_kitti_picture(label, m, curves) for label, own in result.curves.items() for m, curves in own.items()]
-    return Report(KittiContent(content), ["class", "metric", *heads], rows, pictures)
+    diagrams = [
+        _kitti_diagram(label, m, curves)
+        for label, by_metric in result.curves.items()
+        for m, curves in by_metric.items()
+    ]
+    return Report(KittiContent(content), ["class", "metric", *heads], rows, diagrams)
 
 
 def sunrgbd_report(result: SunRgbdResult) -> Report:
-    """AP and final recall at each threshold; a picture for each threshold."""
+    """AP and final recall at each threshold; one diagram per threshold."""
     content = {
-        f"{threshold:g}": SunRgbdAp(mAP=_or_none(result.mean(threshold)), AP={c: v.area for c, v in own.items()})
-        for threshold, own in result.curves.items()
+        f"{threshold:g}": SunRgbdAp(mAP=_or_none(result.mean(threshold)), AP={c: v.area for c, v in by_class.items()})
+        for threshold, by_class in result.curves.items()
     }
     thresholds = list(result.curves)
     heads = [f"{what} {threshold:g}" for what in ("AP", "recall") for threshold in thresholds]
@@ -130,41 +139,41 @@ def sunrgbd_report(result: SunRgbdResult) -> Report:
         for label, count in result.objects.items()
     ]
     rows.append(("mean", None, None, *map(result.mean, thresholds), *(None for _ in thresholds)))
-    pictures = [
-        Picture(f"iou_{threshold:g}", f"IoU above {threshold:g}", "precision", _lines(own))
-        for threshold, own in result.curves.items()
+    diagrams = [
+        Diagram(f"iou_{threshold:g}", f"IoU above {threshold:g}", "precision", _lines(by_class))
+        for threshold, by_class in result.curves.items()
     ]
-    return Report(SunRgbdContent(content), ["class", "objects", "detections", *heads], rows, pictures)
+    return Report(SunRgbdContent(content), ["class", "objects", "detections", *heads], rows, diagrams)
 
 
 def oriented_report(result: OrientedResult) -> Report:
-    """AP, mean IoU and pose errors (degrees and percent in the table); a picture for each class."""
+    """AP, mean IoU and pose errors (degrees and percent in the table); one diagram per class."""
     thresholds = list(next(iter(result.classes.values())).curves) if result.classes else []
     content = OrientedContent(
         mAP={f"{threshold:g}": _or_none(result.mean(threshold)) for threshold in thresholds},
-        classes={label: _oriented_class(found) for label, found in result.classes.items()},
+        classes={label: _oriented_class(one) for label, one in result.classes.items()},
     )
     heads = [f"AP {threshold:g}" for threshold in thresholds]
     rows: list[Row] = [
         (
             label,
-            found.objects,
-            found.detections,
-            *(found.curves[threshold].area for threshold in thresholds),
-            found.mean_iou,
-            float(np.degrees(found.rotation_error_rad)),
-            100.0 * found.size_error,
-            found.center_error_m,
+            one.objects,
+            one.detections,
+            *(one.curves[threshold].area for threshold in thresholds),
+            one.mean_iou,
+            float(np.degrees(one.rotation_error_rad)),
+            100.0 * one.size_error,
+            one.center_error_m,
         )
-        for label, found in result.classes.items()
+        for label, one in result.classes.items()
     ]
     rows.append(("mean", None, None, *map(result.mean, thresholds), None, None, None, None))
-    pictures = [
-        Picture(label, label, "precision", _lines({f"IoU above {t:g}": curve for t, curve in found.curves.items()}))
-        for label, found in result.classes.items()
+    diagrams = [
+        Diagram(label, label, "precision", _lines({f"IoU above {t:g}": curve for t, curve in one.curves.items()}))
+        for label, one in result.classes.items()
     ]
     columns = ["class", "objects", "detections", *heads, "mean IoU", "rotation deg", "size %", "centre m"]
-    return Report(content, columns, rows, pictures)
+    return Report(content, columns, rows, diagrams)
 
 
 def _three(curves: Iterable[KittiCurve], name: str) -> tuple[float, float, float]:
@@ -172,33 +181,33 @@ def _three(curves: Iterable[KittiCurve], name: str) -> tuple[float, float, float
     return easy, moderate, hard
 
 
-def _kitti_picture(label: str, metric: Metric, curves: Iterable[KittiCurve]) -> Picture:
+def _kitti_diagram(label: str, metric: Metric, curves: Iterable[KittiCurve]) -> Diagram:
     at = np.linspace(0.0, 1.0, SAMPLES)
     y_label = "orientation similarity" if metric is Metric.AOS else "precision"
     lines = [
         Line(f"{level} (R40 {curve.r40:.2f})", at, curve.samples)
         for level, curve in zip(DIFFICULTIES, curves, strict=True)
     ]
-    return Picture(f"{label}_{metric.value}", f"{label}, {metric.value}", y_label, lines)
+    return Diagram(f"{label}_{metric.value}", f"{label}, {metric.value}", y_label, lines)
 
 
 def _lines(curves: Mapping[str, PrecisionRecall]) -> list[Line]:
     return [Line(f"{name} (AP {c.area:.3f})", c.recall, c.precision) for name, c in curves.items()]
 
 
-def _oriented_class(found: OrientedClass) -> OrientedClassContent:
+def _oriented_class(one: OrientedClass) -> OrientedClassContent:
     return OrientedClassContent(
-        AP={f"{threshold:g}": curve.area for threshold, curve in found.curves.items()},
-        mean_iou=found.mean_iou,
-        rotation_error_rad=_or_none(found.rotation_error_rad),
-        size_error=_or_none(found.size_error),
-        center_error_m=_or_none(found.center_error_m),
-        objects=found.objects,
-        detections=found.detections,
-        matched=found.matched,
+        AP={f"{threshold:g}": curve.area for threshold, curve in one.curves.items()},
+        mean_iou=one.mean_iou,
+        rotation_error_rad=_or_none(one.rotation_error_rad),
+        size_error=_or_none(one.size_error),
+        center_error_m=_or_none(one.center_error_m),
+        objects=one.objects,
+        detections=one.detections,
+        matched=one.matched,
     )
 
 
 def _or_none(value: float) -> float | None:
-    """JSON has no NaN."""
+    """The value, or None for NaN and infinity, which JSON does not have."""
     return value if np.isfinite(value) else None

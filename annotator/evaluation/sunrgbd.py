@@ -1,4 +1,4 @@
-"""SUN RGB-D's 3D detection benchmark, as VoteNet evaluates it (`utils/eval_det.py`, area under the envelope)."""
+"""SUN RGB-D's 3D detection benchmark as in VoteNet (`utils/eval_det.py`, area under the envelope)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class SunRgbdResult:
     """The curves by IoU threshold and class; classes without a true box are not evaluated.
 
     Attributes:
-        objects, detections: how many there are, by class.
+        objects, detections: number of true boxes and of detections, by class.
     """
 
     curves: Mapping[float, Mapping[str, PrecisionRecall]]
@@ -26,7 +26,7 @@ class SunRgbdResult:
     detections: Mapping[str, int]
 
     def mean(self, threshold: float) -> float:
-        """Mean average precision over the classes, 0..1; NaN without any."""
+        """Mean average precision over the classes, 0..1; NaN without classes."""
         areas = [curve.area for curve in self.curves[threshold].values()]
         return float(np.mean(areas)) if areas else float("nan")
 
@@ -34,18 +34,19 @@ class SunRgbdResult:
 def evaluate_sunrgbd(detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = THRESHOLDS) -> SunRgbdResult:
     """Evaluates the detections of all frames, class by class.
 
-    VoteNet intersects upright boxes; the exact intersection used here is the same for them, and defined for all.
+    VoteNet intersects upright boxes. The exact intersection used here gives the same result for them, and is also
+    defined for tilted boxes.
 
     Args:
-        detections: with their scores; those in frames without a true box count, too.
-        truth: what is there.
+        detections: with scores; those in frames without a true box count as false positives.
+        truth: true boxes.
     """
     curves: dict[float, dict[str, PrecisionRecall]] = {threshold: {} for threshold in thresholds}
     objects, numbers = {}, {}
     for label in np.unique(truth.label).tolist():
-        own, there = detections.of_class(label), truth.of_class(label)
-        objects[label], numbers[label] = len(there), len(own)
-        pairs, counts = overlapping(own, there), np.ones(len(there), bool)
+        detected, true = detections.of_class(label), truth.of_class(label)
+        objects[label], numbers[label] = len(true), len(detected)
+        pairs, counts = overlapping(detected, true), np.ones(len(true), bool)
         for threshold in thresholds:
-            curves[threshold][label] = precision_recall(own.score, pairs, counts, threshold)
+            curves[threshold][label] = precision_recall(detected.score, pairs, counts, threshold)
     return SunRgbdResult(curves, objects, numbers)

@@ -1,1 +1,1 @@
-"""What goes out and comes back: a parse/dump pair a format."""
+"""Label and dataset formats: readers and writers, one module or folder per format."""

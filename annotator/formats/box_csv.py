@@ -1,8 +1,8 @@
-"""Upright boxes of many images in one CSV file, as SUN RGB-D's labels and detections are passed around.
+"""Upright boxes of many images in one CSV file, for SUN RGB-D labels and detections.
 
     image,class,cx,cy,cz,l,w,h,yaw[,score]
 
-z up, metres, radians: centre, full sizes, and the length's direction, counter-clockwise (seen from above) from +x.
+z up, metres, radians: centre, full sizes, and the direction of the length, counter-clockwise from +x seen from above.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.formats.finite import finite_number
+from annotator.formats.reading import finite_number
 from annotator.types.errors import FormatError
 
 TEXTS = ("image", "class")
@@ -33,14 +33,14 @@ class BoxRow:
 
 
 def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
-    """The rows in file order; blank lines are passed over.
+    """Returns the rows in file order; blank lines are skipped.
 
     Args:
-        scored: True for detections: there must be a column `score`.
+        scored: True for detections: the column `score` is required.
 
     Raises:
-        FormatError: the file cannot be read, its head lacks a column or has one that is not known, or a row has too
-            few or too many fields, a field that is no finite number, an empty name or a size that is not positive.
+        FormatError: the file cannot be read; its header lacks a column or has an unknown one; or a row has the wrong
+            number of fields, a field that is not a finite number, an empty name or a size that is not positive.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -59,7 +59,7 @@ def _rows(path: Path, lines: Iterator[str], scored: bool) -> Iterator[BoxRow]:
             if any(field.strip() for field in fields):
                 yield _row(path, reader.line_num, head, fields)
     except csv.Error as error:
-        raise FormatError(path, f"is no CSV: {error}", reader.line_num) from error
+        raise FormatError(path, f"is not valid CSV: {error}", reader.line_num) from error
 
 
 def _head(path: Path, names: list[str], scored: bool) -> list[str]:
@@ -68,15 +68,15 @@ def _head(path: Path, names: list[str], scored: bool) -> list[str]:
     if missing := [name for name in needed if name not in head]:
         raise FormatError(path, f"the first line must name the columns {','.join(needed)}; {missing[0]} is missing", 1)
     if unknown := [name for name in head if name not in (*needed, SCORE)]:
-        raise FormatError(path, f"the column {unknown[0]!r} is not known; there are {','.join(needed)}", 1)
+        raise FormatError(path, f"the column {unknown[0]!r} is unknown; use {','.join(needed)}", 1)
     if len(set(head)) != len(head):
-        raise FormatError(path, "a column is there twice", 1)
+        raise FormatError(path, "two columns have the same name", 1)
     return head
 
 
 def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
     if len(fields) != len(head):
-        raise FormatError(path, f"a row has {len(head)} fields, as the first line says, not {len(fields)}", line)
+        raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns", line)
     values = dict(zip(head, (field.strip() for field in fields), strict=True))
     if not (values["image"] and values["class"]):
         raise FormatError(path, "image and class must not be empty", line)

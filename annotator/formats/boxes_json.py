@@ -2,20 +2,22 @@
 
     {"000012": {"label": "hand", "center": [x, y, z], "size": [l, w, h], "rotation": [[..], [..], [..]]}, ...}
 
-A frame has one object or a list of them. Metres, camera frame; `rotation` is 3x3, nested rows, its columns the box's
-axes; `size` are full lengths along them. Optional: `corners` (8x3, checked against the rest) and `track` (the object's
-number over the recording). Other keys are left alone.
+A frame has one object or a list of objects. Metres, camera frame. `rotation` is 3x3, a list of rows; its columns are
+the box's axes. `size` holds the full lengths along them. Optional: `corners` (8x3, checked against the rest) and
+`track` (the object's number in the recording). Other keys are ignored.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.formats.json_file import no_twins, read_json
+from annotator.formats.json_file import BoundedTrack, no_twins, read_json, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -23,12 +25,12 @@ from annotator.types.errors import FormatError
 
 Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
-# Corners are a second way to say the same; files round their numbers, to millimetres at worst.
+# Tolerance between `corners` and the box: some files round to millimetres.
 CORNERS_AGREE_M = 2e-3
 
 
 class BoxEntry(BaseModel):
-    """One object of one frame, as it is written."""
+    """One object of one frame, as stored in the file."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -37,14 +39,14 @@ class BoxEntry(BaseModel):
     size: Vector
     rotation: tuple[Vector, Vector, Vector]
     corners: Annotated[tuple[Vector, ...], Field(min_length=8, max_length=8)] | None = None
-    track: int | None = None
+    track: BoundedTrack | None = None
 
 
 def read_boxes(path: Path) -> dict[str, list[Truth]]:
-    """The true objects of every frame in the file, by frame key; a frame may have none.
+    """Returns the true objects of every frame in the file, by frame key; a frame may have none.
 
     Raises:
-        FormatError: the file is missing or not JSON, or an entry is no box; names the frame.
+        FormatError: the file is missing or not JSON, or an entry is not a valid box; names the frame.
     """
     return {
         key: [entry_truth(entry, path, key, number) for number, entry in enumerate(entries)]
@@ -52,23 +54,43 @@ def read_boxes(path: Path) -> dict[str, list[Truth]]:
     }
 
 
-def read_entries(path: Path) -> dict[str, list[object]]:
-    """What the file has of every frame, by frame key; whether it is a box is `entry_truth`'s to say.
+def write_boxes(path: Path, frames: Mapping[str, Sequence[Truth]]) -> None:
+    """Writes the boxes of every frame, by frame key; `read_boxes` returns the same boxes. Scores are not written.
 
     Raises:
-        FormatError: the file is missing, or is no JSON object.
+        FormatError: the file cannot be written.
+    """
+    content = {key: [_entry(truth) for truth in truths] for key, truths in frames.items()}
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _entry(truth: Truth) -> dict[str, object]:
+    entry: dict[str, object] = {
+        "label": truth.label,
+        "center": truth.box.center_m.tolist(),
+        "size": truth.box.size_m.tolist(),
+        "rotation": truth.box.rotation.tolist(),
+    }
+    return entry if truth.track_id is None else entry | {"track": truth.track_id}
+
+
+def read_entries(path: Path) -> dict[str, list[object]]:
+    """Returns each frame's entries, unchecked, by frame key; `entry_truth` checks one.
+
+    Raises:
+        FormatError: the file is missing, or is not a JSON object.
     """
     content = read_json(path, no_twins)
     if not isinstance(content, dict):
-        raise FormatError(path, "must be an object with one entry a frame")
+        raise FormatError(path, "must be a JSON object with one entry per frame")
     return {key: value if isinstance(value, list) else [value] for key, value in content.items()}
 
 
 def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
-    """The object that an entry of a frame is; `number` counts the frame's entries from 0.
+    """Returns the object of one entry; `number` counts the frame's entries from 0.
 
     Raises:
-        FormatError: it is no box; names the frame.
+        FormatError: the entry is not a valid box; names the frame.
     """
     try:
         return _truth(BoxEntry.model_validate(value), path, key)
@@ -89,6 +111,6 @@ def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:
             raise FormatError(
                 path,
                 f"frame {key}, {entry.label}: corners lie up to {gaps.max():.3f} m off the box of center, size and "
-                "rotation; is rotation written row by row, are sizes full lengths?",
+                "rotation; write rotation row by row and size as full lengths",
             )
     return Truth(entry.label, box, entry.track)

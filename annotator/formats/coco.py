@@ -1,8 +1,8 @@
 """COCO detection files: 2D boxes on images.
 
-A COCO `bbox` is [x, y, width, height] in edge coordinates: an image covers [0, width] x [0, height]. Here the
-centre of the first pixel is (0, 0), so that ours = COCO's - 0.5. Source: the COCO data format page ("object
-detection") and its API's `coco.py`.
+A COCO `bbox` is [x, y, width, height] in edge coordinates: an image covers [0, width] x [0, height]. In annotator the
+centre of the first pixel is (0, 0), so 0.5 is subtracted. Source: the COCO data format page ("object detection") and
+`coco.py` of its API.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.formats.faults import Tell, give_up
 from annotator.formats.json_file import read_model, write_text
+from annotator.formats.reading import OnFault, raise_fault
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
 
@@ -28,9 +28,9 @@ class CocoImage:
     """One image of a COCO file and its boxes.
 
     Attributes:
-        file_name: as the file has it, usually relative to the image folder; unique within the file.
+        file_name: as in the file, usually relative to the image folder; unique within the file.
         width_px, height_px: image size.
-        boxes: in file order, clipped to the image; pixels with the centre of the first one at (0, 0).
+        boxes: in file order, clipped to the image; the centre of the first pixel is (0, 0).
     """
 
     file_name: str
@@ -39,12 +39,15 @@ class CocoImage:
     boxes: tuple[Box2D, ...]
 
 
-# A file of another tool holds more than is read here (licences, segmentations, ...): that is left alone.
+# Other fields of COCO files (licences, segmentations, ...) are ignored.
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
+# Limit for pixel values; sums of such numbers stay finite.
+LARGEST = 1e9
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Side = Annotated[int, Field(gt=0, le=LARGEST)]
 
 
 class _Category(_Part):
@@ -55,8 +58,8 @@ class _Category(_Part):
 class _Image(_Part):
     id: int
     file_name: str = Field(min_length=1)
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
+    width: Side
+    height: Side
 
 
 class _Annotation(_Part):
@@ -74,17 +77,17 @@ class _File(_Part):
     categories: tuple[_Category, ...]
 
 
-def read_coco(path: Path, tell: Tell = give_up) -> list[CocoImage]:
-    """All images of a COCO detection file in file order, those without a box too.
+def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
+    """Returns all images of a COCO detection file in file order, including those without a box.
 
-    A box that sticks out of its image is clipped to it.
+    A box that extends beyond its image is clipped to it.
 
     Args:
-        tell: what becomes of an annotation's fault.
+        on_fault: called with the fault of an annotation; see `OnFault`.
 
     Raises:
         FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
-            used twice, the same box twice, a box without extent, or one that lies fully outside its image.
+            used twice, the same box twice, a box without extent, or a box fully outside its image.
     """
     file = read_model(path, _File)
     _require_unique(path, "category id", (category.id for category in file.categories))
@@ -103,7 +106,7 @@ def read_coco(path: Path, tell: Tell = give_up) -> list[CocoImage]:
         try:
             boxes.setdefault(annotation.image_id, []).append(_box(path, annotation, images, names))
         except FormatError as fault:
-            tell(fault)
+            on_fault(fault)
     return [CocoImage(i.file_name, i.width, i.height, tuple(boxes[i.id])) for i in file.images]
 
 
@@ -116,7 +119,7 @@ def _require_unique(path: Path, what: str, values: Iterable[Hashable]) -> None:
 
 
 def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], names: Mapping[int, str]) -> Box2D:
-    """The annotation's box, clipped to its image."""
+    """Returns the annotation's box, clipped to its image."""
     where = f"annotation {annotation.id}"
     image = images.get(annotation.image_id)
     if image is None:
@@ -124,7 +127,9 @@ def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], name
     if annotation.category_id not in names:
         raise FormatError(path, f"{where}: category_id {annotation.category_id} is not in categories")
     if annotation.iscrowd:
-        raise FormatError(path, f"{where}: is a crowd region (iscrowd), not one object; remove it or box each object")
+        raise FormatError(
+            path, f"{where}: is a crowd region (iscrowd), not a single object; remove it or draw a box for each object"
+        )
     x, y, width, height = annotation.bbox
     if width <= 0 or height <= 0:
         raise FormatError(path, f"{where}: bbox {list(annotation.bbox)} has no positive width and height")
@@ -140,15 +145,15 @@ def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], name
 
 
 def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] = ()) -> None:
-    """Writes a COCO detection file, all or not at all; ids count from 1.
+    """Writes a COCO detection file atomically; ids count from 1.
 
     Args:
         path: the file; its folder must exist.
-        images: what to write.
-        classes: categories to list first and in this order, with or without boxes; the others follow by name.
+        images: the images with their boxes.
+        classes: categories to list first, in this order, with or without boxes; others follow by name.
 
     Raises:
-        FormatError: two images of one name, or the file cannot be written.
+        FormatError: two images have the same name, or the file cannot be written.
     """
     _require_unique(path, "file_name", (image.file_name for image in images))
     others = {box.label for image in images for box in image.boxes} - set(classes)

@@ -1,10 +1,10 @@
-"""A COCO detection dataset as a folder: each part's pictures in a folder of its name, its boxes in one file.
+"""A COCO detection dataset as a folder: one image folder and one annotation file for each part.
 
     annotations/instances_PART.json
     PART/FILE
 
-as COCO itself is laid out (`annotations/instances_train2017.json`, `train2017/000000000009.jpg`); a dataset that is not
-divided has the one part `all`. Pixels as in `coco.py`.
+This is COCO's own layout (`annotations/instances_train2017.json`, `train2017/000000000009.jpg`). A dataset without
+parts has the single part `all`. Pixels as in `coco.py`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from annotator.formats.coco import CocoImage, read_coco, write_coco
-from annotator.formats.faults import Tell, give_up
-from annotator.formats.labelled_picture import LabelledPicture
+from annotator.formats.dataset_writing import LabelledPicture
+from annotator.formats.reading import OnFault, raise_fault
 from annotator.types.errors import FormatError
 
 ANNOTATIONS = "annotations"
@@ -27,18 +27,20 @@ class CocoWriter:
     """Fills a folder with a dataset.
 
     Raises:
-        FormatError: a part has the name of the folder of annotations.
+        FormatError: a part is called `annotations`.
     """
 
     def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
         """
         Args:
-            folder: exists and is empty.
+            folder: an existing, empty folder.
             classes: the categories; ids count from 1 in this order.
-            parts: names of all parts, also of those that stay empty; none = the dataset is not divided.
+            parts: names of all parts, including empty ones; () for a dataset without parts.
         """
         if ANNOTATIONS in parts:
-            raise FormatError(folder, f"a part cannot be called {ANNOTATIONS}, as COCO's folder of boxes is")
+            raise FormatError(
+                folder, f"a part cannot be called {ANNOTATIONS}: COCO's boxes are in a folder of this name"
+            )
         self._folder, self._classes = folder, classes
         self._images: dict[str, list[CocoImage]] = {part: [] for part in parts or (WHOLE,)}
         for part in self._images:
@@ -58,19 +60,19 @@ class CocoWriter:
 
 
 def coco_files(path: Path) -> list[tuple[Path, Path]]:
-    """Each annotation file with the folder of its pictures.
+    """Returns each annotation file with the folder of its images.
 
     Args:
-        path: the folder of a dataset, or one annotation file: its pictures are in the folder of the part's name if it
-            lies in `annotations`, else beside it.
+        path: the folder of a dataset, or one annotation file. Images of a file in `annotations` are in the folder
+            named after its part; images of any other file are beside it.
 
     Raises:
-        FormatError: there is no such file, or the folder has no `annotations/instances_*.json`.
+        FormatError: the folder has no `annotations/instances_*.json`.
     """
     if path.is_dir():
         files = sorted(file for file in (path / ANNOTATIONS).glob("*.json") if _FILE.fullmatch(file.name))
         if not files:
-            raise FormatError(path, f"has no {ANNOTATIONS}/instances_*.json; name the COCO file itself")
+            raise FormatError(path, f"has no {ANNOTATIONS}/instances_*.json; give the path of the COCO file")
     else:
         files = [path]
     return [(file, _pictures(file)) for file in files]
@@ -85,24 +87,24 @@ def _pictures(file: Path) -> Path:
 
 
 def dataset_folder(path: Path) -> Path:
-    """The folder of the dataset that a path of `coco_files` belongs to."""
+    """Returns the dataset folder of a path that `coco_files` accepts."""
     if path.is_dir():
         return path
     return path.parent.parent if path.parent.name == ANNOTATIONS else path.parent
 
 
 def is_coco_dataset(folder: Path) -> bool:
-    """True for a folder with COCO annotations, as `CocoWriter` lays them out."""
+    """True for a folder with COCO annotations in `CocoWriter`'s layout."""
     return any(_FILE.fullmatch(file.name) for file in (folder / ANNOTATIONS).glob("*.json"))
 
 
-def read_coco_dataset(path: Path, tell: Tell = give_up) -> list[tuple[Path, list[CocoImage]]]:
-    """The images of each annotation file with the folder of their pictures.
+def read_coco_dataset(path: Path, on_fault: OnFault = raise_fault) -> list[tuple[Path, list[CocoImage]]]:
+    """Returns the image folder and the images of each annotation file.
 
     Args:
-        tell: what becomes of an annotation's fault.
+        on_fault: called with the fault of an annotation; see `OnFault`.
 
     Raises:
         FormatError: as `coco_files` and `read_coco`.
     """
-    return [(pictures, read_coco(file, tell)) for file, pictures in coco_files(path)]
+    return [(pictures, read_coco(file, on_fault)) for file, pictures in coco_files(path)]

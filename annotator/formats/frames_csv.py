@@ -1,7 +1,8 @@
-"""`frames.csv`: where each frame of a dataset came from, for formats that have no place for it.
+"""`frames.csv`: the origin of each frame of a dataset, for formats that cannot store it.
 
-One line a frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
-of its files, or its token), the recording's name, the frame's key in it, and its part of the dataset or nothing.
+One line per frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
+of its files, or its token), the recording's name, the frame's key in the recording, and its part of the dataset (may be
+empty).
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ class FrameOrigin:
     """One line of the file.
 
     Attributes:
-        id: of the frame in the dataset.
-        recording: name of the recording that it came from.
-        key: the frame's key in it.
-        split: its part of the dataset; None where that is not divided.
+        id: the frame's id in the dataset.
+        recording: name of the recording that the frame came from.
+        key: the frame's key in that recording.
+        split: its part of the dataset; None for a dataset without parts.
     """
 
     id: str
@@ -37,14 +38,14 @@ class FrameOrigin:
 
     @property
     def name(self) -> str:
-        """`RECORDING/KEY`, by which a project finds the frame again."""
+        """`RECORDING/KEY`, which identifies the frame in a project."""
         return f"{self.recording}/{self.key}"
 
 
 def dump_frames(origins: Iterable[FrameOrigin]) -> str:
-    """The text of the file."""
+    """Returns the text of the file."""
     stream = io.StringIO()
-    # RFC 4180; with "\n" alone a "\r" in a name would not be quoted
+    # RFC 4180; with "\n" alone the csv module would not quote a "\r" in a name
     rows = csv.writer(stream, lineterminator="\r\n")
     rows.writerow(HEADER)
     rows.writerows((o.id, o.recording, o.key, o.split or "") for o in origins)
@@ -52,13 +53,13 @@ def dump_frames(origins: Iterable[FrameOrigin]) -> str:
 
 
 def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
-    """The lines of the file, by id; `path` is for messages.
+    """Returns the lines of the file, by id; `path` is for error messages.
 
     Raises:
-        FormatError: another header, a line with too few or too many fields, an empty id or key, or an id that comes
-            twice; with the line.
+        FormatError: another header, a line with too few or too many fields, an empty id or key, or an id that occurs
+            twice; names the line.
     """
-    found: dict[str, FrameOrigin] = {}
+    origins: dict[str, FrameOrigin] = {}
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         if (header := tuple(next(rows, ()))) != HEADER:
@@ -66,33 +67,33 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
         for row in rows:
             if len(row) != len(HEADER) or not row[0] or not row[2]:
                 raise FormatError(path, f"needs {', '.join(HEADER)} (the last may be empty)", rows.line_num)
-            if row[0] in found:
-                raise FormatError(path, f"the id {row[0]} is there twice; keep one of its lines", rows.line_num)
-            found[row[0]] = FrameOrigin(row[0], row[1], row[2], row[3] or None)
+            if row[0] in origins:
+                raise FormatError(path, f"the id {row[0]} occurs twice; keep one of its lines", rows.line_num)
+            origins[row[0]] = FrameOrigin(row[0], row[1], row[2], row[3] or None)
     except csv.Error as error:
-        raise FormatError(path, f"is no CSV table: {error}", rows.line_num) from error
-    return found
+        raise FormatError(path, f"is not valid CSV: {error}", rows.line_num) from error
+    return origins
 
 
 def read_frames(folder: Path) -> dict[str, FrameOrigin]:
-    """The origins of a dataset's frames, by id; empty where the dataset has no such file, or one about other things.
+    """Returns the origins of a dataset's frames, by id; empty if it has no such file or an unrelated one.
 
     Raises:
-        FormatError: as `parse_frames`, or it cannot be read.
+        FormatError: as `parse_frames`, or the file cannot be read.
     """
     path = folder / FRAMES_CSV
     return parse_frames(path, read_text(path)) if has_frames(folder) else {}
 
 
 def has_frames(folder: Path) -> bool:
-    """True where a folder has the file; other datasets have files of that name about other things.
+    """True if a folder has the file; a `frames.csv` with an unrelated header does not count.
 
     Raises:
-        FormatError: it cannot be read.
+        FormatError: the file cannot be read.
     """
     path = folder / FRAMES_CSV
     if not path.is_file():
         return False
     head = read_text(path).partition("\n")[0]
-    # a head that is damaged is still ours, so that reading it says so
+    # a damaged header still counts, so that reading the file reports it
     return not head.strip() or "recording" in head.split(",")

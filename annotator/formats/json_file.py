@@ -1,4 +1,7 @@
-"""JSON files with a pydantic model: read with errors that say where, written all or not at all."""
+"""JSON files: reading into pydantic models with errors that name the place, and number fields with limits.
+
+`write_text` writes text files atomically.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,24 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from annotator.files import read_at_most, write_atomic
 from annotator.types.errors import FormatError
+from annotator.types.label import MOST_TRACK
 
-# The largest that is in use, COCO's training labels, has 450 MB.
+# The largest label file in common use, COCO's training labels, has 450 MB.
 MAX_BYTES = 2**30
-HALF_CHARACTER = re.compile(rb"\\u[dD][89a-fA-F]")
+SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 
 Model = TypeVar("Model", bound=BaseModel)
 PairsHook = Callable[[list[tuple[str, object]]], object]
 
 
 def no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """JSON objects as dicts; a key that is there twice would silently lose labels, so it is a KeyError."""
+    """Builds a dict from a JSON object's pairs; raises KeyError for a repeated key, which would lose labels."""
     content: dict[str, object] = {}
     for key, value in pairs:
         if key in content:
@@ -32,13 +36,13 @@ def no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = None) -> Model:
-    """The content of a JSON file, validated.
+    """Returns the validated content of a JSON file.
 
     Args:
-        pairs_hook: as of `read_json`.
+        pairs_hook: as in `read_json`.
 
     Raises:
-        FormatError: the file cannot be read, is no JSON (with the line), or does not fit the model (with the
+        FormatError: the file cannot be read, is not JSON (names the line), or does not fit the model (names the
             place within the file, such as `annotations.3.bbox`).
     """
     content = read_json(path, pairs_hook)
@@ -49,14 +53,13 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
 
 
 def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
-    """The content of a JSON file.
+    """Returns the content of a JSON file.
 
     Args:
-        pairs_hook: makes an object of its pairs in place of `dict`, such as `no_twins`; a KeyError of it says which key
-            is there twice.
+        pairs_hook: builds an object from its pairs, such as `no_twins`; a KeyError from it names a repeated key.
 
     Raises:
-        FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is no JSON (with the line).
+        FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is not JSON (names the line).
     """
     try:
         data = read_at_most(path, MAX_BYTES)
@@ -73,25 +76,27 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     except RecursionError as error:
         raise FormatError(path, "is nested too deeply to be a label file") from error
     except KeyError as error:
-        raise FormatError(path, f"the key {error} is there twice; keep one of them") from error
+        raise FormatError(path, f"the key {error} occurs twice; keep one of them") from error
     except ValueError as error:
         # an integer of thousands of digits
         raise FormatError(path, f"has a number that cannot be read ({error})") from error
-    if HALF_CHARACTER.search(data):
-        _require_whole_characters(path, content)
+    if SURROGATE.search(data):
+        _require_encodable(path, content)
     return content
 
 
-def _require_whole_characters(path: Path, content: object) -> None:
-    r"""JSON may spell halves of a character (`\ud800`), which nobody could write down or show again."""
+def _require_encodable(path: Path, content: object) -> None:
+    r"""Rejects unpaired surrogates (`\ud800`): valid JSON escapes, but they cannot be encoded as UTF-8."""
     try:
         json.dumps(content, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
-        raise FormatError(path, f"has half a character ({error.object[error.start]!a})") from error
+        raise FormatError(
+            path, f"has an unpaired surrogate ({error.object[error.start]!a}); write the whole character"
+        ) from error
 
 
 def first_problem(error: ValidationError) -> str:
-    """The first of a model's complaints in one line, and how many more there are."""
+    """Returns the first validation error in one line, and the number of further ones."""
     problems = error.errors(include_url=False, include_context=False)
     first = problems[0]
     where = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -100,7 +105,7 @@ def first_problem(error: ValidationError) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file by way of a temporary sibling, so that a reader sees the old file or the new one.
+    """Writes a text file atomically: a reader sees the old file or the new one.
 
     Raises:
         FormatError: the file cannot be written.
@@ -109,3 +114,15 @@ def write_text(path: Path, text: str) -> None:
         write_atomic(path, text.encode())
     except OSError as error:
         raise FormatError(path, f"cannot be written ({error.strerror})") from error
+
+
+# About a thousand times the distance from the earth to the sun, in metres.
+MOST = 1e14
+
+Bounded = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+BoundedPositive = Annotated[float, Field(gt=0, le=MOST, allow_inf_nan=False)]
+# Track ids; `Exact` is for formats that store every number as a float.
+BoundedTrack = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
+Exact = Annotated[float, Field(ge=-MOST_TRACK, le=MOST_TRACK, allow_inf_nan=False)]
+Bounded3 = tuple[Bounded, Bounded, Bounded]
+Bounded4 = tuple[Bounded, Bounded, Bounded, Bounded]

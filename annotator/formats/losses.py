@@ -1,4 +1,4 @@
-"""What a format could not hold of the labels that were written in it, counted."""
+"""Counts what a format cannot store of the frames and labels written to it."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from enum import StrEnum
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.formats.dataset import DatasetItem
-from annotator.geometry.level import IMAGE_UP
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.geometry.transforms import IMAGE_UP
 from annotator.types import ReviewState
 
 
 class Lost(StrEnum):
-    """What is missing from a dataset, or stands there only nearly.
+    """What an export leaves out or approximates.
 
     TILT: pitch and roll; the nearest upright box was written.
-    SCORE, TRACK, STATE: the label's score, its track id, its state in the review.
-    LENS: the lens's distortion; image and boxes were written for an ideal pinhole camera.
-    DEPTH_COLOR, REFLECTANCE: the colours of points, and how much of the LiDAR's light they return.
-    OUTSIDE: objects that are not in the picture, left out where the format needs a 2D box.
-    NAME: characters of a class name that the format cannot hold.
-    TIME: when frames were taken.
-    SOLID: 3D boxes, of which their outlines on the image were written.
-    KIND: that 2D boxes are those of 3D boxes, and not of what is seen of the objects.
-    SAME: boxes that a file cannot tell from others of their class, and pictures that are there already.
-    OPEN: images whose objects nobody has reviewed to the end, left out.
-    GRAVITY: the direction of gravity, where it is not the image's downwards.
-    LEVEL: gravity was not known; where the format needs it, the image's downwards was taken for it.
-    UNREADABLE: frames whose files cannot be read, left out because somebody asked for it.
+    SCORE, TRACK, STATE: a label's score, track id and review state.
+    LENS: lens distortion; image and boxes were written for an ideal pinhole camera.
+    DEPTH_COLOR, REFLECTANCE: colours and LiDAR reflectances of points.
+    OUTSIDE: objects outside the image, left out because the format needs a 2D box.
+    NAME: characters of a class name that the format cannot store.
+    TIME: capture times of frames.
+    SOLID: 3D boxes; their outlines on the image were written.
+    KIND: that 2D boxes enclose whole objects (projected 3D boxes), not only the visible parts.
+    SAME: boxes that equal another one of their class in the file, and images that equal another one.
+    OPEN: images with unreviewed proposals, left out.
+    GRAVITY: the direction of gravity, where it differs from the image's downward direction.
+    LEVEL: gravity is unknown; the format needs it, so the image's downward direction was used.
+    UNREADABLE: frames whose files cannot be read, left out on request.
     """
 
     TILT = "tilt"
@@ -52,27 +52,27 @@ class Lost(StrEnum):
     UNREADABLE = "unreadable"
 
 
-# A box that leans by less is upright, radians: angles in files have two to six decimals.
+# A smaller tilt counts as upright, radians: angles in files have two to six decimals.
 LEAST_TILT_RAD = 1e-3
 
 _WORDS = {
     Lost.TILT: "boxes are tilted; the nearest upright ones were written",
     Lost.SCORE: "boxes have a score",
     Lost.TRACK: "boxes have a track id",
-    Lost.STATE: "boxes were not reviewed or were corrected, which the format cannot say",
-    Lost.LENS: "frames have a lens distortion; images were straightened for an ideal camera",
+    Lost.STATE: "boxes were not reviewed or were corrected, which the format cannot store",
+    Lost.LENS: "frames have a lens distortion; images were rectified to an ideal camera",
     Lost.DEPTH_COLOR: "clouds have colours",
     Lost.REFLECTANCE: "clouds have reflectances",
-    Lost.OUTSIDE: "boxes are not in the picture and were left out",
+    Lost.OUTSIDE: "boxes are outside the image and were left out",
     Lost.NAME: "boxes have a class name that was written with other characters",
     Lost.TIME: "frames have a time",
     Lost.SOLID: "boxes are 3D boxes; their outlines on the image were written",
-    Lost.KIND: "boxes reach around all of the object, not only around what is seen; import them with --kind box",
-    Lost.SAME: "boxes (or pictures) are the same as another one, and were left out",
-    Lost.OPEN: "images with reviewed boxes also have proposals that wait for a review, and were left out",
-    Lost.GRAVITY: "frames know where gravity points, and it is not down the image",
-    Lost.LEVEL: "frames do not know where gravity points; it was taken to point down the image",
-    Lost.UNREADABLE: "frames cannot be read, and were left out",
+    Lost.KIND: "boxes enclose the whole object, not only its visible part; import them with --box-kind box",
+    Lost.SAME: "boxes or images equal another one and were left out",
+    Lost.OPEN: "images with reviewed boxes also have unreviewed proposals and were left out",
+    Lost.GRAVITY: "frames have a direction of gravity other than down the image",
+    Lost.LEVEL: "frames have no direction of gravity; down the image was used",
+    Lost.UNREADABLE: "frames cannot be read and were left out",
 }
 
 
@@ -80,10 +80,10 @@ class Loss(BaseModel):
     """One line of the report.
 
     Attributes:
-        kind: of what.
-        count: how many boxes (or frames).
-        message: for a person.
-        most: the largest loss, where it can be measured: radians for TILT.
+        kind: what was lost.
+        count: the number of boxes (or frames, or images).
+        message: the count in words.
+        most: the largest loss where it can be measured: radians for TILT.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -95,24 +95,24 @@ class Loss(BaseModel):
 
 
 class Losses:
-    """Counts while a dataset is written."""
+    """The counters of one export."""
 
     def __init__(self) -> None:
         self._counts: Counter[Lost] = Counter()
         self._tilt_rad = 0.0
 
     def add(self, kind: Lost, count: int = 1) -> None:
-        """So many boxes (or frames) lost this."""
+        """Counts `count` boxes (or frames, or images)."""
         self._counts[kind] += count
 
     def add_tilt(self, tilt_rad: float) -> None:
-        """A box was written upright that leans by so much, if it does."""
+        """Counts a box that was written upright, unless its tilt is below `LEAST_TILT_RAD`."""
         if tilt_rad > LEAST_TILT_RAD:
             self._counts[Lost.TILT] += 1
             self._tilt_rad = max(self._tilt_rad, tilt_rad)
 
     def report(self) -> tuple[Loss, ...]:
-        """One line a kind, in the order of `Lost`."""
+        """Returns one line for each kind, in the order of `Lost`."""
         return tuple(self._line(kind) for kind in Lost if self._counts[kind])
 
     def _line(self, kind: Lost) -> Loss:
@@ -125,10 +125,10 @@ class Losses:
 
 
 def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> None:
-    """Counts what one frame and its labels have of `kinds`.
+    """Counts the losses of one frame and its labels.
 
     Args:
-        kinds: what the format does not hold, of those that a frame tells before it is written.
+        kinds: what the format cannot store; only kinds that follow from the frame itself, see `has` below.
     """
     frame = item.frame
     has = {

@@ -1,7 +1,7 @@
-"""Point clouds as PLY files: binary, little-endian, one element `vertex`.
+"""Exported point clouds as PLY files: binary, little-endian, one element `vertex`.
 
 Format: Greg Turk, "The PLY Polygon File Format" (1994). Properties: float x y z, then uchar red green blue and
-float reflectance where the cloud has them.
+float reflectance if the cloud has them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ CAMERA_FRAME = "camera frame: x right, y down, z forward, metres"
 
 
 def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> None:
-    """Writes the points, with colour and reflectance where they are known.
+    """Writes the points, with colours and reflectances if the cloud has them.
 
     Args:
-        comment: the frame of reference of the points, one line of ASCII.
+        comment: the points' frame of reference, one line of ASCII.
 
     Raises:
         OSError: the file cannot be written.
@@ -43,7 +43,7 @@ def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> Non
 
 
 def read_ply(path: Path) -> PointCloud:
-    """The points of a file that `write_ply` made, in the camera frame.
+    """Reads a file of `write_ply` in the camera frame.
 
     Raises:
         FormatError: the file cannot be read, has another layout, or is truncated.
@@ -54,7 +54,7 @@ def read_ply(path: Path) -> PointCloud:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     end = data.find(b"end_header\n", 0, HEADER_LIMIT)
     if not data.startswith(b"ply\n") or end < 0:
-        raise FormatError(path, "is no PLY file")
+        raise FormatError(path, "is not a PLY file")
     end += len(b"end_header\n")
     fields, count = _parse_header(path, data[:end])
     dtype = np.dtype(fields)
@@ -64,7 +64,7 @@ def read_ply(path: Path) -> PointCloud:
     names = dtype.names or ()
     xyz_m = np.stack([rows[name] for name in XYZ], axis=1).astype(np.float32)
     if not np.isfinite(xyz_m).all():
-        raise FormatError(path, "has a point that is NaN or infinite; an export has none")
+        raise FormatError(path, "has a point that is NaN or infinite; export the dataset again")
     return PointCloud(
         xyz_m,
         np.stack([rows[name] for name in RGB], axis=1) if "red" in names else None,
@@ -73,7 +73,7 @@ def read_ply(path: Path) -> PointCloud:
 
 
 def _fields(colour: bool, reflectance: bool) -> list[tuple[str, str]]:
-    """The columns of a row as numpy names them."""
+    """Returns the fields of a row as numpy names them."""
     return (
         [(name, "<f4") for name in XYZ]
         + [(name, "u1") for name in RGB if colour]
@@ -95,9 +95,9 @@ def _header(fields: list[tuple[str, str]], count: int, comment: str = CAMERA_FRA
 
 
 def _parse_header(path: Path, header: bytes) -> tuple[list[tuple[str, str]], int]:
-    """The columns and the number of points that one of our own headers announces."""
+    """Returns the fields and the number of points of a header that `write_ply` wrote."""
     lines = header.decode("ascii", "replace").splitlines()
-    counts = [line.split()[2] for line in lines if line.startswith("element vertex ")]
+    counts = [line.split(" ", 2)[2] for line in lines if line.startswith("element vertex ")]
     names = [line.split()[-1] for line in lines if line.startswith("property ")]
     fields = _fields("red" in names, "reflectance" in names)
     if len(counts) != 1 or not counts[0].isdigit() or header != _header(fields, int(counts[0])):

@@ -1,4 +1,4 @@
-"""A folder of text files, or a zip archive of such a folder: names and contents, nothing unpacked."""
+"""Reads the text files of a folder, or of a zip archive without unpacking it."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from pathlib import Path, PurePath, PurePosixPath
 from annotator.files import ARCHIVE_ERRORS, read_at_most
 from annotator.types.errors import FormatError
 
-# A label file of a single frame is some kilobytes.
+# Label files of one frame have some kilobytes.
 MAX_BYTES = 16 * 2**20
 MAX_FILES = 1_000_000
 
 
 def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> Iterator[tuple[str, Path, str]]:
-    """The text files of a folder or zip archive, by name: key (the name without suffix), path and content.
+    """Yields key (the name without suffix), path and content of each text file, sorted by name.
 
-    Of an archive each file's own name counts, in whatever folder it lies; nothing is written anywhere. Other files
-    are passed over, and so are hidden ones: a Mac puts `._KEY.txt` beside each file that it packs.
+    In an archive the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
+    adds `._KEY.txt` for each file that it packs.
 
     Args:
         path: the folder or the archive.
-        suffix: of the files that are wanted.
-        within: name of a folder; where an archive has such files in a folder of that name, no others of it count.
+        suffix: suffix of the files to read.
+        within: a folder name; if an archive has matching files in a folder of this name, only those are read.
 
     Raises:
-        FormatError: there is no such folder or archive, none of its files has that suffix, two have the same name, or
-            one cannot be read: damaged, encrypted, no UTF-8, or longer than `MAX_BYTES`.
+        FormatError: there is no such folder or archive, no file has the suffix, two files have the same name, or one
+            cannot be read: damaged, encrypted, not UTF-8, or longer than `MAX_BYTES`.
     """
     if path.is_dir():
         yield from _of_folder(path, suffix)
@@ -36,7 +36,7 @@ def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> I
     elif path.exists():
         raise FormatError(path, f"is neither a folder of *{suffix} files nor a zip archive of one")
     else:
-        raise FormatError(path, "there is no such folder or archive")
+        raise FormatError(path, "there is no such folder or zip archive")
 
 
 def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
@@ -45,7 +45,7 @@ def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     if not files:
-        raise FormatError(path, f"has no {suffix} file; name the folder that holds them")
+        raise FormatError(path, f"has no {suffix} file; give the folder that holds them")
     for file in files:
         yield file.stem, file, read_text(file)
 
@@ -55,10 +55,10 @@ def _is_wanted(file: PurePath, suffix: str) -> bool:
 
 
 def read_text(file: Path) -> str:
-    """The content of a text file.
+    """Returns the content of a text file.
 
     Raises:
-        FormatError: it cannot be read, is no UTF-8 or longer than `MAX_BYTES`.
+        FormatError: the file cannot be read, is not UTF-8 or is longer than `MAX_BYTES`.
     """
     try:
         content = read_at_most(file, MAX_BYTES)
@@ -68,7 +68,7 @@ def read_text(file: Path) -> str:
 
 
 def text_rows(file: Path) -> list[tuple[int, list[str]]]:
-    """The words of all lines of a text file that are not blank, with their 1-based line numbers.
+    """Returns the words of each non-blank line of a text file, with its 1-based line number.
 
     Raises:
         FormatError: as `read_text`.
@@ -83,13 +83,13 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
             for info in _wanted(archive, suffix, within):
                 name = PurePosixPath(info.filename)
                 if name.stem in named:
-                    raise FormatError(path, f"has two files called {name.name}")
+                    raise FormatError(path, f"has two files called {name.name}; keep one")
                 named[name.stem] = info
             if not named:
                 raise FormatError(path, f"has no {suffix} file")
             for key in sorted(named):
                 with archive.open(named[key]) as stream:
-                    # what the archive says of its size is not believed
+                    # the size that an archive declares may be wrong
                     content = stream.read(MAX_BYTES + 1)
                 file = path / PurePosixPath(named[key].filename).name
                 yield key, file, _text(file, content)
@@ -98,18 +98,18 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
 
 
 def _wanted(archive: zipfile.ZipFile, suffix: str, within: str | None) -> list[zipfile.ZipInfo]:
-    found = [
+    matching = [
         info
         for info in archive.infolist()[:MAX_FILES]
         if not info.is_dir() and _is_wanted(PurePosixPath(info.filename), suffix)
     ]
-    return [info for info in found if PurePosixPath(info.filename).parent.name == within] or found
+    return [info for info in matching if PurePosixPath(info.filename).parent.name == within] or matching
 
 
 def _text(file: Path, content: bytes) -> str:
     if len(content) > MAX_BYTES:
-        raise FormatError(file, f"is longer than {MAX_BYTES // 2**20} MiB; that is no label file of one frame")
+        raise FormatError(file, f"is longer than {MAX_BYTES // 2**20} MiB; a label file of one frame is smaller")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FormatError(file, "is not UTF-8 text; it may be truncated or of another kind") from error
+        raise FormatError(file, "is not UTF-8 text; it may be truncated or not a text file") from error

@@ -1,11 +1,11 @@
-"""YOLO's label files of 2D boxes: one text file a picture, one line a box.
+"""YOLO label files of 2D boxes: one text file per image, one line per box.
 
     CLASS CX CY W H [SCORE]
 
-The class is a number into the dataset's `names`, from 0. Centre, width and height are shares of the picture's size,
-measured from its corner (see `geometry/image_shares.py`); a file without a line is a picture that shows nothing. A
-sixth field is the score of a detection. Source: Ultralytics' documentation, "object detection datasets overview", and
-the checks in its `data/utils.py`.
+The class is an index into the dataset's `names`, from 0. Centre, width and height are fractions of the image size,
+measured from the image's corner (see `geometry/image_shares.py`). An empty file means an image without objects. A sixth
+field is the score of a detection. Source: Ultralytics' documentation, "object detection datasets overview", and the
+checks in its `data/utils.py`.
 """
 
 from __future__ import annotations
@@ -17,40 +17,40 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.formats.faults import Tell, give_up
-from annotator.geometry.image_shares import cut_to_picture, edges_of, shares_of
+from annotator.formats.reading import OnFault, raise_fault
+from annotator.geometry.image_shares import clip_to_image, edges_of, shares_of
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
 
-# Ultralytics takes boxes that stick out of their picture by so much of its size.
+# Ultralytics accepts boxes that extend beyond the image by this fraction of its size.
 TOLERANCE = 0.01
 FIELDS = "class cx cy w h"
 
 
 @dataclass(frozen=True)
 class YoloBox:
-    """One line of a label file: class name, shares (cx, cy, w, h) of the picture, score (1 if there is none)."""
+    """One line of a label file: class name, (cx, cy, w, h) as fractions of the image size, score (1 if absent)."""
 
     label: str
     shares: tuple[float, float, float, float]
     score: float = 1.0
 
     def on(self, width_px: int, height_px: int) -> Box2D:
-        """The box on a picture of that size, pixels, clipped to the picture."""
+        """Returns the box in pixels of an image of that size, clipped to the image."""
         edges = edges_of(np.array(self.shares), width_px, height_px)
         x_min, y_min, x_max, y_max = map(float, edges)
         box = Box2D(self.label, x_min, y_min, x_max, y_max, self.score)
-        cut = cut_to_picture(box, width_px, height_px)
-        assert cut is not None  # `parse_boxes` takes no box outside
+        cut = clip_to_image(box, width_px, height_px)
+        assert cut is not None  # `parse_boxes` refuses boxes outside the image
         return cut
 
 
 def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int, height_px: int) -> str:
-    """The text of a label file; scores are left out, as in files to learn from.
+    """Returns the text of a label file, without scores, as training files have none.
 
     Args:
-        boxes: within the picture.
-        numbers: of the classes.
+        boxes: within the image.
+        numbers: class numbers by name.
     """
     lines = []
     for box in boxes:
@@ -59,17 +59,20 @@ def dump_boxes(boxes: Sequence[Box2D], numbers: Mapping[str, int], width_px: int
     return "".join(lines)
 
 
-def parse_boxes(path: Path, text: str, names: Mapping[int, str], tell: Tell = give_up) -> tuple[YoloBox, ...]:
-    """The boxes of a label file in its order.
+def parse_boxes(
+    path: Path, text: str, names: Mapping[int, str], on_fault: OnFault = raise_fault
+) -> tuple[YoloBox, ...]:
+    """Returns the boxes of a label file in file order.
 
     Args:
-        path: for messages.
-        names: of the classes, by number.
-        tell: what becomes of a row's fault.
+        path: for error messages.
+        names: class names by number.
+        on_fault: called with the fault of a row; see `OnFault`.
 
     Raises:
-        FormatError: with the line: not five or six fields (a polygon, keypoints), no number, a class that has no name,
-            a box without extent or one that lies outside the picture by more than `TOLERANCE`, the same line twice.
+        FormatError: not five or six fields (a polygon, keypoints), a field that is not a number, a class without a
+            name, a box without extent, a box that extends beyond the image by more than `TOLERANCE`, or the same line
+            twice; names the line.
     """
     boxes: dict[YoloBox, int] = {}
     for line, row in enumerate(text.splitlines(), 1):
@@ -78,10 +81,10 @@ def parse_boxes(path: Path, text: str, names: Mapping[int, str], tell: Tell = gi
         try:
             box = _box(path, line, row.split(), names)
         except FormatError as fault:
-            tell(fault)
+            on_fault(fault)
             continue
         if box in boxes:
-            tell(FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line))
+            on_fault(FormatError(path, f"the same box as in line {boxes[box]}; keep one of them", line))
         boxes[box] = line
     return tuple(boxes)
 
@@ -89,7 +92,7 @@ def parse_boxes(path: Path, text: str, names: Mapping[int, str], tell: Tell = gi
 def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> YoloBox:
     if len(fields) not in (5, 6):
         raise FormatError(
-            path, f"has {len(fields)} fields; a box has {FIELDS} (and a score), polygons and points are not read", line
+            path, f"has {len(fields)} fields; a box has {FIELDS} [score]; polygons and keypoints are not read", line
         )
     try:
         number, numbers = int(fields[0]), [float(field.replace("_", "?")) for field in fields[1:]]
@@ -107,11 +110,11 @@ def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> 
     if min(w, h) <= 0 or min(edges) < -TOLERANCE or max(edges) > 1 + TOLERANCE:
         raise FormatError(
             path,
-            f"cx cy w h are shares of the picture, and the box must have an extent and lie in it; {cx:g} {cy:g} {w:g} "
-            f"{h:g} does not",
+            f"cx cy w h must be fractions of the image size, of a box with an extent inside the image, not {cx:g} "
+            f"{cy:g} {w:g} {h:g}",
             line,
         )
-    # less than this is nothing once it is cut to a picture of any size
+    # a smaller box has no extent once it is clipped to an image of any size
     if min(edges[2], 1) - max(edges[0], 0) < 1e-9 or min(edges[3], 1) - max(edges[1], 0) < 1e-9:
-        raise FormatError(path, "nothing of the box is on the picture", line)
+        raise FormatError(path, "the box is outside the image", line)
     return YoloBox(names[number], (cx, cy, w, h), score)

@@ -1,11 +1,11 @@
-"""Writes a YOLO detection dataset: pictures, a label file for each, and `data.yaml`.
+"""Writes a YOLO detection dataset: images, a label file for each, and `data.yaml`.
 
     images/PART/FILE
     labels/PART/STEM.txt
     data.yaml           path, train, val[, test], names
 
-`path` is written empty: Ultralytics then takes the folder of `data.yaml` itself, so that the dataset can be moved (a
-relative path would be looked for in the current directory). Source: `check_det_dataset` in its `data/utils.py`.
+`path` is written empty: Ultralytics then uses the folder of `data.yaml`, so the dataset can be moved (a relative path
+would be resolved against the current directory). Source: `check_det_dataset` in its `data/utils.py`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from annotator.formats.labelled_picture import LabelledPicture
+from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.yolo import dump_boxes
 from annotator.types.errors import ConfigError
 
@@ -22,22 +22,22 @@ DATA_YAML = "data.yaml"
 
 
 class YoloWriter:
-    """Fills a folder with a dataset; one that is not divided is trained and measured on as a whole.
+    """Fills a folder with a dataset; without parts, all images are used for training and for validation.
 
     Raises:
-        ConfigError: parts that YOLO does not know, or train or val is missing.
+        ConfigError: a part other than train, val and test, or train or val is missing.
     """
 
     def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
         """
         Args:
-            folder: exists and is empty.
-            classes: their numbers count from 0 in this order.
-            parts: names of all parts, also of those that stay empty; none = the dataset is not divided.
+            folder: an existing, empty folder.
+            classes: numbered from 0 in this order.
+            parts: names of all parts, including empty ones; () for a dataset without parts.
         """
         if parts and (not set(parts) <= set(PARTS) or not {"train", "val"} <= set(parts)):
             raise ConfigError(
-                f"YOLO's parts are called train, val and, if you like, test, not {', '.join(parts)}; "
+                f"YOLO's parts are called train, val and (optionally) test, not {', '.join(parts)}; "
                 "divide with --split train=0.8,val=0.2"
             )
         self._folder, self._classes = folder, tuple(classes)
@@ -60,7 +60,7 @@ class YoloWriter:
 
 
 def data_yaml(classes: Sequence[str], parts: Sequence[str]) -> str:
-    """The text of `data.yaml`; without a part `val`, the training pictures are measured on."""
+    """Returns the text of `data.yaml`; without a part `val`, the training images are also used for validation."""
     import yaml
 
     folders = {part: part for part in parts} | {"val": "val" if "val" in parts else "train"}
@@ -74,5 +74,5 @@ def data_yaml(classes: Sequence[str], parts: Sequence[str]) -> str:
 
 
 def is_yolo_dataset(folder: Path) -> bool:
-    """True for a folder as `YoloWriter` fills it."""
+    """True for a folder in `YoloWriter`'s layout."""
     return all((folder / name).is_dir() for name in ("images", "labels")) and (folder / DATA_YAML).is_file()

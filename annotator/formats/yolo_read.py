@@ -1,11 +1,12 @@
-"""Reads YOLO detection datasets: `data.yaml` with its folders of pictures, or label files with `classes.txt`.
+"""Reads YOLO detection datasets: `data.yaml` with its image folders, or label files with `classes.txt`.
 
-A picture's label file has its name and lies where the last `images` of its path reads `labels`, or beside it where
-there is none; a picture without one shows nothing. Labels without their pictures are taken, too: their boxes are shares
-of whatever size the picture has. Source: `img2label_paths` and `check_det_dataset` in Ultralytics' `data/utils.py`.
+The label file of an image has the image's name. It is in the folder where the last `images` of the path is replaced by
+`labels`, or beside the image. An image without a label file has no objects. Labels without images are read, too: their
+boxes are fractions of the image size. Source: `img2label_paths` and `check_det_dataset` in Ultralytics'
+`data/utils.py`.
 
-Nothing outside the dataset's folder is read, whatever `data.yaml` says and links name; where its `path` leads
-elsewhere, as in a dataset that was moved, its parts are looked for beside it.
+Nothing outside the dataset's folder is read, through `data.yaml` or through links. Where `path` in `data.yaml` leads
+elsewhere, as in a moved dataset, its parts are looked up beside `data.yaml`.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from pathlib import Path, PurePosixPath
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.files import is_within, why_missing
-from annotator.formats.faults import Tell, give_up
 from annotator.formats.json_file import first_problem
+from annotator.formats.reading import OnFault, raise_fault
 from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import YoloBox, parse_boxes
 from annotator.formats.yolo_dataset import DATA_YAML, PARTS
@@ -26,23 +27,23 @@ from annotator.types.errors import FormatError
 
 CLASSES = "classes.txt"
 READABLE = (".png", ".jpg", ".jpeg")
-# Ultralytics takes these, too; here they are told, and not passed over.
+# Ultralytics reads these, too; here they are reported as faults.
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
-LEADS_OUT = "leads out of the dataset's folder, or is no name"
-# Of a name that is none.
+LEADS_OUT = "leads out of the dataset's folder, or is not a valid path"
+# Characters of an invalid path that a message quotes.
 SHOWN = 60
 
 
 @dataclass(frozen=True)
 class YoloPicture:
-    """One picture of a dataset.
+    """One image of a dataset.
 
     Attributes:
-        file_name: without its folder; of the label file where there is no picture.
-        folder: where the picture is, or would be.
-        picture: the image file; None where only its labels are there.
-        label_file: which may be missing.
+        file_name: the image's file name without its folder; the label file's if there is no image.
+        folder: the folder where the image is or would be.
+        picture: the image file; None if only its labels exist.
+        label_file: may be missing.
         boxes: in the order of the label file.
     """
 
@@ -54,7 +55,7 @@ class YoloPicture:
 
 
 class _DataYaml(BaseModel):
-    # files of other tools say more (nc, download, ...)
+    # other fields (nc, download, ...) are ignored
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     path: str | None = None
@@ -64,33 +65,33 @@ class _DataYaml(BaseModel):
     names: dict[int, str] | list[str]
 
 
-def read_yolo(path: Path, tell: Tell = give_up) -> list[YoloPicture]:
-    """All pictures of a dataset, each once, those without a box too.
+def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
+    """Returns all images of a dataset, each once, including those without a box.
 
     Args:
-        path: `data.yaml`; the folder that it lies in; or a folder of label files with `classes.txt` in it or above it.
-        tell: what becomes of a fault in a label file, and of a picture of another kind.
+        path: `data.yaml`; its folder; or a folder of label files with `classes.txt` in it or above it.
+        on_fault: called with the fault of a label file or an image of another type; see `OnFault`.
 
     Raises:
-        FormatError: none of these, a damaged `data.yaml`, a part that is not there or leads out of the folder, a
-            label file that does not follow the format, or a picture that is there and neither PNG nor JPEG.
+        FormatError: `path` is none of these, `data.yaml` is damaged, a part is missing or leads out of the folder, a
+            label file does not follow the format, or an image is neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
-        return list(_with_classes(path, tell))
+        return list(_with_classes(path, on_fault))
     file = _inside(path / DATA_YAML, path) if path.is_dir() else path
     data = _read_yaml(file)
     names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
     _require_different(file, names)
     root = file.parent
-    found: dict[Path, YoloPicture] = {}
+    by_label_file: dict[Path, YoloPicture] = {}
     for part in PARTS:
         value = getattr(data, part)
         for entry in [value] if isinstance(value, str) else value or []:
-            for picture in _of_part(_placed(file, part, data.path, entry), root, names, tell):
-                found.setdefault(picture.label_file, picture)
-    if not found:
-        raise FormatError(file, "names no picture: train, val and test are empty")
-    return list(found.values())
+            for picture in _of_part(_placed(file, part, data.path, entry), root, names, on_fault):
+                by_label_file.setdefault(picture.label_file, picture)
+    if not by_label_file:
+        raise FormatError(file, "names no image: train, val and test are empty")
+    return list(by_label_file.values())
 
 
 def _read_yaml(file: Path) -> _DataYaml:
@@ -101,9 +102,20 @@ def _read_yaml(file: Path) -> _DataYaml:
     except yaml.MarkedYAMLError as error:
         line = None if error.problem_mark is None else error.problem_mark.line + 1
         raise FormatError(file, f"is not valid YAML: {error.problem}", line) from error
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        if isinstance(error, ValidationError):
-            raise FormatError(file, f"{first_problem(error)}; names must be texts, in quotes if need be") from error
+    except ValidationError as error:
+        raise FormatError(
+            file, f"{first_problem(error)}; names must be texts, in quotes where YAML needs them"
+        ) from error
+    # a wrong type tag (`!!int x`) makes PyYAML raise errors that it does not document
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+        LookupError,
+        AttributeError,
+        TypeError,
+        ArithmeticError,
+    ) as error:
         raise FormatError(file, f"is not valid YAML ({error})") from error
 
 
@@ -113,54 +125,54 @@ def _require_different(file: Path, names: Mapping[int, str]) -> None:
 
 
 def _placed(file: Path, part: str, base: str | None, entry: str) -> Path:
-    """The folder or list of pictures that a part's entry names."""
+    """Returns the image folder or image list that a part's entry names."""
     root = file.parent
-    # exports of some services write ../train/images and mean train/images
+    # some services export ../train/images where train/images is right
     candidates = [root / (base or "") / entry, root / entry, root / entry.removeprefix("../")]
     inside = [candidate for candidate in candidates if is_within(root, candidate)]
     for candidate in inside:
         if candidate.exists() or _inside(_labels_of(candidate, root), root).is_dir():
             return candidate
     if not inside:
-        raise FormatError(file, f"{part}: {entry[:SHOWN]!r} {LEADS_OUT}; use a path within it")
+        raise FormatError(file, f"{part}: {entry[:SHOWN]!r} {LEADS_OUT}; use a path inside it")
     raise FormatError(file, f"{part}: there is no {entry[:SHOWN]!r} in the dataset's folder")
 
 
 def _inside(path: Path, root: Path) -> Path:
-    """The path itself, which may be read.
+    """Returns the path unchanged.
 
     Raises:
-        FormatError: it is, or lies behind, a link that leads out of the dataset's folder.
+        FormatError: the path is, or is behind, a link that leads out of the dataset's folder.
     """
     if not is_within(root, path):
-        raise FormatError(path, f"is a link that {LEADS_OUT}; put the file itself there")
+        raise FormatError(path, f"is a link that {LEADS_OUT}; copy the file itself there")
     return path
 
 
 def _labels_of(path: Path, root: Path) -> Path:
-    """The place of labels for a picture's, or for a folder of pictures'."""
+    """Returns the label path of an image, or the label folder of an image folder."""
     parts = list(path.resolve().relative_to(root.resolve()).parts)
     if "images" in parts:
         parts[len(parts) - 1 - parts[::-1].index("images")] = "labels"
     return root.resolve().joinpath(*parts)
 
 
-def _of_part(place: Path, root: Path, names: Mapping[int, str], tell: Tell) -> Iterator[YoloPicture]:
+def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> Iterator[YoloPicture]:
     if place.is_file():
-        yield from (_read(picture, root, names, tell) for picture in _listed(place, root))
+        yield from (_read(picture, root, names, on_fault) for picture in _listed(place, root))
         return
     pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
     for picture in pictures:
-        yield _read(_inside(picture, root), root, names, tell)
+        yield _read(_inside(picture, root), root, names, on_fault)
     seen = {_labels_of(picture, root).with_suffix(".txt") for picture in pictures}
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_alone(_inside(label_file, root), place, names, tell)
+            yield _labels_alone(_inside(label_file, root), place, names, on_fault)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
-    """The pictures that a text file names, one a line."""
+    """Yields the images that a text file lists, one per line."""
     for line, text in enumerate(read_text(file).splitlines(), 1):
         if not (name := text.strip()):
             continue
@@ -170,57 +182,57 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
         yield picture
 
 
-def _read(picture: Path, root: Path, names: Mapping[int, str], tell: Tell) -> YoloPicture:
+def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
     if picture.is_file():
-        _require_readable(picture, tell)
+        _require_readable(picture, on_fault)
     label_file = _inside(_labels_of(picture, root).with_suffix(".txt"), root)
-    boxes = _boxes(label_file, names, tell) if label_file.is_file() else ()
+    boxes = _boxes(label_file, names, on_fault) if label_file.is_file() else ()
     return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
 
 
-def _require_readable(picture: Path, tell: Tell) -> None:
+def _require_readable(picture: Path, on_fault: OnFault) -> None:
     if picture.suffix.lower() in OTHERS:
-        tell(FormatError(picture, "only PNG and JPEG pictures are read; save it as one of them, beside its labels"))
+        on_fault(FormatError(picture, "only PNG and JPEG images are read; save it as PNG or JPEG under the same name"))
 
 
-def _boxes(label_file: Path, names: Mapping[int, str], tell: Tell) -> tuple[YoloBox, ...]:
+def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[YoloBox, ...]:
     try:
         text = read_text(label_file)
     except FormatError as fault:
-        tell(fault)
+        on_fault(fault)
         return ()
-    return parse_boxes(label_file, text, names, tell)
+    return parse_boxes(label_file, text, names, on_fault)
 
 
-def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str], tell: Tell) -> YoloPicture:
-    return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, tell))
+def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
+    return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, on_fault))
 
 
-def _with_classes(folder: Path, tell: Tell) -> Iterator[YoloPicture]:
-    """Label files with their class names in `classes.txt`, one a line."""
-    # a link to the folder is its user's choice, one within it is not
+def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:
+    """Yields the images of a folder of label files with `classes.txt`, one class name per line."""
+    # the given folder itself may be a link; links inside it are checked
     folder = folder.resolve()
     file = next((each / CLASSES for each in (folder, folder.parent) if (each / CLASSES).is_file()), None)
     if file is None:
-        raise FormatError(folder, f"has no {DATA_YAML}, and no {CLASSES} beside label files; it is no YOLO dataset")
+        raise FormatError(folder, f"is not a YOLO dataset: it has no {DATA_YAML}, and no {CLASSES} beside label files")
     _inside(file, file.parent)
     names = {number: name.strip() for number, name in enumerate(read_text(file).rstrip().splitlines())}
     _require_different(file, names)
     labels = folder / "labels" if (folder / "labels").is_dir() else folder
     root = labels.parent if labels.name == "labels" else labels
-    # beside the labels, or in `images` beside `labels`
-    homes = [labels, *([labels.with_name("images")] if labels.name == "labels" else [])]
-    found = sorted(each for each in _inside(labels, root).rglob("*.txt") if each.name != CLASSES)
-    if not found:
+    # images are beside the labels, or in `images` beside `labels`
+    image_roots = [labels, *([labels.with_name("images")] if labels.name == "labels" else [])]
+    label_files = sorted(each for each in _inside(labels, root).rglob("*.txt") if each.name != CLASSES)
+    if not label_files:
         raise FormatError(labels, "has no label file (*.txt)")
-    for label_file in found:
-        folders = [home / label_file.parent.relative_to(labels) for home in homes]
+    for label_file in label_files:
+        folders = [each / label_file.parent.relative_to(labels) for each in image_roots]
         candidates = [each / f"{label_file.stem}{suffix}" for each in folders for suffix in SUFFIXES]
         picture = next(
             (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
         )
         if picture is not None:
-            _require_readable(picture, tell)
-        boxes = _boxes(_inside(label_file, root), names, tell)
+            _require_readable(picture, on_fault)
+        boxes = _boxes(_inside(label_file, root), names, on_fault)
         place = folders[-1] if picture is None else picture.parent
         yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)

@@ -1,8 +1,8 @@
 """OpenCV's lens distortion and its inverse, on normalised image coordinates.
 
-`cv2.projectPoints` computes the same, but from Python it always fills a Jacobian of 36 doubles a point (0.7 s
-for a 640 x 480 image), and `cv2.undistortPoints` stops after five steps of a fixed-point iteration. The model is
-the one in OpenCV's documentation of the calib3d module ("Detailed Description"); the tests compare the two.
+`cv2.projectPoints` computes the same, but from Python it always fills a Jacobian of 36 doubles per point (0.7 s for a
+640 x 480 image), and `cv2.undistortPoints` stops after five steps of a fixed-point iteration. The model is described in
+OpenCV's documentation of the calib3d module ("Detailed Description"); the tests compare the results.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[n
         xy: ideal normalised coordinates.
 
     Returns:
-        Distorted normalised coordinates, in the precision of `xy`; NaN beyond the radius up to which the radial model
-        grows. Further out the polynomials turn back, and points far off the image would land in it.
+        distorted normalised coordinates, with the dtype of `xy`; NaN beyond the radius up to which the radial model is
+        monotonic. Further out its polynomials decrease again, and points far off the image would project into it.
     """
     return np.stack(distort_planes(coefficients, xy[:, 0], xy[:, 1]), axis=1)
 
 
 def distort_planes(coefficients: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane]:
-    """`distort`, coordinate by coordinate: on many points faster than pairs are."""
+    """`distort` on separate coordinates, which is faster for many points."""
     full = _padded(coefficients)
     x_out, y_out = _lens(full, x, y)
     if full[12] or full[13]:
@@ -46,7 +46,7 @@ def distort_planes(coefficients: Coefficients, x: Plane, y: Plane) -> tuple[Plan
 
 
 def undistort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-    """Ideal coordinates (x/z, y/z) of distorted ones, by Newton's method; NaN where the model has no inverse."""
+    """Ideal coordinates (x/z, y/z) of distorted ones, by Newton's method; NaN if the model has no inverse."""
     full = _padded(coefficients)
     x_goal, y_goal = xy[:, 0], xy[:, 1]
     if full[12] or full[13]:
@@ -72,20 +72,20 @@ def undistort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Flo
 
 @lru_cache(maxsize=32)
 def radius_limit_squared(coefficients: Coefficients) -> float:
-    """Up to which squared radius the radial part of the model grows; infinite where it always does."""
+    """The squared radius up to which the radial part of the model is monotonic; infinite if it always is."""
     k1, k2, _, _, k3, k4, k5, k6 = _padded(coefficients)[:8]
     above = np.polynomial.Polynomial([1.0, k1, k2, k3])
     below = np.polynomial.Polynomial([1.0, k4, k5, k6])
-    # derivative of r * above(r^2) / below(r^2) after r, times below^2, in q = r^2
+    # d/dr of r * above(r^2) / below(r^2), times below^2, as a polynomial in q = r^2
     growth = above * below + np.polynomial.Polynomial([0.0, 2.0]) * (above.deriv() * below - above * below.deriv())
-    # a leading coefficient this small puts its root far beyond any lens, and overflows on the way
+    # trimmed, because tiny leading coefficients overflow; their roots are far beyond any lens
     roots = np.concatenate([polynomial.trim(1e-12).roots() for polynomial in (growth, below)])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * np.maximum(np.abs(roots), 1.0)) & (roots.real > 0)]
     return float(real.min(initial=np.inf))
 
 
 def _keep_within(x: Plane, y: Plane, limit: float) -> None:
-    """Pulls points, in place, back inside the radius where the model is invertible."""
+    """Moves points, in place, back inside the radius within which the model is invertible."""
     radius = x * x + y * y
     outside = radius > limit
     if outside.any():
@@ -106,7 +106,7 @@ def _radial(full: Coefficients, q: Plane) -> Plane:
 
 
 def _radial_slope(full: Coefficients, q: Plane, factor: Plane) -> Plane:
-    """The radial factor's derivative after q."""
+    """The derivative of the radial factor with respect to q."""
     k1, k2, _, _, k3, k4, k5, k6 = full[:8]
     slope = k1 + q * (2.0 * k2 + q * 3.0 * k3)
     if not (k4 or k5 or k6):
@@ -128,7 +128,7 @@ def _lens(full: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane]:
 
 
 def _lens_jacobian(full: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane, Plane, Plane]:
-    """Derivatives of `_lens`: x after x, x after y, y after x, y after y."""
+    """Derivatives of `_lens`: dx/dx, dx/dy, dy/dx, dy/dy."""
     p1, p2 = full[2:4]
     s1, s2, s3, s4 = full[8:12]
     q = x * x + y * y
@@ -142,7 +142,7 @@ def _lens_jacobian(full: Coefficients, x: Plane, y: Plane) -> tuple[Plane, Plane
 
 
 def _tilt_matrix(tilt_x_rad: float, tilt_y_rad: float) -> Float64[np.ndarray, "3 3"]:
-    """The homography of a sensor that is tilted about x and y."""
+    """The homography of a sensor tilted about x and y."""
     cx, sx = np.cos(tilt_x_rad), np.sin(tilt_x_rad)
     cy, sy = np.cos(tilt_y_rad), np.sin(tilt_y_rad)
     turn = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]]) @ np.array(

@@ -1,7 +1,7 @@
-"""The edges of 3D boxes on a camera image, all at once: the wire frames that are drawn over it.
+"""The projected edges of 3D boxes: the wire frames that are drawn over a camera image.
 
-An edge is cut to what lies in front of the camera and in its field of view (Liang and Barsky, 1984: each half-space
-moves one end), and what is left goes on the image; on a distorted one in several pieces, because it is bent there.
+An edge is clipped to the half-spaces in front of the camera and within its field of view (Liang and Barsky, 1984). The
+rest is projected; on a distorted image in several pieces, because straight edges are curved there.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from annotator.geometry.outline import field_of_view
 from annotator.geometry.projection import camera_key, project
 from annotator.types import Camera, OrientedBox
 
-# Pieces that an edge is drawn in on a distorted image.
+# Pieces per edge on a distorted image.
 PIECES_DISTORTED = 8
 
 _ENDS = np.array(EDGES)
 
 
 def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[np.ndarray, "k 2 2"]]:
-    """For each box the visible parts of its 12 edges, as straight pieces on the image.
+    """The visible parts of each box's 12 edges, as straight pieces on the image.
 
     Args:
-        camera: its distortion is included.
+        camera: distortion is taken into account.
         boxes: in the camera frame.
 
     Returns:
-        one array a box: (k, 2, 2) pixels, both ends (u, v) of k pieces; k = 0 where nothing of it can be seen. Pieces
-        on a distorted image may reach a little beyond the picture.
+        one array per box: (k, 2, 2) pixels, both ends (u, v) of k pieces; k = 0 if the box is not visible. On a
+        distorted image, pieces may extend slightly beyond the border.
     """
     if not boxes:
         return []
     poses = np.array([box.T_camera_box.as_matrix() for box in boxes])
     sizes = np.array([box.size_m for box in boxes])
     ends = corners(poses[:, :3, 3], poses[:, :3, :3], sizes)[:, _ENDS].reshape(-1, 2, 3)
-    cut, seen = cut_segments(ends, field_of_view(camera_key(camera)))
-    owner = np.repeat(np.arange(len(boxes)), len(EDGES))[seen]
+    cut, visible = cut_segments(ends, field_of_view(camera_key(camera)))
+    owner = np.repeat(np.arange(len(boxes)), len(EDGES))[visible]
     pieces = 1 if camera.is_ideal else PIECES_DISTORTED
     share = np.linspace(0.0, 1.0, pieces + 1)[None, :, None]
-    along = cut[seen, :1] + share * (cut[seen, 1:] - cut[seen, :1])
+    along = cut[visible, :1] + share * (cut[visible, 1:] - cut[visible, :1])
     px = project(camera, along.reshape(-1, 3)).reshape(-1, pieces + 1, 2)
     drawn = np.stack([px[:, :-1], px[:, 1:]], axis=2)
     return [_finite(drawn[owner == index].reshape(-1, 2, 2)) for index in range(len(boxes))]
@@ -51,7 +51,7 @@ def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[
 def cut_segments(
     ends: Float64[np.ndarray, "n 2 3"], half_spaces: Float64[np.ndarray, "k 4"]
 ) -> tuple[Float64[np.ndarray, "n 2 3"], Bool[np.ndarray, "n"]]:
-    """What half-spaces leave of line segments, and of which they leave anything.
+    """Line segments clipped to half-spaces, and a mask of those of which a part is left.
 
     Args:
         ends: both ends of each segment.
@@ -63,10 +63,10 @@ def cut_segments(
         crossing = first / (first - last)
     start = np.where((first < 0) & (last >= 0), crossing, 0.0).max(axis=1)
     end = np.where((last < 0) & (first >= 0), crossing, 1.0).min(axis=1)
-    seen = ~((first < 0) & (last < 0)).any(axis=1) & (start < end)
+    visible = ~((first < 0) & (last < 0)).any(axis=1) & (start < end)
     along = ends[:, 1] - ends[:, 0]
     cut = np.stack([ends[:, 0] + start[:, None] * along, ends[:, 0] + end[:, None] * along], axis=1)
-    return cut, seen
+    return cut, visible
 
 
 def _finite(pieces: Float64[np.ndarray, "k 2 2"]) -> Float64[np.ndarray, "m 2 2"]:

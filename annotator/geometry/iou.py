@@ -1,29 +1,33 @@
-"""Overlap of oriented boxes: exact 3D IoU, and its upright and bird's-eye forms."""
+"""Exact 3D IoU of oriented boxes (compiled: `kernels.slab_volumes`).
+
+Two boxes are six slabs (pairs of parallel planes). Each edge of the intersection lies on the line where planes of
+two slabs meet, between the points where this line enters and leaves the four other slabs. 15 pairs of slabs with 4
+pairs of planes each give 60 such lines. The divergence theorem, applied twice, turns the volume into a sum over them:
+
+    V = 1/3 sum_faces d_i A_i,   A_i = 1/2 sum_edges e_ij L_ij,   e_ij = (d_j - c_ij d_i) / s_ij
+
+where d is a plane's distance from the origin along its outward normal, c and s are the cosine and sine of the angle
+between two normals, and L_ij is the length of the line inside the slabs. No face polygons are built, and every pair
+of boxes takes the same steps.
+
+Nearly coplanar faces need care. The point where three planes meet is computed once and used for all three lines, so
+that a line which ends at a nearly parallel plane ends exactly where the other plane's line begins. Coinciding edges
+could still be counted twice or not at all. So axes that are parallel up to rounding are made exactly parallel, and one
+of the boxes is enlarged by a share (`TIE`) that is far above rounding and far below the claimed accuracy.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Float, Float64, Int
 
-from annotator.geometry.intersection import intersection_volume_pairs
-from annotator.geometry.upright_iou import iou_bev, iou_bev_matrix, iou_upright, iou_upright_matrix
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
-__all__ = [
-    "intersection_volume_pairs",
-    "iou_3d",
-    "iou_3d_chosen",
-    "iou_3d_matrix",
-    "iou_3d_pairs",
-    "iou_bev",
-    "iou_bev_matrix",
-    "iou_upright",
-    "iou_upright_matrix",
-    "near_pairs",
-]
+Vectors = Float[np.ndarray, "n 3"]
+Rotations = Float[np.ndarray, "n 3 3"]
 
 
 def iou_3d(a: OrientedBox, b: OrientedBox) -> float:
@@ -40,7 +44,7 @@ def iou_3d_pairs(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox])
         GeometryError: the lists differ in length.
     """
     if len(boxes_a) != len(boxes_b):
-        raise GeometryError(f"pairs need lists of one length, not {len(boxes_a)} and {len(boxes_b)} boxes")
+        raise GeometryError(f"pairs need lists of equal length, not {len(boxes_a)} and {len(boxes_b)} boxes")
     every = np.arange(len(boxes_a))
     return iou_3d_chosen(boxes_a, boxes_b, every, every)
 
@@ -48,7 +52,7 @@ def iou_3d_pairs(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox])
 def iou_3d_matrix(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]) -> Float64[np.ndarray, "n m"]:
     """Exact IoU of every box of one list with every box of the other.
 
-    Pairs whose circumscribed spheres do not meet cost next to nothing.
+    Pairs whose circumscribed spheres do not intersect are skipped.
     """
     matrix = np.zeros((len(boxes_a), len(boxes_b)))
     rows, columns = near_pairs(boxes_a, boxes_b)
@@ -59,7 +63,7 @@ def iou_3d_matrix(boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]
 def near_pairs(
     boxes_a: Sequence[OrientedBox], boxes_b: Sequence[OrientedBox]
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
-    """Indices into both lists of the pairs whose circumscribed spheres meet; all others have IoU 0."""
+    """Indices into both lists of the pairs whose circumscribed spheres intersect; all others have IoU 0."""
     (centers_a, _, sizes_a), (centers_b, _, sizes_b) = _stacked(boxes_a), _stacked(boxes_b)
     apart = np.linalg.norm(centers_a[:, None] - centers_b[None], axis=2)
     reach = 0.5 * (np.linalg.norm(sizes_a, axis=1)[:, None] + np.linalg.norm(sizes_b, axis=1)[None])
@@ -73,11 +77,46 @@ def iou_3d_chosen(
     rows: Int[np.ndarray, "k"],
     columns: Int[np.ndarray, "k"],
 ) -> Float64[np.ndarray, "k"]:
-    """Exact IoU of chosen pairs, given as indices into both lists."""
+    """Exact IoU of the pairs that are given as indices into both lists."""
     a = [values[rows] for values in _stacked(boxes_a)]
     b = [values[columns] for values in _stacked(boxes_b)]
     volume = intersection_volume_pairs(*a, *b)
     return np.minimum(volume / (a[2].prod(axis=1) + b[2].prod(axis=1) - volume), 1.0)
+
+
+def intersection_volume_pairs(
+    centers_a: Vectors,
+    rotations_a: Rotations,
+    sizes_a: Vectors,
+    centers_b: Vectors,
+    rotations_b: Rotations,
+    sizes_b: Vectors,
+) -> Float64[np.ndarray, "n"]:
+    """The intersection volume of boxes a and b, for each of n pairs.
+
+    Args:
+        centers_a, centers_b: box centres, metres, in one frame.
+        rotations_a, rotations_b: columns = box axes in that frame.
+        sizes_a, sizes_b: full lengths along the box axes, metres, positive.
+
+    Returns:
+        (n,) cubic metres, between 0 and the volume of the smaller box.
+
+    Raises:
+        GeometryError: a size that is not positive, or a value that is not finite.
+    """
+    from annotator.geometry.kernels.slab_volumes import intersection_volumes
+
+    boxes_a = _checked(centers_a, rotations_a, sizes_a)
+    boxes_b = _checked(centers_b, rotations_b, sizes_b)
+    return intersection_volumes(*boxes_a, *boxes_b)
+
+
+def _checked(centers: Vectors, rotations: Rotations, sizes: Vectors) -> list[np.ndarray]:
+    boxes = [np.array(values, np.float64, order="C") for values in (centers, rotations, sizes)]
+    if not all(np.isfinite(values).all() for values in boxes) or (boxes[2] <= 0).any():
+        raise GeometryError("boxes need finite poses and finite, positive sizes")
+    return boxes
 
 
 def _stacked(

@@ -15,29 +15,29 @@ from annotator.types.errors import GeometryError
 def nms_3d(
     boxes: Sequence[OrientedBox], scores: Float[np.ndarray, "n"], labels: Sequence[str], iou_threshold: float
 ) -> Int[np.ndarray, "kept"]:
-    """Greedy suppression within each class, on the exact 3D IoU.
+    """Greedy non-maximum suppression within each class, by exact 3D IoU.
 
-    Boxes are taken by falling score; one is dropped if its IoU with a box of its class that was kept before is
-    larger than `iou_threshold`. Of equal scores the lower index comes first, so the result is always the same.
+    Boxes are processed in order of falling score. A box is dropped if its IoU with a kept box of its class is larger
+    than `iou_threshold`. For equal scores the lower index comes first, so the result is deterministic.
 
     Args:
         boxes: in one frame.
-        scores: one a box; any finite numbers.
-        labels: one class name a box.
+        scores: one per box; any finite numbers.
+        labels: one class name per box.
         iou_threshold: in 0..1.
 
     Returns:
         Indices of the kept boxes, best score first.
 
     Raises:
-        GeometryError: the three differ in length, or a score is not finite.
+        GeometryError: different numbers of boxes, scores and labels, or a score that is not finite.
     """
     if not len(boxes) == len(scores) == len(labels):
         raise GeometryError(
             f"each box needs one score and one label, not {len(scores)} and {len(labels)} for {len(boxes)} boxes"
         )
     if not np.isfinite(scores).all():
-        raise GeometryError("scores must be finite to be ranked")
+        raise GeometryError("scores must be finite")
     order = np.argsort(-np.asarray(scores, np.float64), kind="stable")
     rivals = _overlapping(boxes, labels, order, iou_threshold)
     kept: list[int] = []
@@ -50,7 +50,7 @@ def nms_3d(
 def _overlapping(
     boxes: Sequence[OrientedBox], labels: Sequence[str], order: np.ndarray, iou_threshold: float
 ) -> set[tuple[int, int]]:
-    """Pairs (better, worse) of one class that overlap by more than the threshold."""
+    """Pairs (better, worse) of boxes of one class with an IoU above the threshold."""
     if len(boxes) < 2:
         return set()
     rank = np.argsort(order)

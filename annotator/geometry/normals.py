@@ -1,4 +1,4 @@
-"""Surface normals of a depth image, or of points without order, towards the sensor."""
+"""Surface normals of a depth image or of unordered points, towards the sensor."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from annotator.geometry.projection import pixel_rays, require_image_size
 from annotator.types import Camera
 from annotator.types.errors import GeometryError
 
-# The window of the plane fit: 5 x 5 pixels, every second one, so 9 x 9 pixels of the image. Wide enough to
-# average out a depth camera's millimetre steps, narrow enough for a finger at half a metre.
+# The window of the plane fit: 5 x 5 samples at every second pixel, so 9 x 9 pixels. Wide enough to average out a depth
+# camera's millimetre steps, narrow enough for a finger at half a metre.
 OFFSETS_PX = (-4, -2, 0, 2, 4)
 REACH_PX = max(OFFSETS_PX)
 
-# A neighbour lies on another surface if the way to it is steeper than this (depth after distance across; 68
-# degrees off the image plane), on top of a share of the depth for the sensor's noise.
+# A neighbour counts as another surface if the slope to it (depth over lateral distance; 68 degrees off the image plane)
+# is larger than this, plus a share of the depth for the sensor's noise.
 MAX_SLOPE = 2.5
 NOISE = 0.003
 
-# A fit is trusted if its neighbours spread in both directions: smallest determinant of their second moments,
-# as a share of a round cloud's.
+# A fit is used if its neighbours spread in both directions: minimum determinant of their second moments, as a share of
+# that of an isotropic cloud.
 SPREAD = 0.1
 
-# Rows a pass, so that a pass's arrays stay in the processor's cache.
+# Rows per pass, so that the arrays fit into the processor's cache.
 ROWS = 32
 
 
 def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
-    """Normals of a depth image, by a plane through each pixel's neighbourhood.
+    """Normals of a depth image, from a plane fitted to each pixel's neighbourhood.
 
-    On a plane the inverse depth is linear in the image coordinates, so a least-squares slope of 1/z over a
-    window gives the plane; neighbours across a depth jump are left out, so edges stay sharp.
+    On a plane, the inverse depth is linear in the image coordinates. So the least-squares slope of 1/z over a window
+    gives the plane. Neighbours across a depth jump are left out, which keeps edges sharp.
 
     Args:
-        camera: the camera that the depth is registered to; its distortion is taken into account.
-        depth_m: z in the camera frame, metres; zero, negative, NaN and infinite mean none.
+        camera: the camera to which the depth is registered; distortion is taken into account.
+        depth_m: z in the camera frame, metres; zero, negative, NaN and infinite values mean no measurement.
 
     Returns:
-        Unit normals in the camera frame, each pointing towards the camera; zero where there is no depth or too
-        few neighbours on the same surface.
+        unit normals in the camera frame, towards the camera; zero without depth, or with too few neighbours on the
+        same surface.
 
     Raises:
-        GeometryError: the depth image has another size than the camera.
+        GeometryError: the sizes of depth image and camera differ.
     """
     require_image_size(camera, depth_m)
     height_px, width_px = depth_m.shape
@@ -64,15 +64,15 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Flo
 
 
 def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndarray, "n 3"]:
-    """Normals of points without order: the direction of least spread of each point's `k` nearest neighbours.
+    """Normals of unordered points: the direction of least spread of each point's `k` nearest neighbours.
 
     Args:
         xyz_m: points, metres, with the sensor at the origin.
-        k: neighbours a fit, the point itself included; all points where there are fewer.
+        k: neighbours per fit, including the point itself; all points if there are fewer.
 
     Returns:
-        Unit normals, each pointing towards the origin; zero where the neighbours lie on a line or in one spot,
-        and everywhere for fewer than three points.
+        unit normals, towards the origin; zero if the neighbours lie on a line or at one point, and for fewer than three
+        points.
 
     Raises:
         GeometryError: a coordinate is not finite, or `k` is below 3.
@@ -90,7 +90,7 @@ def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndar
     spread, directions = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)
     normals = directions[:, :, 0]
     normals *= -np.sign(np.einsum("ni,ni->n", normals, xyz) + 1e-300)[:, None]
-    # eigenvalues are squared lengths: below this the second direction is rounding, and so is the third
+    # eigenvalues are squared lengths; below this limit, the second direction is rounding error
     known = spread[:, 1] > 1e-12 * spread[:, 2] + 1e-24
     return np.where(known[:, None], normals, 0.0).astype(np.float32)
 
@@ -98,14 +98,16 @@ def normals_knn(xyz_m: Float[np.ndarray, "n 3"], k: int = 16) -> Float32[np.ndar
 def _slopes(
     padded: Float32[np.ndarray, "_a _b"], step_per_px: float
 ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Least-squares slopes along u and v, a pixel, of an image with a margin of REACH_PX; NaN where unknown.
+    """Least-squares slopes along u and v, per pixel, of an image with a margin of REACH_PX; NaN if unknown.
 
-    `step_per_px` is the share of the depth by which a neighbour at that distance may differ.
+    Args:
+        padded: inverse depth, with margin.
+        step_per_px: allowed difference in depth to a neighbour, share of the depth per pixel of distance.
     """
     rows, columns = padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX
     center = padded[REACH_PX : REACH_PX + rows, REACH_PX : REACH_PX + columns]
     squares = {du * du + dv * dv for du in OFFSETS_PX for dv in OFFSETS_PX}
-    # below 1, so that a missing neighbour, whose inverse depth is 0, is always too far
+    # below 1, so that missing neighbours, with an inverse depth of 0, are always excluded
     shares = {square: min(step_per_px * square**0.5 + NOISE, 0.5) for square in squares}
     limits = {square: np.float32(share) * center for square, share in shares.items()}
     uu, uv, vv, ud, vd = (np.zeros((rows, columns), np.float32) for _ in range(5))
@@ -140,8 +142,8 @@ def _plane_normals(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Unit normals from the slopes of the inverse depth.
 
-    A plane n.p = 1 has 1/z = n.(x, y, 1), so n is the slope of 1/z along x and y, and what is left at (0, 0).
-    Since n.p > 0, -n points towards the camera.
+    A plane n.p = 1 has 1/z = n.(x, y, 1). So the first two components of n are the slopes of 1/z along x and y, and
+    the third is the value at (0, 0). Since n.p > 0, -n points towards the camera.
     """
     along_x = per_px[..., 0, 0] * slope_u + per_px[..., 1, 0] * slope_v
     along_y = per_px[..., 0, 1] * slope_u + per_px[..., 1, 1] * slope_v
@@ -152,9 +154,9 @@ def _plane_normals(
 
 
 def px_per_ray(camera: Camera) -> Float32[np.ndarray, "_h _w 2 2"]:
-    """Derivatives of the pixel coordinates (u, v; third axis) after the ray's x, y (last axis).
+    """Derivatives of the pixel coordinates (u, v; third axis) with respect to the ray's x, y (last axis).
 
-    (1, 1, 2, 2) for an ideal camera, one matrix a pixel otherwise.
+    (1, 1, 2, 2) for an ideal camera, otherwise one matrix per pixel.
     """
     if camera.is_ideal:
         return np.array([[[[camera.fx, 0.0], [0.0, camera.fy]]]], np.float32)

@@ -1,4 +1,4 @@
-"""How much of a box is hidden: the share of its lines of sight that end at something nearer."""
+"""Occlusion of a box: the share of lines of sight towards it that end in front of it."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from jaxtyping import Float
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox
 
-# Corners nearer than this have no place on the image plane, metres: such boxes are tried against every ray.
+# Boxes with a corner closer to the image plane than this, metres, are tested against all rays.
 NEAREST_M = 0.05
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """What the measured lines of sight say about a box.
+    """The measured lines of sight towards a box.
 
     Attributes:
-        rays: how many lead to the box (through measured points; those end before it, in it or behind it).
-        nearer: how many of them end before it.
+        rays: number of measured points whose ray meets the box; they lie in front of it, inside it or behind it.
+        nearer: number of those in front of it.
     """
 
     rays: int
@@ -28,28 +28,31 @@ class Hidden:
 
     @property
     def share(self) -> float:
-        """The hidden share, 0..1; NaN without any ray."""
+        """The hidden share, 0..1; NaN without rays."""
         return self.nearer / self.rays if self.rays else float("nan")
 
 
 class Sight:
-    """The lines of sight from a camera to the points that it sees, computed once for all boxes of a frame."""
+    """The lines of sight from a camera to its measured points, computed once for all boxes of a frame."""
 
     def __init__(self, xyz_m: Float[np.ndarray, "n 3"]) -> None:
-        """Takes the points in the camera frame, metres; those behind the camera are passed over."""
+        """
+        Args:
+            xyz_m: points in the camera frame, metres; those behind the camera are ignored.
+        """
         self._xyz_m = xyz_m[xyz_m[:, 2] > NEAREST_M].astype(np.float32)
         self._plane = self._xyz_m[:, :2] / self._xyz_m[:, 2:]
 
     def hidden(self, box: OrientedBox, margin_m: float = 0.0) -> Hidden:
-        """How many rays lead to a box, and how many end before it (the slab test of Kay and Kajiya, 1986).
+        """The numbers of rays towards a box, and of those that end in front of it (slab test of Kay and Kajiya, 1986).
 
         Args:
             box: camera frame.
-            margin_m: points nearer to the box's front than this, along their ray, count as its own, metres.
+            margin_m: points within this distance of the box's front, along their ray, count as part of it, metres.
         """
         xyz = self._xyz_m[self._near(box)]
         R = box.rotation.astype(np.float32)
-        # in the box's frame: the camera, and each ray, whose point is at 1
+        # camera and rays in the box's axes; each ray's point has the parameter 1
         eye = (-box.center_m.astype(np.float32)) @ R
         along = xyz @ R
         half = (0.5 * box.size_m).astype(np.float32)
@@ -62,7 +65,7 @@ class Sight:
         return Hidden(int(meets.sum()), int(before.sum()))
 
     def _near(self, box: OrientedBox) -> np.ndarray:
-        """The rays within the bounds of the box on the image plane; all, where it reaches behind the camera."""
+        """The rays within the box's bounds on the image plane; all rays if it extends behind the camera."""
         corners = box_corners(box)
         if (corners[:, 2] <= NEAREST_M).any():
             return np.ones(len(self._xyz_m), np.bool_)

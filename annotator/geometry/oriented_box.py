@@ -1,4 +1,4 @@
-"""Corners of oriented boxes, and which points lie inside."""
+"""Oriented boxes: corners, points inside, the box around points, and a canonical order of axes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from annotator.types import OrientedBox
+from annotator.types.errors import GeometryError
+
+# Minimum side of a box around points, so that points on a plane still give a valid box.
+MIN_SIDE_M = 1e-3
 
 # Order of the corners, along the box's own x, y, z: --- +-- ++- -+- --+ +-+ +++ -++
 CORNER_SIGNS = np.array(
@@ -13,7 +17,7 @@ CORNER_SIGNS = np.array(
 )
 CORNER_SIGNS.flags.writeable = False
 
-# The 12 edges as pairs of corner numbers: around the bottom, around the top, the four uprights.
+# The 12 edges as pairs of corner indices: around the bottom, around the top, and the four vertical ones.
 EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
@@ -46,9 +50,9 @@ def contains_parts(
     size: Float[np.ndarray, "3"],
     xyz: Float[np.ndarray, "n 3"],
 ) -> Bool[np.ndarray, "n"]:
-    """Which points lie in a box or on its surface.
+    """Which points lie in a box or on its surface; NaN points are outside.
 
-    Computes in the precision of `xyz`, the centre taken off first; NaN points are outside.
+    The computation uses the precision of `xyz`, after subtracting the centre.
 
     Args:
         center, rotation, size: as in `corners`.
@@ -56,14 +60,67 @@ def contains_parts(
     """
     from annotator.geometry.kernels.points_in_box import points_in_box
 
-    of_points = xyz.dtype
-    half = (0.5 * size).astype(of_points)
-    return points_in_box(np.ascontiguousarray(xyz), center.astype(of_points), rotation.astype(of_points, "C"), half)
+    dtype = xyz.dtype
+    half = (0.5 * size).astype(dtype)
+    return points_in_box(np.ascontiguousarray(xyz), center.astype(dtype), rotation.astype(dtype, "C"), half)
 
 
 def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
-    """Which points (camera frame) lie in a box whose every face is moved outwards by `margin_m` metres.
+    """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres.
 
-    A negative margin shrinks the box; one that is shrunk to nothing contains nothing.
+    A negative margin shrinks the box; a box without extent contains no points.
     """
     return contains_parts(box.center_m, box.rotation, box.size_m + 2.0 * margin_m, xyz_m)
+
+
+def aligned_box(xyz_m: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 3"]) -> OrientedBox:
+    """The smallest box with given axes around points.
+
+    Args:
+        xyz_m: at least one point, metres.
+        rotation: columns = box axes in the frame of the points.
+
+    Returns:
+        the box; shorter sides are widened to `MIN_SIDE_M`.
+
+    Raises:
+        GeometryError: no points, or points that are not finite.
+        ValueError: `rotation` is not a rotation.
+    """
+    if len(xyz_m) == 0:
+        raise GeometryError("a box needs at least 1 point, not 0")
+    if not np.isfinite(xyz_m).all():
+        raise GeometryError("a box needs finite points; drop the invalid ones first")
+    xyz = np.asarray(xyz_m, np.float64)
+    axes = np.asarray(rotation, np.float64)
+    # differences between points are more precise than the coordinates themselves
+    local = (xyz - xyz[0]) @ axes
+    low, high = local.min(axis=0), local.max(axis=0)
+    center = xyz[0] + axes @ (0.5 * (low + high))
+    return OrientedBox.from_parts(center, axes, np.maximum(high - low, MIN_SIDE_M))
+
+
+def canonical_box(box: OrientedBox, up: Float64[np.ndarray, "3"] | None) -> OrientedBox:
+    """The same box with its axes relabelled in a unique way; a box can be written with 24 labellings.
+
+    With `up` (unit vector), z points up and length >= width; otherwise length >= width >= height. Among the remaining
+    labellings, the one whose axes point away from the camera and to its right is chosen.
+    """
+    rotation, size = box.rotation, box.size_m
+    if up is not None:
+        vertical = int(np.argmax(np.abs(up @ rotation)))
+        level = [i for i in range(3) if i != vertical]
+        order = [*sorted(level, key=lambda i: -size[i]), vertical]
+    else:
+        order = list(np.argsort(-size, kind="stable"))
+    axes = rotation[:, order].copy()
+    if up is not None:
+        axes[:, 2] *= np.sign(axes[:, 2] @ up)
+    elif axes[:, 2] @ np.array([0.3, 0.1, 1.0]) < 0:
+        axes[:, 2] *= -1
+    if axes[:, 0] @ np.array([1.0, 0.1, 0.3]) < 0:
+        axes[:, 0] *= -1
+    # z cross x; np.cross takes longer than the rest of the function
+    (a, b, c), (d, e, f) = axes[:, 2].tolist(), axes[:, 0].tolist()
+    axes[:, 1] = (b * f - c * e, c * d - a * f, a * e - b * d)
+    return OrientedBox.from_parts(box.center_m, axes, size[order])

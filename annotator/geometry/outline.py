@@ -1,10 +1,9 @@
-"""What an oriented box, or a set of points, spans on a camera image: its 2D box.
+"""The 2D box of an oriented box, or of a set of points, on a camera image.
 
-Each face of the box is a convex polygon. It is cut to what lies in front of the camera and within the camera's field of
-view, in 3D, where all of these are half-spaces (Sutherland and Hodgman, 1974); what is left goes on the image and is
-cut to the picture. So a box with a corner behind the camera, or beyond the picture's edge, gets the 2D box of its
-visible part and not of a part that nobody sees. Every ray that meets the box in front of the camera leaves it through a
-face there, so nothing is missed where the near plane has cut the box open.
+Each face of the box is a convex polygon. In 3D, it is clipped to the half-spaces in front of the camera and within its
+field of view (Sutherland and Hodgman, 1974). The rest is projected and clipped to the image. So a box that extends
+behind the camera or beyond the image border gets the 2D box of its visible part. Clipping at the near plane opens the
+box, but this loses nothing: every ray that meets the box in front of the camera leaves it through a remaining face.
 """
 
 from __future__ import annotations
@@ -19,55 +18,55 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import CameraKey, camera_key, project, undistort_px
 from annotator.types import Box2D, Camera, OrientedBox
 
-# What lies nearer to the camera than this is not on the image, metres.
+# Minimum distance in front of the camera, metres; closer parts are not on the image.
 NEAR_M = 0.1
-# A thinner 2D box is none, pixels.
+# Minimum width and height of a 2D box, pixels.
 MIN_SIDE_PX = 2.0
-# Straight edges are bent on a distorted image; each is followed in so many steps.
+# Straight edges are curved on a distorted image; each is sampled in this many steps.
 STEPS_DISTORTED = 16
-# The disc within which a distortion model holds, as a polygon of so many sides.
+# The disc within which a distortion model is valid is approximated by a polygon with this many sides.
 DISC_SIDES = 48
-# Field of view that is kept around a distorted picture, as a share of its size: the cut to the picture follows.
+# Margin around the field of view of a distorted image, as a share of its size; the image itself is clipped later.
 FIELD_MARGIN = 0.05
 
-# The six faces by the numbers of their corners, in order around each.
+# The six faces by the indices of their corners, in order around each face.
 FACES = np.array([[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])
 
-# Half-spaces: rows (normal, offset) of what is kept, normal . p >= offset.
+# Half-spaces: rows (normal, offset); points with normal . p >= offset are kept.
 HalfSpaces = Float64[np.ndarray, "k d1"]
 Polygon = Float64[np.ndarray, "_ d"]
 
 
 def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: float = MIN_SIDE_PX) -> Box2D | None:
-    """The 2D box of the visible part of a 3D box, in front of the camera (by `NEAR_M`) and within the picture.
+    """The 2D box of the visible part of a 3D box: at least `NEAR_M` in front of the camera and within the image.
 
     Args:
-        camera: its distortion is included.
+        camera: distortion is taken into account.
         box: in the camera frame.
         label: of the 2D box.
-        min_side_px: a 2D box that is narrower or lower is none.
+        min_side_px: minimum width and height.
 
     Returns:
-        The box, pixels; None where nothing of it is in the picture.
+        the box, pixels; None if nothing is visible, or if it is smaller than `min_side_px`.
     """
-    polygons = _seen_faces(camera, box_corners(box))
+    polygons = _visible_faces(camera, box_corners(box))
     px, last_px = project(camera, _at_one_metre(np.concatenate(polygons))), _last_px(camera)
     if not ((px >= -0.5) & (px <= last_px)).all():
         ends = np.cumsum([len(polygon) for polygon in polygons])[:-1]
-        px = np.concatenate([_in_picture(polygon, last_px) for polygon in np.split(px, ends)])
-    # the cut may miss the picture's edge by a rounding error
+        px = np.concatenate([_in_image(polygon, last_px) for polygon in np.split(px, ends)])
+    # clipping may miss the image border by a rounding error
     return _around(px.clip(-0.5, last_px), label, min_side_px)
 
 
 def points_on_image(
     camera: Camera, xyz_m: Float[np.ndarray, "n 3"], label: str, min_side_px: float = MIN_SIDE_PX
 ) -> Box2D | None:
-    """The 2D box around those of the points (camera frame, metres) that are in front of the camera and in the picture.
+    """The 2D box around the points (camera frame, metres) that are in front of the camera and within the image.
 
-    Arguments and answer as of `box_on_image`.
+    Other arguments and the result are as in `box_on_image`.
     """
     px = project(camera, xyz_m[xyz_m[:, 2] >= NEAR_M])
-    # comparisons with NaN are false, so what cannot be projected drops out
+    # comparisons with NaN are false, so points that cannot be projected are outside
     inside = ((px >= -0.5) & (px <= _last_px(camera))).all(axis=1)
     return _around(px[inside], label, min_side_px)
 
@@ -81,16 +80,16 @@ def _around(px: Float64[np.ndarray, "n 2"], label: str, min_side_px: float) -> B
     return Box2D(label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _seen_faces(camera: Camera, corners_m: Float64[np.ndarray, "8 3"]) -> list[Float64[np.ndarray, "_ 2"]]:
-    """What the field of view leaves of each face, as polygons of (x/z, y/z); empty where it leaves nothing."""
+def _visible_faces(camera: Camera, corners_m: Float64[np.ndarray, "8 3"]) -> list[Float64[np.ndarray, "_ 2"]]:
+    """The part of each face within the field of view, as a polygon of (x/z, y/z); empty if there is none."""
     faces, planes = corners_m[FACES], field_of_view(camera_key(camera))
     if (corners_m @ planes[:, :3].T >= planes[:, 3]).all():
-        return list(_as_seen(camera, faces))
-    return [_as_seen(camera, cut_polygon(face, planes)) for face in faces]
+        return list(_normalised(camera, faces))
+    return [_normalised(camera, cut_polygon(face, planes)) for face in faces]
 
 
-def _as_seen(camera: Camera, polygons_m: Float64[np.ndarray, "*k n 3"]) -> Float64[np.ndarray, "*k m 2"]:
-    """Polygons before the camera as (x/z, y/z), with as many corners as it takes to bend their edges."""
+def _normalised(camera: Camera, polygons_m: Float64[np.ndarray, "*k n 3"]) -> Float64[np.ndarray, "*k m 2"]:
+    """Polygons in front of the camera as (x/z, y/z); for a distorted camera with subdivided edges."""
     xy = polygons_m[..., :2] / polygons_m[..., 2:]
     return xy if camera.is_ideal else _subdivided(xy)
 
@@ -99,17 +98,15 @@ def _at_one_metre(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
     return np.column_stack([xy, np.ones(len(xy))])
 
 
-def _in_picture(
-    polygon_px: Float64[np.ndarray, "n 2"], last_px: Float64[np.ndarray, "2"]
-) -> Float64[np.ndarray, "m 2"]:
-    """What the picture leaves of a polygon; empty where it leaves nothing."""
+def _in_image(polygon_px: Float64[np.ndarray, "n 2"], last_px: Float64[np.ndarray, "2"]) -> Float64[np.ndarray, "m 2"]:
+    """The part of a polygon within the image; empty if there is none."""
     width_px, height_px = last_px
     edges = np.array([[1, 0, -0.5], [-1, 0, -width_px], [0, 1, -0.5], [0, -1, -height_px]], np.float64)
     return cut_polygon(polygon_px, edges)
 
 
 def cut_polygon(polygon: Polygon, half_spaces: HalfSpaces) -> Polygon:
-    """What half-spaces leave of a convex polygon; empty where they leave nothing.
+    """The part of a convex polygon within half-spaces; empty if there is none.
 
     Args:
         polygon: (n, d) corners in order.
@@ -125,7 +122,7 @@ def cut_polygon(polygon: Polygon, half_spaces: HalfSpaces) -> Polygon:
         share = np.zeros(len(polygon))
         share[crosses] = height[crosses] / (height - height_after)[crosses]
         crossing = polygon + share[:, None] * (after - polygon)
-        # each corner that stays, and behind it the place where the edge that begins there crosses the plane
+        # each corner that is kept, followed by the crossing of the edge that starts at it
         candidates = np.stack([polygon, crossing], axis=1).reshape(-1, polygon.shape[1])
         polygon = candidates[np.stack([inside, crosses], axis=1).reshape(-1)]
     return polygon
@@ -144,11 +141,11 @@ def _last_px(camera: Camera) -> Float64[np.ndarray, "2"]:
 
 @lru_cache(maxsize=8)
 def field_of_view(key: CameraKey) -> Float64[np.ndarray, "k 4"]:
-    """Half-spaces of the camera frame that hold all that can be in the picture."""
+    """Half-spaces of the camera frame that contain everything that can be on the image."""
     camera = Camera(*key)
     planes = [[0.0, 0.0, 1.0, NEAR_M]]
     rays = undistort_px(camera, _border_px(camera))
-    # A picture whose corners the distortion model does not reach has no bounds but the model's own.
+    # if the distortion model does not reach the image border, only the model's own radius bounds the view
     if np.isfinite(rays).all():
         low, high = rays.min(axis=0), rays.max(axis=0)
         margin = 0.0 if camera.is_ideal else FIELD_MARGIN * (high - low)
@@ -163,7 +160,7 @@ def field_of_view(key: CameraKey) -> Float64[np.ndarray, "k 4"]:
 
 
 def _border_px(camera: Camera) -> Float64[np.ndarray, "n 2"]:
-    """Pixels around the picture's border."""
+    """Pixels along the image border."""
     width_px, height_px = _last_px(camera)
     share = np.linspace(0.0, 1.0, 17)
     u, v = -0.5 + share * (width_px + 0.5), -0.5 + share * (height_px + 0.5)

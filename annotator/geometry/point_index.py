@@ -1,7 +1,7 @@
-"""Points sorted into slabs, so that a look into one box of a large cloud touches few of them.
+"""An index of a large cloud, for fast queries of the points in a box.
 
-The slabs cut the axis in which the points spread most into parts of equal numbers of points; within each, points are
-sorted along the axis with the next largest spread. A box needs a slice of each slab that it reaches into.
+The points are divided into slabs along the axis of largest spread, with equal numbers of points. Within a slab, they
+are sorted along the axis with the next largest spread. A query reads one slice of each slab that the box intersects.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ POINTS_A_SLAB = 2000
 
 @dataclass(frozen=True, eq=False)
 class PointIndex:
-    """A cloud, sorted.
+    """A sorted cloud.
 
     Attributes:
         xyz_m: (n, 3) the points, slab by slab.
-        order: (n,) the place of each in the cloud as it was.
-        axes: the coordinate that the slabs cut, and the one that each is sorted by.
-        starts: (k + 1,) where each slab begins, and the end of the last.
-        lows: (k,) the lowest coordinate in each slab along the first axis.
+        order: (n,) index of each in the original cloud.
+        axes: index of the coordinate that is divided into slabs, and of the one that each slab is sorted by.
+        starts: (k + 1,) first point of each slab, and the end of the last slab.
+        lows: (k,) lowest coordinate of each slab along the first axis.
     """
 
     xyz_m: Float32[np.ndarray, "n 3"]
@@ -37,32 +37,32 @@ class PointIndex:
 
     @classmethod
     def of(cls, xyz_m: Float32[np.ndarray, "n 3"]) -> PointIndex:
-        """Sorts a cloud; every point finite."""
+        """The index of a cloud of finite points."""
         n = len(xyz_m)
         spread = np.argsort(-xyz_m.std(axis=0)) if n else np.arange(3)
         first, second = int(spread[0]), int(spread[1])
         order = np.argsort(xyz_m[:, first])
         starts = np.arange(0, n + POINTS_A_SLAB, POINTS_A_SLAB).clip(max=n) if n else np.zeros(1, np.int64)
         lows = xyz_m[order[starts[:-1]], first]
-        # one key for both: the slab before the point, the place within the slab behind it
+        # one sort key: slab number before the decimal point, position within the slab behind it
         along = xyz_m[order, second].astype(np.float64)
         width = float(np.ptp(along)) * 1.001 + 1e-9 if n else 1.0
         order = order[np.argsort(np.arange(n) // POINTS_A_SLAB + (along - along.min(initial=np.inf)) / width)]
         return cls(xyz_m[order], order.astype(np.int64), (first, second), starts.astype(np.int64), lows)
 
     def inside(self, box: OrientedBox, margin_m: float = 0.0) -> Int64[np.ndarray, "m"]:
-        """The places, in the cloud as it was, of the points in a box whose faces are moved outwards by `margin_m`."""
+        """Indices, in the original cloud, of the points in a box with its faces moved outwards by `margin_m`."""
         near = self._near(box, margin_m)
         return self.order[near[contains(box, self.xyz_m[near], margin_m)]]
 
     def count(self, box: OrientedBox, margin_m: float = 0.0) -> int:
-        """How many points lie in a box whose faces are moved outwards by `margin_m`."""
+        """The number of points in a box with its faces moved outwards by `margin_m`."""
         return int(contains(box, self.xyz_m[self._near(box, margin_m)], margin_m).sum())
 
     def _near(self, box: OrientedBox, margin_m: float) -> Int64[np.ndarray, "m"]:
-        """Where the points lie that may be in the box: those within its extent along both axes, and a few more."""
+        """Indices into `xyz_m` of candidates: the points within the box's extent along both axes, and a few more."""
         reach = box_corners(box)[:, self.axes]
-        # moving all faces moves a corner by at most the margin along each box axis; and float32 rounds
+        # a corner moves by at most the margin along each box axis; the rest is for float32 rounding
         slack = np.sqrt(3.0) * abs(margin_m) + 1e-5 * float(np.abs(reach).max())
         (low, low_in), (high, high_in) = reach.min(axis=0) - slack, reach.max(axis=0) + slack
         first = max(int(np.searchsorted(self.lows, low)) - 1, 0)
@@ -72,6 +72,6 @@ class PointIndex:
             begin, end = int(self.starts[slab]), int(self.starts[slab + 1])
             along = self.xyz_m[begin:end, self.axes[1]]
             a, b = np.searchsorted(along, np.array([low_in, high_in], np.float32))
-            # the ends are rounded, too: one point more on each side
+            # one more point on each side, because the limits are rounded
             parts.append(np.arange(begin + max(int(a) - 1, 0), begin + min(int(b) + 1, end - begin)))
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)

@@ -1,13 +1,20 @@
-"""Small helpers for rotations and frames; whole poses are `scipy.spatial.transform.RigidTransform`."""
+"""Helpers for directions, rotations and poses; poses are `scipy.spatial.transform.RigidTransform`."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Float64
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
+
+# Against gravity, for a level camera.
+IMAGE_UP = np.array([0.0, -1.0, 0.0])
+FORWARD = np.array([0.0, 0.0, 1.0])
+# Cosine between view direction and vertical above which the image's upper edge replaces the view direction.
+MAX_STEEPNESS = 0.99
 
 
 def unit(vector: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
@@ -19,17 +26,17 @@ def unit(vector: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
     wide = np.asarray(vector, np.float64)
     length = float(np.linalg.norm(wide))
     if not (np.isfinite(length) and length > 0):
-        raise GeometryError(f"{wide.tolist()} has no direction; give a finite vector that is not zero")
+        raise GeometryError(f"{wide.tolist()} has no direction; give a finite, non-zero vector")
     return wide / length
 
 
-def right_handed_frame(major: Float[np.ndarray, "3"], hint: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """A right-handed orthonormal frame around one axis.
+def right_handed_axes(major: Float[np.ndarray, "3"], hint: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Right-handed orthonormal axes with a given first axis.
 
     Args:
-        major: the direction that the first axis must have.
-        hint: the second axis is the part of `hint` that is perpendicular to `major`. Where nothing is left of
-            it, the coordinate axis that is most perpendicular to `major` takes its place.
+        major: direction of the first axis.
+        hint: the second axis is the component of `hint` perpendicular to `major`. If `hint` is parallel to `major`,
+            the most nearly perpendicular coordinate axis is used instead.
 
     Returns:
         (3, 3), columns = x (along `major`), y (towards `hint`), z = x cross y; determinant +1.
@@ -40,11 +47,11 @@ def right_handed_frame(major: Float[np.ndarray, "3"], hint: Float[np.ndarray, "3
     x = unit(major)
     wide = np.asarray(hint, np.float64)
     if not np.isfinite(wide).all():
-        raise GeometryError(f"the second axis of a frame cannot be {wide.tolist()}; give a finite vector")
+        raise GeometryError(f"{wide.tolist()} cannot define an axis; give a finite vector")
     y = wide - (wide @ x) * x
     if np.linalg.norm(y) <= 1e-9 * np.linalg.norm(wide):
         y = np.eye(3)[np.argmin(np.abs(x))]
-    # twice is enough (Kahan): the first pass leaves a rest where hint is nearly parallel to major
+    # twice is enough (Kahan): the first pass leaves an error if hint is nearly parallel to major
     for _ in range(2):
         y = y - (y @ x) * x
         y = y / np.linalg.norm(y)
@@ -52,8 +59,20 @@ def right_handed_frame(major: Float[np.ndarray, "3"], hint: Float[np.ndarray, "3
 
 
 def corners_4x8(box: OrientedBox) -> Float64[np.ndarray, "4 8"]:
-    """The 8 corners as homogeneous columns, the form of Eq. (1) of the paper, in the camera frame and metres.
+    """The 8 corners of a box as homogeneous columns, as in Eq. (1) of the paper; camera frame, metres.
 
-    The order is that of `oriented_box.box_corners`; a 4 x 4 transform maps them by multiplication from the left.
+    The order is that of `oriented_box.box_corners`. A 4 x 4 transform is applied by multiplication from the left.
     """
     return np.concatenate([box_corners(box).T, np.ones((1, 8))])
+
+
+def level_pose(up: Float[np.ndarray, "3"] | None) -> RigidTransform:
+    """T_level_camera of the level axes at the camera: x horizontally forward, y left, z against gravity.
+
+    Args:
+        up: unit vector against gravity in the camera frame; None assumes a level camera.
+    """
+    against = IMAGE_UP if up is None else up
+    ahead = FORWARD if abs(float(against @ FORWARD)) < MAX_STEEPNESS else IMAGE_UP
+    z, x, y = right_handed_axes(against, ahead).T
+    return RigidTransform.from_rotation(Rotation.from_matrix(np.stack([x, y, z])))

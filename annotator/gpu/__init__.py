@@ -1,1 +1,1 @@
-"""The work on many points, on a graphics processor through torch: what `annotator.rcv.compute.Compute` asks for."""
+"""The interface `annotator.rcv.compute.Compute` on a GPU, with torch."""

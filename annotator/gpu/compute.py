@@ -1,4 +1,4 @@
-"""A torch device as `annotator.rcv.compute.Compute`."""
+"""`annotator.rcv.compute.Compute` on a torch device."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from annotator.types.errors import ComputeError
 
 
 class TorchCompute:
-    """Pictures, normals and clusters on a torch device. Threads may share it.
+    """Views, normals and clusters on a torch device; thread-safe.
 
     Attributes:
-        device: its name, such as "cuda" or "cuda:1".
+        device: name of the device, such as "cuda" or "cuda:1".
     """
 
     def __init__(self, device: str) -> None:
         """
         Args:
-            device: one that knows double precision (CUDA, the processor).
+            device: a device with double precision (CUDA, CPU).
 
         Raises:
             ComputeError: there is no such device.
@@ -37,14 +37,14 @@ class TorchCompute:
         self.device = device
         try:
             torch.empty(1, dtype=torch.float64, device=device)
-        except (RuntimeError, AssertionError, TypeError) as error:  # torch without CUDA asserts, MPS knows no float64
+        except (RuntimeError, AssertionError, TypeError) as error:  # AssertionError: no CUDA; MPS has no float64
             raise ComputeError(_problem(device, error)) from error
 
     def hold(self, frame: Frame) -> Frame:
-        """The frame with its points uploaded; parts of its cloud (`select`) are found on the device by their numbers.
+        """The frame with its points uploaded; clouds selected from its cloud refer to the same points on the device.
 
         Raises:
-            ComputeError: the device fails, such as for lack of memory; so do the other functions.
+            ComputeError: the device fails, for example for lack of memory. The other methods raise this, too.
         """
         with self._running():
             return replace(frame, cloud=DeviceCloud.of(frame.cloud, self.device))
@@ -52,13 +52,13 @@ class TorchCompute:
     def render_pairs(
         self,
         cloud: PointCloud,
-        frames: Sequence[Float64[np.ndarray, "3 3"]],
+        axes: Sequence[Float64[np.ndarray, "3 3"]],
         config: ViewConfig,
         show: Float[np.ndarray, "m 3"] | None = None,
     ) -> list[PseudoView]:
-        """As `annotator.rcv.pseudo_view.render_pairs`; a cloud that is not held is uploaded."""
+        """As `annotator.rcv.pseudo_view.render_pairs`; a cloud that is not on the device is uploaded."""
         with self._running():
-            return drawing.render_pairs(DeviceCloud.of(cloud, self.device), frames, config, show)
+            return drawing.render_pairs(DeviceCloud.of(cloud, self.device), axes, config, show)
 
     def normals_from_depth(self, camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
         """As `annotator.geometry.normals.normals_from_depth`."""
@@ -85,12 +85,12 @@ class TorchCompute:
 
 def _problem(device: str, error: Exception) -> str:
     reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-    return f"torch cannot work with points on {device} ({reason}); run the detectors on the processor instead"
+    return f"torch cannot process points on {device} ({reason}); run the detectors on the CPU instead"
 
 
 @lru_cache(maxsize=8)
 def torch_compute(device: str) -> TorchCompute:
-    """The one of a device.
+    """The cached instance for a device.
 
     Raises:
         ComputeError: there is no such device.

@@ -1,8 +1,9 @@
-"""Pseudo-views drawn on a device, all views of a step at once; the pictures of `annotator.rcv.drawing`.
+"""Rendering of pseudo-views on a device, all views of a step at once, as in `annotator.rcv.drawing`.
 
-The keys are the same: depth and number of a point in one integer whose bits are those of a positive float. A scattered
-minimum finds the nearest point of each pixel of all pictures; squares are a maximum filter over negative floats. The
-device is waited for twice: for the extents, from which the windows follow, and for the pictures.
+The keys are the same as there: a point's depth and index packed into one integer, which is also the bit pattern of a
+positive float. A scattered minimum finds the nearest point of each pixel in all images. A maximum filter over negative
+floats draws the points as squares. There are two synchronisations: for the extents, which determine the windows, and
+for the images.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from annotator.rcv.drawing import BACKGROUND, LEAST_KEY, KeyLayout, Window, spla
 from annotator.rcv.pseudo_view import drawn_points, pair_windows, side_axes
 from annotator.types import PseudoView
 
-# At most this many points or pixels are worked on at once; it bounds the memory, some 50 bytes each.
+# Points or pixels per pass; bounds the memory, at about 50 bytes each.
 MAX_AT_ONCE = 1 << 24
 
 
 def render_pairs(
     cloud: DeviceCloud,
-    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    axes: Sequence[Float64[np.ndarray, "3 3"]],
     config: ViewConfig,
     show: Float[np.ndarray, "m 3"] | None = None,
 ) -> list[PseudoView]:
-    """As `annotator.rcv.pseudo_view.render_pairs`; points that fall between two pixels may be drawn on the other."""
+    """As `annotator.rcv.pseudo_view.render_pairs`; points between two pixels may be drawn at the other one."""
     import torch
 
     keep = drawn_points(len(cloud), config)
@@ -37,33 +38,33 @@ def render_pairs(
     points = drawn.on_device()
     together = max(MAX_AT_ONCE // (2 * max(len(drawn), config.size_px**2)), 1)
     views: list[PseudoView] = []
-    for begin in range(0, len(frames), together):
-        part = frames[begin : begin + together]
+    for begin in range(0, len(axes), together):
+        part = axes[begin : begin + together]
         along = _along(points, part)
         least, most = torch.stack([along.amin(dim=2), along.amax(dim=2)]).cpu().numpy()
-        rows_of = np.stack(part)
-        windows = pair_windows(rows_of, least, most, config, show)
-        axes = np.stack([rows_of, side_axes(rows_of)], axis=1).reshape(-1, 3, 3)
-        pictures = _pictures(points, along, least, most, windows, config.max_splat_px)
-        for rgb, rows, window in zip(pictures, axes, windows, strict=True):
-            # a copy, so that a view does not keep the pictures of all others
-            own = rgb[: window.height_px, : window.width_px].copy()
-            views.append(PseudoView(own, rows, window.metres_per_px, window.origin_m, cloud.xyz_m))
+        front_axes = np.stack(part)
+        windows = pair_windows(front_axes, least, most, config, show)
+        view_axes = np.stack([front_axes, side_axes(front_axes)], axis=1).reshape(-1, 3, 3)
+        images = _images(points, along, least, most, windows, config.max_splat_px)
+        for canvas, rows, window in zip(images, view_axes, windows, strict=True):
+            # a copy, so that a view does not keep the images of all others in memory
+            rgb = canvas[: window.height_px, : window.width_px].copy()
+            views.append(PseudoView(rgb, rows, window.metres_per_px, window.origin_m, cloud.xyz_m))
     return views
 
 
-def _along(points: DevicePoints, frames: Sequence[Float64[np.ndarray, "3 3"]]) -> Any:
-    """Coordinates (k, 3, n) of the points along the rows of each frame.
+def _along(points: DevicePoints, axes: Sequence[Float64[np.ndarray, "3 3"]]) -> Any:
+    """Coordinates (k, 3, n) of the points along the rows of each axes.
 
-    A sum of products and no matrix product, which a graphics processor may do with fewer digits.
+    Computed as a sum of products, since a GPU may use reduced precision for matrix products.
     """
     import torch
 
-    rows = torch.tensor(np.stack(frames).astype(np.float32), device=points.xyz.device)[..., None]
+    rows = torch.tensor(np.stack(axes).astype(np.float32), device=points.xyz.device)[..., None]
     return rows[:, :, 0] * points.xyz[0] + rows[:, :, 1] * points.xyz[1] + rows[:, :, 2] * points.xyz[2]
 
 
-def _pictures(
+def _images(
     points: DevicePoints,
     along: Any,
     least: Float32[np.ndarray, "k 3"],
@@ -71,10 +72,10 @@ def _pictures(
     windows: Sequence[Window],
     largest_splat_px: int,
 ) -> UInt8[np.ndarray, "v h w 3"]:
-    """The pictures of all windows, each in the upper left corner of a canvas that holds the largest.
+    """The images of all windows, each in the upper left corner of a canvas of the largest size.
 
     Args:
-        along: (k, 3, n) as `_along` gives it, from `least` to `most`.
+        along: (k, 3, n) from `_along`, between `least` and `most`.
         windows: v = 2 k, front and side in turn.
     """
     import torch
@@ -94,12 +95,12 @@ def _pictures(
     nearest = nearest.scatter_reduce_(0, pixels.reshape(-1), keys.reshape(-1), "amin").reshape(shape)
     nearest = _squares(nearest, [splat_px(n, window, largest_splat_px) for window in windows]) - LEAST_KEY
     if points.colors is None:
-        pictures = _shaded(nearest >> layout.index_bits, layout.levels)
+        images = _shaded(nearest >> layout.index_bits, layout.levels)
     else:
         index = nearest & ((1 << layout.index_bits) - 1)
-        pictures = points.colors.index_select(0, index.reshape(-1)).reshape(*shape, 3)
-    found: np.ndarray = pictures.cpu().numpy()
-    return found
+        images = points.colors.index_select(0, index.reshape(-1)).reshape(*shape, 3)
+    on_cpu: np.ndarray = images.cpu().numpy()
+    return on_cpu
 
 
 def _to(values: np.ndarray, like: Any) -> Any:
@@ -109,7 +110,7 @@ def _to(values: np.ndarray, like: Any) -> Any:
 
 
 def _pixels(along: Any, windows: Sequence[Window], shape: tuple[int, int, int]) -> Any:
-    """Which pixel of all canvases, (k, 2, n), counted row by row, each point falls on in front and side view."""
+    """The pixel of each point in front and side view, (k, 2, n), counted row by row over all canvases."""
     import torch
 
     corner = np.array([w.origin_m - w.metres_per_px / 2 for w in windows]).astype(np.float32)
@@ -118,7 +119,7 @@ def _pixels(along: Any, windows: Sequence[Window], shape: tuple[int, int, int]) 
     left, top = (_to(corner[:, i].reshape(-1, 2, 1), along) for i in (0, 1))
     last_column, last_row = (_to(last[:, i].reshape(-1, 2, 1), along) for i in (0, 1))
     per_m = _to(scale.reshape(-1, 2, 1), along)
-    # Adding a half (it is in the corner) and cutting off rounds to the nearest pixel, since nothing is negative.
+    # truncation rounds to the nearest pixel, since `corner` includes the half pixel and no value is negative
     right, down = torch.stack([along[:, 0], along[:, 2]], dim=1), along[:, 1:2]
     column = torch.minimum(((right - left) * per_m).to(torch.int64), last_column)
     row = torch.minimum(((down - top) * per_m).to(torch.int64), last_row)
@@ -127,7 +128,7 @@ def _pixels(along: Any, windows: Sequence[Window], shape: tuple[int, int, int]) 
 
 
 def _squares(nearest: Any, sides_px: Sequence[int]) -> Any:
-    """Draws each point as a square of its view's side: the least key of each pixel's neighbourhood."""
+    """Draws each point as a square of its view's size: the smallest key in each pixel's neighbourhood."""
     import torch
 
     for side in sorted(set(sides_px) - {1}):
@@ -139,7 +140,7 @@ def _squares(nearest: Any, sides_px: Sequence[int]) -> Any:
 
 
 def _shaded(level: Any, levels: int) -> Any:
-    """Grey by depth, near points light, (v, h, w, 3); the last level is the background's."""
+    """Grey values by depth, near points light, (v, h, w, 3); the last level is the background."""
     import torch
 
     grey = (250 - 190 * (level.to(torch.float32) / levels)).to(torch.uint8)

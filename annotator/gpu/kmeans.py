@@ -1,4 +1,4 @@
-"""K-means of directions on a device: the clusters of `annotator.rcv.axes.axial_kmeans`."""
+"""K-means of directions on a device, as in `annotator.rcv.axes.axial_kmeans`."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from annotator.rcv.axes import KMEANS_ROUNDS
 def axial_kmeans(
     directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int, device: Any
 ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
-    """As `annotator.rcv.axes.axial_kmeans`: the same clusters for the same seed; a centre may have the other sign.
+    """As `annotator.rcv.axes.axial_kmeans`: the same clusters for the same seed; the sign of a centre may differ.
 
     Args:
-        device: a torch device that knows double precision.
+        device: a torch device with double precision.
     """
     import torch
 
@@ -35,9 +35,9 @@ def axial_kmeans(
         if bool((assigned == member).all()):
             break
         member = assigned
-        own = torch.nn.functional.one_hot(member, clusters).to(points.dtype)
-        # all clusters' sums of n n^T are one product, and one batch of eigenvectors
-        moments = (own.T @ outer).reshape(clusters, 3, 3)
+        is_member = torch.nn.functional.one_hot(member, clusters).to(points.dtype)
+        # the sums of n n^T of all clusters in one product, and their eigenvectors in one batch
+        moments = (is_member.T @ outer).reshape(clusters, 3, 3)
         principal = torch.linalg.eigh(moments).eigenvectors[:, :, -1]
-        centre = torch.where((own.sum(dim=0) > 0)[:, None], principal, centre)
+        centre = torch.where((is_member.sum(dim=0) > 0)[:, None], principal, centre)
     return centre.cpu().numpy(), np.bincount(member.cpu().numpy(), minlength=clusters)

@@ -1,4 +1,4 @@
-"""Normals of a depth image on a device: the plane fit of `annotator.geometry.normals`, all rows at once."""
+"""Normals of a depth image on a device: the plane fit of `annotator.geometry.normals`, for all rows at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"], device
         device: a torch device.
 
     Raises:
-        GeometryError: the depth image has another size than the camera.
+        GeometryError: the sizes of depth image and camera differ.
     """
     import torch
 
@@ -42,7 +42,7 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"], device
 
 @lru_cache(maxsize=4)
 def _optics(key: CameraKey, device: str) -> tuple[Any, Any]:
-    """Rays and their derivatives of a camera, once on the device for all its frames."""
+    """A camera's rays and their derivatives on the device, cached for all its frames."""
     import torch
 
     camera = Camera(*key)
@@ -50,9 +50,10 @@ def _optics(key: CameraKey, device: str) -> tuple[Any, Any]:
 
 
 def _slopes(inverse: Any, step_per_px: float) -> tuple[Any, Any]:
-    """Least-squares slopes along u and v, a pixel, of an inverse depth image; NaN where unknown.
+    """Least-squares slopes along u and v, per pixel, of an inverse depth image; NaN if unknown.
 
-    `step_per_px` is the share of the depth by which a neighbour at that distance may differ.
+    Args:
+        step_per_px: allowed relative difference in depth to a neighbour, per pixel of distance.
     """
     import torch
 
@@ -65,7 +66,7 @@ def _slopes(inverse: Any, step_per_px: float) -> tuple[Any, Any]:
                 continue
             shifted = padded[REACH_PX + dv : REACH_PX + dv + rows, REACH_PX + du : REACH_PX + du + columns]
             difference = shifted - inverse
-            # below 1, so that a missing neighbour, whose inverse depth is 0, is always too far
+            # below 1, so that missing neighbours, with an inverse depth of 0, are always excluded
             share = min(step_per_px * (du * du + dv * dv) ** 0.5 + NOISE, 0.5)
             same = (difference.abs() <= share * inverse).to(torch.float32)
             difference = difference * same

@@ -1,4 +1,4 @@
-"""A frame's points on a device: uploaded once, and from then on told apart by their numbers."""
+"""A frame's points on a device: uploaded once, then referred to by their indices."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class DevicePoints:
 
     Attributes:
         xyz: float32 tensor (3, n), metres, camera frame.
-        colors: uint8 tensor (n + 1, 3), the background last; None where only depth can shade the points.
+        colors: uint8 tensor (n + 1, 3), the background last; None to shade by depth.
     """
 
     xyz: Any
@@ -40,11 +40,11 @@ class DevicePoints:
 
 @dataclass(frozen=True, eq=False)
 class DeviceCloud(PointCloud):
-    """A part of a frame's points; parts of it know where they lie on the device, too.
+    """A cloud of some of a frame's points, all of which are on a device; so are clouds selected from it.
 
     Attributes:
-        held: the frame's points.
-        rows: (n,) the number that each point of this part has among them.
+        held: all points of the frame.
+        rows: (n,) index of each point of this cloud among them.
     """
 
     held: DevicePoints = field(kw_only=True)
@@ -52,13 +52,13 @@ class DeviceCloud(PointCloud):
 
     @classmethod
     def of(cls, cloud: PointCloud, device: Any) -> DeviceCloud:
-        """The cloud itself where it is on a device already; otherwise it is uploaded."""
+        """Uploads a cloud; returns a cloud that is already on a device unchanged."""
         if isinstance(cloud, DeviceCloud):
             return cloud
         return cls._from(cloud, DevicePoints.upload(cloud, device), np.arange(len(cloud), dtype=np.int32))
 
     def select(self, keep: np.ndarray) -> DeviceCloud:
-        """As `PointCloud.select`; nothing is uploaded."""
+        """As `PointCloud.select`, without an upload of points."""
         index = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
         return self._from(super().select(index), self.held, self.rows.take(index))
 
@@ -67,7 +67,7 @@ class DeviceCloud(PointCloud):
         return cls(cloud.xyz_m, cloud.rgb, cloud.reflectance, cloud.pixel_index, cloud.normals, held=held, rows=rows)
 
     def on_device(self) -> DevicePoints:
-        """These points alone, copied on the device; only their numbers are uploaded."""
+        """A copy of only these points on the device; only their indices are uploaded."""
         import torch
 
         rows = torch.tensor(self.rows, device=self.held.xyz.device)

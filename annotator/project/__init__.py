@@ -1,16 +1,15 @@
-"""What is kept: the project folder, its SQLite store, migrations, label events."""
+"""Projects: the folder, its SQLite database, migrations and label events."""
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
+from annotator.project.event_types import Origin
 from annotator.project.events import Effort, Event
 from annotator.project.frames import StoredFrame
-from annotator.project.history import Done, History
+from annotator.project.history import History, Reverted
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, LabelSignals, NewLabel, StoredLabel
-from annotator.project.models import Role, StoredModel
-from annotator.project.payloads import Origin
+from annotator.project.models import StoredModel
 from annotator.project.project import (
-    FrameState,
     ListedProject,
     Project,
     create_project,
@@ -18,26 +17,22 @@ from annotator.project.project import (
     open_project,
 )
 from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
-from annotator.project.recordings import Move, Rescan, StoredRecording
+from annotator.project.recordings import Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
-from annotator.project.writing import Change, FramePart, Receipt
+from annotator.project.writing import FramePart, Receipt, WriteContext
 
 __all__ = [
     "REVIEWED",
     "BoxRotation",
-    "Change",
-    "Done",
     "Effort",
     "Event",
     "FramePart",
     "FrameResult",
-    "FrameState",
     "History",
     "ImageBoxes",
     "LabelSignals",
     "ListedProject",
-    "Move",
     "NewLabel",
     "Origin",
     "Pass",
@@ -48,7 +43,7 @@ __all__ = [
     "Receipt",
     "Replaced",
     "Rescan",
-    "Role",
+    "Reverted",
     "Run",
     "RunShare",
     "Statistics",
@@ -59,6 +54,7 @@ __all__ = [
     "StoredRecording",
     "ViewBoxes",
     "ViewGeometry",
+    "WriteContext",
     "create_project",
     "list_projects",
     "open_project",

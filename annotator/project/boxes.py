@@ -1,4 +1,4 @@
-"""2D boxes on camera images and on pseudo-views: what the detectors learn from."""
+"""2D boxes on camera images and on pseudo-views: the detectors' training data."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, select
 
-from annotator.project.payloads import ImageBoxesSet, ViewBoxesSet
-from annotator.project.records import BOXES_2D, ViewGeometry, storable
+from annotator.project.event_types import ImageBoxesSet, ViewBoxesSet
+from annotator.project.records import BOXES_2D, ViewGeometry, parsed, storable
 from annotator.project.schema import AnyRow, frames, image_labels, view_labels
 from annotator.project.views import Views
-from annotator.project.writing import Change, Receipt, Writer
+from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Source
 
 
 @dataclass(frozen=True)
 class ImageBoxes:
-    """All boxes on the camera image of one frame; an empty tuple says that there is nothing to be found.
+    """All boxes on the camera image of one frame; an empty tuple = the image shows no object.
 
     Attributes:
         frame_id: the frame.
         boxes: in the image's pixels.
-        box_kind: what they measure.
+        box_kind: what the boxes enclose.
         author, time_ns, source, event_id: of the latest change.
     """
 
@@ -37,16 +37,16 @@ class ImageBoxes:
 
 @dataclass(frozen=True)
 class ViewBoxes:
-    """All boxes on one pseudo-view; an empty tuple says that there is nothing to be found.
+    """All boxes on one pseudo-view; an empty tuple = the view shows no object.
 
     Attributes:
-        view_id: of the picture, for `Views.load`.
+        view_id: id of the view's image, for `Views.load`.
         frame_id: the frame that the view was drawn from, or None.
-        revision: for the next change of a view without a frame.
+        revision: of the frame, or of a view without a frame, after the latest change.
         boxes: in the view's pixels.
-        box_kind: what they measure.
-        step: the step of the recursion that drew the view, from 0, where known.
-        geometry: how the view lies in space, where known.
+        box_kind: what the boxes enclose.
+        step: the step of the recursion that drew the view, from 0, if known.
+        geometry: pose and scale of the view, if known.
         author, time_ns, source, event_id: of the latest change.
     """
 
@@ -65,55 +65,55 @@ class ViewBoxes:
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Reads and sets 2D boxes; a set replaces what was there on that image or view."""
+    """Reads and sets 2D boxes; setting replaces all boxes on that image or view."""
 
     writer: Writer
     views: Views
 
-    def set_on_image(self, frame_id: int, boxes: Sequence[Box2D], box_kind: BoxKind, change: Change) -> Receipt:
-        """Set all boxes on the camera image of a frame.
+    def set_on_image(self, frame_id: int, boxes: Sequence[Box2D], box_kind: BoxKind, context: WriteContext) -> Receipt:
+        """Sets all boxes on the camera image of a frame.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
         """
         with storable("boxes on the image"):
             payload = ImageBoxesSet(boxes=tuple(boxes), box_kind=box_kind)
-        return self.writer.to_frame(frame_id, (payload,), change)
+        return self.writer.to_frame(frame_id, (payload,), context)
 
     def set_on_view(
         self,
         view_id: str,
         boxes: Sequence[Box2D],
         box_kind: BoxKind,
-        change: Change,
+        context: WriteContext,
         *,
         frame_id: int | None = None,
         step: int | None = None,
         geometry: ViewGeometry | None = None,
     ) -> Receipt:
-        """Set all boxes on a pseudo-view whose picture is stored.
+        """Sets all boxes on a pseudo-view whose image is stored.
 
         Args:
-            frame_id: the frame that it was drawn from, whose revision `change` names; without one (pictures imported
-                from elsewhere) `change` names the view's own revision, 0 at first.
+            context: with the revision of the frame, or for a view without a frame that of the view, initially 0.
+            frame_id: the frame that the view was drawn from; None for imported images.
 
         Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`; or the picture is missing.
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`; or the image is missing.
         """
         self.views.path(view_id)
         with storable(f"boxes on view {view_id[:12]}"):
             payload = ViewBoxesSet(view=view_id, boxes=tuple(boxes), box_kind=box_kind, step=step, geometry=geometry)
         if frame_id is None:
-            return self.writer.to_view(payload, change)
-        return self.writer.to_frame(frame_id, (payload,), change)
+            return self.writer.to_view(payload, context)
+        return self.writer.to_frame(frame_id, (payload,), context)
 
     def on_image(self, frame_id: int) -> ImageBoxes | None:
-        """The boxes on the image of one frame, or None where nobody has labelled it."""
+        """The boxes on the image of one frame, or None if it is unlabelled."""
         with self.writer.store.read() as connection:
             return read_image_boxes(connection, frame_id)
 
     def on_images(self, recordings: Collection[int] | None = None) -> tuple[ImageBoxes, ...]:
-        """All labelled images, of some recordings or of the whole project, in the frames' order."""
+        """All labelled images of some recordings, or of the whole project, in the frames' order."""
         query = select(image_labels).join(frames, frames.c.id == image_labels.c.frame_id)
         if recordings is not None:
             query = query.where(frames.c.recording_id.in_(recordings))
@@ -122,7 +122,7 @@ class Boxes:
             return tuple(map(_image_boxes, connection.execute(ordered)))
 
     def frames_with_images(self) -> frozenset[int]:
-        """Ids of the frames whose camera image somebody has labelled."""
+        """Ids of the frames with a labelled camera image."""
         with self.writer.store.read() as connection:
             return frozenset(connection.execute(select(image_labels.c.frame_id)).scalars())
 
@@ -132,7 +132,7 @@ class Boxes:
             return read_view_boxes(connection, frame_id)
 
     def on_views(self) -> tuple[ViewBoxes, ...]:
-        """All labelled pseudo-views of the project, those without a frame included."""
+        """All labelled pseudo-views of the project, including those without a frame."""
         query = select(view_labels).order_by(view_labels.c.event_id)
         with self.writer.store.read() as connection:
             return tuple(map(_view_boxes, connection.execute(query)))
@@ -153,7 +153,7 @@ def read_view_boxes(connection: Connection, frame_id: int) -> tuple[ViewBoxes, .
 def _image_boxes(row: AnyRow) -> ImageBoxes:
     return ImageBoxes(
         row.frame_id,
-        BOXES_2D.validate_json(row.boxes),
+        parsed(BOXES_2D.validate_json, row.boxes),
         BoxKind(row.box_kind),
         row.author,
         row.time_ns,
@@ -167,10 +167,10 @@ def _view_boxes(row: AnyRow) -> ViewBoxes:
         row.view_id,
         row.frame_id,
         row.revision,
-        BOXES_2D.validate_json(row.boxes),
+        parsed(BOXES_2D.validate_json, row.boxes),
         BoxKind(row.box_kind),
         row.step,
-        None if row.geometry is None else ViewGeometry.model_validate_json(row.geometry),
+        None if row.geometry is None else parsed(ViewGeometry.model_validate_json, row.geometry),
         row.author,
         row.time_ns,
         Source(row.source),

@@ -1,4 +1,4 @@
-"""`project.json`: what a person may read and change with an editor."""
+"""`project.json`: a project's name, classes and settings; may be changed with a text editor."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 
 class BoxRotation(StrEnum):
-    """Which rotations the project's boxes may have.
+    """Permitted rotations of the project's boxes.
 
-    AUTO: upright where the recording knows gravity, free elsewhere.
+    AUTO: upright in recordings with a known gravity direction, free in others.
     """
 
     AUTO = "auto"
@@ -29,10 +29,10 @@ class BoxRotation(StrEnum):
 
 
 def check_name(name: str) -> str:
-    """`name` itself, where it may name a project (and so a folder on any system).
+    """Returns `name` if it is a valid project name, and thus a valid folder name on any system.
 
     Raises:
-        ConfigError: it may not.
+        ConfigError: an invalid name.
     """
     if not NAME_PATTERN.fullmatch(name):
         raise ConfigError(
@@ -53,12 +53,12 @@ def _check_classes(classes: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class ProjectSettings(BaseModel):
-    """Defaults that the commands take where the command line says nothing.
+    """Defaults for options that a command line leaves out.
 
     Attributes:
-        rotation: which rotations boxes may have.
-        rcv: settings of the recursion that differ from the defaults, groups as objects. The store only keeps them;
-            whoever runs the recursion checks them (`annotator.workflows.rcv_settings`).
+        rotation: permitted rotations of boxes.
+        rcv: settings of the recursion that differ from the defaults, groups as objects. They are validated when the
+            recursion is run (`annotator.workflows.settings`), not here.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -71,10 +71,10 @@ class ProjectConfig(BaseModel):
     """The content of `project.json`.
 
     Attributes:
-        name: the project's name; the folder may be moved or renamed.
+        name: the project's name; it stays when the folder is moved or renamed.
         format_version: of this file.
         created_ns: when the project was created, UTC nanoseconds since the epoch.
-        classes: the class names that boxes may have, in the detectors' order.
+        classes: permitted class names of boxes, in the detectors' order.
         settings: defaults for the commands.
     """
 
@@ -91,7 +91,7 @@ def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, c
     """The configuration of a new project.
 
     Raises:
-        ConfigError: a name or a class that cannot be used.
+        ConfigError: an invalid name or class.
     """
     check_name(name)
     try:
@@ -104,7 +104,7 @@ def read_config(folder: Path) -> ProjectConfig:
     """The configuration of the project in `folder`.
 
     Raises:
-        ProjectError: no project, an unreadable file, or one written by a newer annotator.
+        ProjectError: no project, an unreadable file, or one of a newer version.
     """
     path = folder / CONFIG_FILE
     try:
@@ -118,7 +118,7 @@ def read_config(folder: Path) -> ProjectConfig:
         version = _Version.model_validate_json(content).format_version
         if version > FORMAT_VERSION:
             raise ProjectError(
-                f"{path}: has format version {version}, this annotator knows up to {FORMAT_VERSION}; update annotator"
+                f"{path}: has format version {version}, this annotator reads up to {FORMAT_VERSION}; update annotator"
             )
         return ProjectConfig.model_validate_json(content)
     except ValidationError as error:
@@ -126,7 +126,7 @@ def read_config(folder: Path) -> ProjectConfig:
 
 
 def write_config(folder: Path, config: ProjectConfig) -> None:
-    """Write `project.json` in one step.
+    """Writes `project.json` atomically.
 
     Raises:
         ProjectError: it cannot be written.
@@ -139,7 +139,7 @@ def write_config(folder: Path, config: ProjectConfig) -> None:
 
 
 class _Version(BaseModel):
-    """What every version of the file has, whatever else is in it."""
+    """The field that every version of the file has."""
 
     format_version: int
 
@@ -147,6 +147,6 @@ class _Version(BaseModel):
 def _first_problem(error: ValidationError) -> str:
     detail = error.errors()[0]
     where = ".".join(str(part) for part in detail["loc"])
-    # pydantic's own prefix of what a validator of ours says
+    # pydantic prefixes the messages of custom validators
     problem = detail["msg"].removeprefix("Value error, ")
     return f"{where}: {problem}" if where else problem

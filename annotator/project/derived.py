@@ -1,4 +1,4 @@
-"""The present state, as tables that follow from the events: kept up with every event, or rebuilt from all of them."""
+"""The tables derived from the events, which hold the present state; updated with each event, or rebuilt from all."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from annotator.project.derived_labels import (
     restore_label,
     track_values,
 )
-from annotator.project.events import Event, read_events
-from annotator.project.payloads import (
+from annotator.project.event_types import (
     FrameFinalised,
     FrameReopened,
     ImageBoxesRemoved,
@@ -36,29 +35,29 @@ from annotator.project.payloads import (
     ViewBoxesSet,
     ViewBoxesState,
 )
+from annotator.project.events import Event, read_events
 from annotator.project.records import BOXES_2D
 from annotator.project.schema import DERIVED, frames, image_labels, revertible, view_labels
-from annotator.project.subjects import read_subject, subject_of
+from annotator.project.undo_state import read_state, target_of
 from annotator.types.errors import ProjectError
 
 Value = str | int | float | None
 
 
 def apply_event(connection: Connection, event: Event) -> None:
-    """Bring the derived tables from the state before `event` to the state after it.
+    """Updates the derived tables with one event.
 
     Raises:
-        ProjectError: the event does not fit the state, such as a change of a label that is not there.
+        ProjectError: the event contradicts the state, such as a change of a missing label.
     """
     if event.action is None:
         _apply(connection, event)
     else:
-        # what undo will want to know
-        subject = subject_of(event.payload)
-        before = read_subject(connection, event.frame_id, subject)
+        target = target_of(event.payload)
+        before = read_state(connection, event.frame_id, target)
         _apply(connection, event)
-        after = read_subject(connection, event.frame_id, subject)
-        row = {"event_id": event.id, "subject": subject, "before": before, "after": after}
+        after = read_state(connection, event.frame_id, target)
+        row = {"event_id": event.id, "subject": target, "before": before, "after": after}
         connection.execute(insert(revertible), row)
     if event.frame_id is not None:
         connection.execute(update(frames).where(frames.c.id == event.frame_id).values(revision=event.revision))
@@ -68,9 +67,9 @@ def _apply(connection: Connection, event: Event) -> None:
     payload = event.payload
     match payload:
         case ImageBoxesSet():
-            _put_image_boxes(connection, event, ImageBoxesState.model_validate(_said(event, payload)))
+            _put_image_boxes(connection, event, ImageBoxesState.model_validate(_common_state(event, payload)))
         case ViewBoxesSet():
-            state = _said(event, payload) | {"step": payload.step, "geometry": payload.geometry}
+            state = _common_state(event, payload) | {"step": payload.step, "geometry": payload.geometry}
             _put_view_boxes(connection, event, payload.view, ViewBoxesState.model_validate(state))
         case ProposalsReplaced():
             replace_proposals(connection, event, payload)
@@ -98,7 +97,7 @@ def _apply(connection: Connection, event: Event) -> None:
 
 
 def rebuild(connection: Connection) -> int:
-    """Empty the derived tables and replay every event; returns their number."""
+    """Empties the derived tables and replays all events; returns the number of events."""
     for table in DERIVED:
         connection.execute(delete(table))
     connection.execute(update(frames).values(revision=0, finalised=False))
@@ -109,8 +108,8 @@ def rebuild(connection: Connection) -> int:
     return count
 
 
-def _said(event: Event, payload: ImageBoxesSet | ViewBoxesSet) -> dict[str, object]:
-    """What the state of new boxes has in common."""
+def _common_state(event: Event, payload: ImageBoxesSet | ViewBoxesSet) -> dict[str, object]:
+    """The fields that `ImageBoxesState` and `ViewBoxesState` share."""
     return {
         "boxes": payload.boxes,
         "box_kind": payload.box_kind,
@@ -154,6 +153,6 @@ def _boxes_row(state: ImageBoxesState | ViewBoxesState) -> dict[str, Value]:
 
 
 def _set_finalised(connection: Connection, event: Event, finalised: bool) -> None:
-    other = (frames.c.id == event.frame_id) & (frames.c.finalised != finalised)
-    if connection.execute(update(frames).where(other).values(finalised=finalised)).rowcount != 1:
+    changes = (frames.c.id == event.frame_id) & (frames.c.finalised != finalised)
+    if connection.execute(update(frames).where(changes).values(finalised=finalised)).rowcount != 1:
         raise ProjectError("the frame is finalised already" if finalised else "the frame is open already")

@@ -1,4 +1,4 @@
-"""The rows of the table `labels`, as the events about 3D boxes change them."""
+"""Updates of the table `labels` by the events about 3D boxes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, case, delete, insert, select, update
 
-from annotator.project.events import Event
-from annotator.project.payloads import (
+from annotator.project.event_types import (
     LabelAccepted,
     LabelChange,
     LabelCreated,
@@ -20,6 +19,7 @@ from annotator.project.payloads import (
     ProposalsReplaced,
     ProposedObject,
 )
+from annotator.project.events import Event
 from annotator.project.records import ProposalRecord, box_2d_json
 from annotator.project.schema import labels
 from annotator.types import ReviewState, Source
@@ -29,7 +29,7 @@ Value = str | int | float | None
 
 
 def replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
-    """An automatic pass: new proposals in place of those that nobody has reviewed."""
+    """Applies an automatic pass: its proposals replace the unreviewed labels of the frame."""
     unreviewed = (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
     connection.execute(delete(labels).where(unreviewed))
     rows = [_proposed_row(event, entry, payload.run) for entry in payload.objects if entry.covered_by is None]
@@ -50,12 +50,12 @@ def _proposed_row(event: Event, entry: ProposedObject, run_id: int | None) -> di
         "track_linked": entry.track_id is not None,
         "run_id": run_id,
     } | _proposal_values(event, proposal)
-    # an automatic pass proposes, whoever started it
-    return row | _stamp(event) | {"source": Source.AUTO.value}
+    # the source of a proposal is AUTO, whoever started the pass
+    return row | _authorship(event) | {"source": Source.AUTO.value}
 
 
 def _proposal_values(event: Event, proposal: ProposalRecord) -> dict[str, Value]:
-    """What a label keeps of the recursion that proposed it; the rest stays in the event."""
+    """The columns of a label that come from the recursion; the full trace stays in the event."""
     return {
         "view_disagreement": proposal.quality.view_disagreement,
         "kept_share": proposal.quality.kept_share,
@@ -66,10 +66,10 @@ def _proposal_values(event: Event, proposal: ProposalRecord) -> dict[str, Value]
 
 
 def create_label(connection: Connection, event: Event, payload: LabelCreated | LabelProposed) -> None:
-    """A label that no pass brought.
+    """Inserts a label that does not come from an automatic pass.
 
     Raises:
-        ProjectError: its uid is taken.
+        ProjectError: its uid exists already.
     """
     if connection.execute(select(labels.c.id).where(labels.c.uid == payload.uid)).first():
         raise ProjectError(f"label {payload.uid} exists already")
@@ -81,7 +81,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
         "track_id": payload.track_id,
         "track_linked": False,
     }
-    row |= _stamp(event)
+    row |= _authorship(event)
     if isinstance(payload, LabelCreated):
         row |= {"score": payload.score, "state": payload.state.value}
         row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
@@ -94,54 +94,54 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
 
 
 def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> None:
-    """The track of one label, found by linking, and the smoothed box of an open proposal.
+    """Sets the track id of one label from linking, and the smoothed box of an open proposal.
 
     Raises:
-        ProjectError: the label is gone, or its box would change although somebody has reviewed it.
+        ProjectError: the label is missing, or its box would change although it has been reviewed.
     """
     values: dict[str, Any] = {"event_id": event.id}
     if linked.track_id is not None:
         values |= {"track_id": linked.track_id, "track_linked": True}
-    chosen = (labels.c.uid == linked.uid) & (labels.c.frame_id == event.frame_id)
+    condition = (labels.c.uid == linked.uid) & (labels.c.frame_id == event.frame_id)
     if linked.box is not None:
-        # a box that somebody has looked at is never changed
-        chosen &= labels.c.state == ReviewState.PROPOSED.value
+        # linking never changes a reviewed box
+        condition &= labels.c.state == ReviewState.PROPOSED.value
         values["box"] = linked.box.model_dump_json()
-    if connection.execute(update(labels).where(chosen).values(**values)).rowcount != 1:
-        raise ProjectError(f"label {linked.uid} is not in this frame (any more), or has been reviewed; link again")
+    if connection.execute(update(labels).where(condition).values(**values)).rowcount != 1:
+        raise ProjectError(f"label {linked.uid} is missing in this frame, or has been reviewed; link again")
 
 
 def change_label(connection: Connection, event: Event, payload: LabelChange) -> None:
-    """A review.
+    """Applies a review.
 
     Raises:
-        ProjectError: the label is not in the frame (any more).
+        ProjectError: the label is not in the frame.
     """
     if isinstance(payload, LabelDeleted):
-        chosen = (labels.c.uid == payload.uid) & (labels.c.frame_id == event.frame_id)
-        _require_one(payload.uid, connection.execute(delete(labels).where(chosen)).rowcount)
+        same = (labels.c.uid == payload.uid) & (labels.c.frame_id == event.frame_id)
+        _require_one(payload.uid, connection.execute(delete(labels).where(same)).rowcount)
     else:
         put_label(connection, event, payload.uid, _new_values(payload))
 
 
 def put_label(connection: Connection, event: Event, uid: str, values: dict[str, Any]) -> None:
-    """Give a label new values, and say who has.
+    """Sets columns of a label, and the event's author and time.
 
     Raises:
-        ProjectError: it is not in the frame (any more).
+        ProjectError: it is not in the frame.
     """
-    chosen = (labels.c.uid == uid) & (labels.c.frame_id == event.frame_id)
+    same = (labels.c.uid == uid) & (labels.c.frame_id == event.frame_id)
     changes = {"author": event.author, "time_ns": event.time_ns, "event_id": event.id} | values
-    _require_one(uid, connection.execute(update(labels).where(chosen).values(**changes)).rowcount)
+    _require_one(uid, connection.execute(update(labels).where(same).values(**changes)).rowcount)
 
 
 def _require_one(uid: str, changed: int) -> None:
     if changed != 1:
-        raise ProjectError(f"label {uid} is not in this frame (any more); reload the frame")
+        raise ProjectError(f"label {uid} is not in this frame, it may have been deleted; reload the frame")
 
 
 def track_values(track_id: int | None) -> dict[str, Any]:
-    """A track id that somebody gives. One that is only said again, with another change, stays what it was."""
+    """Columns for a track id set by a person or a file; `track_linked` is kept if the id does not change."""
     same = labels.c.track_id.is_not_distinct_from(track_id)
     return {"track_id": track_id, "track_linked": case((same, labels.c.track_linked), else_=False)}
 
@@ -153,22 +153,22 @@ def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[st
         case LabelRejected():
             return {"state": ReviewState.REJECTED.value}
         case LabelEdited():
-            moved: dict[str, Any] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
+            drawn: dict[str, Any] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
             edited = {"label": payload.label, "box": payload.box.model_dump_json()}
-            return moved | edited | {"state": ReviewState.EDITED.value} | track_values(payload.track_id)
+            return drawn | edited | {"state": ReviewState.EDITED.value} | track_values(payload.track_id)
 
 
 def restore_label(connection: Connection, event: Event, payload: LabelRestored) -> None:
-    """A label as it was before.
+    """Restores a label to a former state.
 
     Raises:
-        ProjectError: it is in another frame.
+        ProjectError: a label with its uid is in another frame.
     """
     former = payload.former
-    chosen = labels.c.uid == payload.uid
-    if connection.execute(select(labels.c.id).where(chosen, labels.c.frame_id != event.frame_id)).first():
+    same = labels.c.uid == payload.uid
+    if connection.execute(select(labels.c.id).where(same, labels.c.frame_id != event.frame_id)).first():
         raise ProjectError(f"label {payload.uid} is in another frame")
-    connection.execute(delete(labels).where(chosen))
+    connection.execute(delete(labels).where(same))
     row: dict[str, Value] = former.model_dump(exclude={"box", "image_box", "place"}, mode="json")
     row |= {
         "uid": payload.uid,
@@ -177,13 +177,13 @@ def restore_label(connection: Connection, event: Event, payload: LabelRestored) 
         "image_box": box_2d_json(former.image_box),
         "event_id": event.id,
     }
-    # back in its place among the frame's labels, unless another label has taken the row
+    # the former row id restores the order of the frame's labels, unless another label uses it now
     if not connection.execute(select(labels.c.id).where(labels.c.id == former.place)).first():
         row["id"] = former.place
     connection.execute(insert(labels), row)
 
 
-def _stamp(event: Event) -> dict[str, Value]:
+def _authorship(event: Event) -> dict[str, Value]:
     return {
         "author": event.author,
         "time_ns": event.time_ns,

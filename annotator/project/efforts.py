@@ -1,4 +1,4 @@
-"""What labels cost their operators, and what became of proposals: read from the events of actions."""
+"""Operators' effort per box, by the box's origin, and the quality of the proposals; from the events of actions."""
 
 from __future__ import annotations
 
@@ -8,126 +8,232 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
+import numpy as np
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, select
 
+from annotator.geometry.iou import iou_3d_pairs
+from annotator.project.event_types import ImageBoxesState, LabelState, Origin
 from annotator.project.events import Effort
-from annotator.project.payloads import ImageBoxesState, LabelState
-from annotator.project.schema import AnyRow, events, revertible
-from annotator.project.subjects import IMAGE, LABEL
-from annotator.types import Box2D, ReviewState
+from annotator.project.records import BoxRecord, parsed
+from annotator.project.schema import AnyRow, events, labels, revertible
+from annotator.project.undo_state import IMAGE, LABEL
+from annotator.types import Box2D, ReviewState, Source
 
 DRAFT = "draft-"
 PROPOSED_JSON = f'"state":"{ReviewState.PROPOSED.value}"'
 
-
-@dataclass(frozen=True)
-class ActionCost:
-    """One action that somebody counted: what it cost, and the labels or begun objects that it was for."""
-
-    effort: Effort
-    subjects: tuple[str, ...]
+UNTOUCHED, CORRECTED, FROM_NOTHING = "proposal accepted untouched", "proposal edited", "from nothing"
+PLACED, COPIED, IMPORT_EDITED = "placed in 3D", "copied", "import edited"
+ORIGINS = (UNTOUCHED, CORRECTED, FROM_NOTHING, PLACED, COPIED, IMPORT_EDITED)
+_MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}
 
 
-@dataclass(frozen=True)
-class Efforts:
-    """What the log says about effort.
+class BoxEffort(BaseModel):
+    """Mean effort per box; None where no effort was counted.
 
     Attributes:
-        actions: that were counted, in order.
-        became: begun object -> the label that it became.
-        moved: begun object -> its id once its box on the image was changed.
-        proposed: label -> what it was as a proposal, where an operator has touched it.
+        boxes: number of accepted or edited boxes with counted effort.
     """
 
-    actions: tuple[ActionCost, ...]
-    became: Mapping[str, str]
-    moved: Mapping[str, str]
-    proposed: Mapping[str, LabelState]
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    def by_label(self) -> dict[str, tuple[float, float]]:
-        """The actions and seconds that went into each label; an action for several is shared among them."""
-        spent: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
-        for action in self.actions:
-            for subject in action.subjects:
-                entry = spent[self._label(subject)]
-                entry[0] += action.effort.actions / len(action.subjects)
-                entry[1] += action.effort.seconds / len(action.subjects)
-        return {uid: (actions, seconds) for uid, (actions, seconds) in spent.items()}
+    boxes: int
+    seconds_a_box: float | None
+    actions_a_box: float | None
 
-    def _label(self, subject: str) -> str:
-        seen = set()
-        while subject not in self.became and subject in self.moved and subject not in seen:
-            seen.add(subject)
-            subject = self.moved[subject]
-        return self.became.get(subject, subject)
+
+class EffortStatistics(BoxEffort):
+    """Effort per box, in all and by origin; every origin is a key, also without boxes."""
+
+    by_origin: dict[str, BoxEffort]
+
+
+@dataclass(frozen=True)
+class ReviewStatistics:
+    """Results of the review.
+
+    Attributes:
+        effort: cost per box.
+        accepted_untouched: share of the reviewed proposals (rejected ones included) that were accepted unchanged.
+        iou_proposal_to_final: mean exact 3D IoU between the proposed and the final box, over accepted and edited
+            proposals; None without any.
+    """
+
+    effort: EffortStatistics
+    accepted_untouched: float | None
+    iou_proposal_to_final: float | None
 
 
 def draft_id(frame_id: int, image_box: Box2D) -> str:
-    """The name of an object that is begun but has no label yet; effort goes to it until it has."""
+    """Id of a draft, an object that is begun but has no label yet; its effort is counted under this id."""
     edges = ",".join(f"{edge:.3f}" for edge in image_box.xyxy)
     return DRAFT + hashlib.sha256(f"{frame_id}:{edges}".encode()).hexdigest()[:20]
 
 
-def read_efforts(connection: Connection) -> Efforts:
-    """What all actions so far have cost, and for what."""
+def read_review(connection: Connection) -> ReviewStatistics:
+    """Statistics of all reviewed labels and all actions with counted effort."""
+    log = _read_log(connection)
+    reviewed = [state.value for state in ReviewState if state is not ReviewState.PROPOSED]
+    rows = connection.execute(select(labels).where(labels.c.state.in_(reviewed)).order_by(labels.c.id)).all()
+    final = [row for row in rows if row.state != ReviewState.REJECTED.value]
+    proposals = [row for row in rows if row.proposal_event_id is not None]
+    untouched = sum(_origin(row, log.proposed) == UNTOUCHED for row in final)
+    return ReviewStatistics(
+        _effort(final, log), untouched / len(proposals) if proposals else None, _mean_iou(final, log.proposed)
+    )
+
+
+# --- the log ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _ActionCost:
+    """The effort of one action, and the uids of the labels or ids of the drafts that it was for."""
+
+    effort: Effort
+    targets: tuple[str, ...]
+
+
+@dataclass
+class _EffortLog:
+    """The effort that the log records.
+
+    Attributes:
+        costs: of all actions with counted effort, in order.
+        became: draft id -> uid of the label that it became.
+        moved: draft id -> draft id after its box on the image was changed.
+        proposed: label uid -> its state as a proposal, for labels that an operator has touched.
+    """
+
+    costs: list[_ActionCost] = field(default_factory=list)
+    became: dict[str, str] = field(default_factory=dict)
+    moved: dict[str, str] = field(default_factory=dict)
+    proposed: dict[str, LabelState] = field(default_factory=dict)
+
+    def add_action(self, rows: Sequence[AnyRow]) -> None:
+        """Adds the events of one action."""
+        touched = dict.fromkeys(_uid(row) for row in rows if row.target.startswith(LABEL))
+        for row in rows:
+            if row.target == IMAGE:
+                self._add_image_boxes(row)
+            elif row.target.startswith(LABEL):
+                self._add_label(row)
+        first = rows[0]
+        if first.actions is not None:
+            targets = (first.effort_target,) if first.effort_target is not None else tuple(touched)
+            self.costs.append(_ActionCost(Effort(first.actions, first.seconds), targets))
+
+    def by_label(self) -> dict[str, tuple[float, float]]:
+        """Label uid -> actions and seconds; the effort of an action for several labels is divided equally."""
+        spent: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
+        for cost in self.costs:
+            for target in cost.targets:
+                entry = spent[self._label(target)]
+                entry[0] += cost.effort.actions / len(cost.targets)
+                entry[1] += cost.effort.seconds / len(cost.targets)
+        return {uid: (actions, seconds) for uid, (actions, seconds) in spent.items()}
+
+    def _label(self, target: str) -> str:
+        seen = set()
+        while target not in self.became and target in self.moved and target not in seen:
+            seen.add(target)
+            target = self.moved[target]
+        return self.became.get(target, target)
+
+    def _add_image_boxes(self, row: AnyRow) -> None:
+        """Records a changed box on the image: the draft's id changes with it."""
+        if row.before is None or row.after is None:
+            return
+        before, after = (parsed(ImageBoxesState.model_validate_json, state).boxes for state in (row.before, row.after))
+        removed, added = [box for box in before if box not in after], [box for box in after if box not in before]
+        if len(removed) == len(added) == 1:
+            self.moved[draft_id(row.frame_id, removed[0])] = draft_id(row.frame_id, added[0])
+
+    def _add_label(self, row: AnyRow) -> None:
+        uid = _uid(row)
+        if row.kind == "label_created" and row.effort_target is not None and row.effort_target.startswith(DRAFT):
+            self.became[row.effort_target] = uid
+        if uid not in self.proposed and row.before is not None and PROPOSED_JSON in row.before:
+            self.proposed[uid] = parsed(LabelState.model_validate_json, row.before)
+
+
+def _read_log(connection: Connection) -> _EffortLog:
     query = (
         select(
             events.c.frame_id,
             events.c.kind,
             events.c.action,
-            events.c.subject.label("told"),
+            events.c.subject.label("effort_target"),
             events.c.actions,
             events.c.seconds,
-            revertible.c.subject,
+            revertible.c.subject.label("target"),
             revertible.c.before,
             revertible.c.after,
         )
         .join(revertible, revertible.c.event_id == events.c.id)
         .order_by(events.c.id)
     )
-    found = _Found()
+    log = _EffortLog()
     for _, rows in groupby(connection.execute(query), key=lambda row: row.action):
-        found.take(list(rows))
-    return Efforts(tuple(found.actions), found.became, found.moved, found.proposed)
-
-
-@dataclass
-class _Found:
-    actions: list[ActionCost] = field(default_factory=list)
-    became: dict[str, str] = field(default_factory=dict)
-    moved: dict[str, str] = field(default_factory=dict)
-    proposed: dict[str, LabelState] = field(default_factory=dict)
-
-    def take(self, rows: Sequence[AnyRow]) -> None:
-        """The events of one action."""
-        touched = dict.fromkeys(_uid(row) for row in rows if row.subject.startswith(LABEL))
-        for row in rows:
-            if row.subject == IMAGE:
-                self._follow(row)
-            elif row.subject.startswith(LABEL):
-                self._remember(row)
-        first = rows[0]
-        if first.actions is not None:
-            subjects = (first.told,) if first.told is not None else tuple(touched)
-            self.actions.append(ActionCost(Effort(first.actions, first.seconds), subjects))
-
-    def _follow(self, row: AnyRow) -> None:
-        """A box on the image that was changed goes on under another name."""
-        if row.before is None or row.after is None:
-            return
-        before, after = (ImageBoxesState.model_validate_json(state).boxes for state in (row.before, row.after))
-        gone, new = [box for box in before if box not in after], [box for box in after if box not in before]
-        if len(gone) == len(new) == 1:
-            self.moved[draft_id(row.frame_id, gone[0])] = draft_id(row.frame_id, new[0])
-
-    def _remember(self, row: AnyRow) -> None:
-        uid = _uid(row)
-        if row.kind == "label_created" and row.told is not None and row.told.startswith(DRAFT):
-            self.became[row.told] = uid
-        if uid not in self.proposed and row.before is not None and PROPOSED_JSON in row.before:
-            self.proposed[uid] = LabelState.model_validate_json(row.before)
+        log.add_action(list(rows))
+    return log
 
 
 def _uid(row: AnyRow) -> str:
-    uid: str = row.subject.partition(":")[2]
+    uid: str = row.target.partition(":")[2]
     return uid
+
+
+# --- the statistics ---------------------------------------------------------------------------------------------------
+
+
+def _origin(row: AnyRow, proposed: Mapping[str, LabelState]) -> str | None:
+    """Origin of a reviewed box; None for an imported one that was not edited."""
+    if row.proposal_event_id is not None:
+        before = proposed.get(row.uid)
+        if before is None:  # reviewed by a version that did not record actions
+            return UNTOUCHED if row.state == ReviewState.ACCEPTED.value else CORRECTED
+        return UNTOUCHED if _is_unchanged(row, before) else CORRECTED
+    if row.source == Source.IMPORTED.value:
+        return IMPORT_EDITED if row.state == ReviewState.EDITED.value else None
+    return _MANUAL[None if row.origin is None else Origin(row.origin)]
+
+
+def _is_unchanged(row: AnyRow, before: LabelState) -> bool:
+    """Compares class and box, since a label that was edited and then accepted has the state "accepted", too."""
+    same: bool = row.label == before.label and parsed(BoxRecord.model_validate_json, row.box) == before.box
+    return same
+
+
+def _effort(rows: Sequence[AnyRow], log: _EffortLog) -> EffortStatistics:
+    spent = log.by_label()
+    by_origin: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for row in rows:
+        origin = _origin(row, log.proposed)
+        if origin is not None and row.uid in spent:
+            by_origin[origin].append(spent[row.uid])
+    everything = [entry for entries in by_origin.values() for entry in entries]
+    parts = {origin: _box_effort(by_origin.get(origin, [])) for origin in ORIGINS}
+    return EffortStatistics(**_box_effort(everything).model_dump(), by_origin=parts)
+
+
+def _box_effort(entries: Sequence[tuple[float, float]]) -> BoxEffort:
+    if not entries:
+        return BoxEffort(boxes=0, seconds_a_box=None, actions_a_box=None)
+    return BoxEffort(
+        boxes=len(entries),
+        seconds_a_box=float(np.mean([seconds for _, seconds in entries])),
+        actions_a_box=float(np.mean([actions for actions, _ in entries])),
+    )
+
+
+def _mean_iou(rows: Sequence[AnyRow], proposed: Mapping[str, LabelState]) -> float | None:
+    pairs = [
+        (parsed(BoxRecord.model_validate_json, row.box).box(), proposed[row.uid].box.box())
+        for row in rows
+        if row.uid in proposed
+    ]
+    if not pairs:
+        return None
+    return float(iou_3d_pairs([final for final, _ in pairs], [first for _, first in pairs]).mean())

@@ -1,4 +1,4 @@
-"""The append-only log: rows of the table `events` and the values they stand for."""
+"""Events, and the rows of the append-only table `events`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select
 
-from annotator.project.payloads import PAYLOAD, Payload, ViewBoxesRemoved, ViewBoxesRestored, ViewBoxesSet
+from annotator.project.event_types import PAYLOAD, Payload, ViewBoxesRemoved, ViewBoxesRestored, ViewBoxesSet
+from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, events
 from annotator.types import Source
 
@@ -17,7 +18,7 @@ _BATCH = 50
 
 @dataclass(frozen=True)
 class Effort:
-    """What something cost an operator, as the page counts it: drags, clicks and keys; and the time they took."""
+    """Effort of an operator as counted by the page: number of drags, clicks and keys, and their duration in seconds."""
 
     actions: int
     seconds: float
@@ -25,21 +26,21 @@ class Effort:
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that was said about a frame, or about a pseudo-view that came from none.
+    """One change of a frame, or of a pseudo-view that belongs to no frame.
 
     Attributes:
-        id: grows with every event of the project.
+        id: increases with every event of the project.
         frame_id: the frame, or None.
         view_id: the pseudo-view, for boxes on one.
         revision: of the frame (or of the view, where there is no frame) after the event.
-        author: a person's name, or a program's.
+        author: name of the operator or program.
         time_ns: UTC nanoseconds since the epoch.
-        source: how it came about.
-        payload: what was said.
-        action: what an operator did at once has one id; None for automatic passes and imports.
-        undoes: the action that this one takes back, or None.
-        subject: uid of the label, or id of the begun object, that the effort went into, where it was told.
-        effort: what the action cost, on its first event, where it was counted.
+        source: manual, automatic or imported.
+        payload: the change.
+        action: id shared by all events of one operator action; None for automatic passes and imports.
+        undoes: the action that this one reverts, or None.
+        effort_target: uid of the label, or id of the draft, that the effort was for, if given.
+        effort: of the action, on its first event, if counted.
     """
 
     id: int
@@ -52,7 +53,7 @@ class Event:
     payload: Payload
     action: str | None = None
     undoes: str | None = None
-    subject: str | None = None
+    effort_target: str | None = None
     effort: Effort | None = None
 
 
@@ -68,10 +69,10 @@ def insert_event(
     source: Source,
     action: str | None = None,
     undoes: str | None = None,
-    subject: str | None = None,
+    effort_target: str | None = None,
     effort: Effort | None = None,
 ) -> Event:
-    """Append one row; `content` is the JSON of `payload`."""
+    """Appends one row; `content` is the JSON of `payload`."""
     view_id = payload.view if isinstance(payload, ViewBoxesSet | ViewBoxesRestored | ViewBoxesRemoved) else None
     row = {
         "frame_id": frame_id,
@@ -84,7 +85,7 @@ def insert_event(
         "source": source.value,
         "action": action,
         "undoes": undoes,
-        "subject": subject,
+        "subject": effort_target,
         "actions": effort.actions if effort else None,
         "seconds": effort.seconds if effort else None,
     }
@@ -92,20 +93,20 @@ def insert_event(
     assert key is not None  # one row was inserted
     event_id = int(key[0])
     return Event(
-        event_id, frame_id, view_id, revision, author, time_ns, source, payload, action, undoes, subject, effort
+        event_id, frame_id, view_id, revision, author, time_ns, source, payload, action, undoes, effort_target, effort
     )
 
 
 def read_events(connection: Connection, query: Select[Any] | None = None, after: int = 0) -> Iterator[Event]:
-    """Events in order, a few at a time, so that a long log needs little memory.
+    """Yields events in order, read in batches, so that a long log needs little memory.
 
     Args:
-        query: a selection from the table `events`; all of them by default.
-        after: the id of the last event that is not wanted.
+        query: a selection from the table `events`; all events by default.
+        after: only events with a greater id.
     """
-    chosen = select(events) if query is None else query
+    selected = select(events) if query is None else query
     while True:
-        rows = connection.execute(chosen.where(events.c.id > after).order_by(events.c.id).limit(_BATCH)).all()
+        rows = connection.execute(selected.where(events.c.id > after).order_by(events.c.id).limit(_BATCH)).all()
         for row in rows:
             yield event_of(row)
         if len(rows) < _BATCH:
@@ -114,7 +115,7 @@ def read_events(connection: Connection, query: Select[Any] | None = None, after:
 
 
 def event_of(row: AnyRow) -> Event:
-    """The event that a row of the table holds."""
+    """The event of a table row."""
     return Event(
         row.id,
         row.frame_id,
@@ -123,7 +124,7 @@ def event_of(row: AnyRow) -> Event:
         row.author,
         row.time_ns,
         Source(row.source),
-        PAYLOAD.validate_json(row.payload),
+        parsed(PAYLOAD.validate_json, row.payload),
         row.action,
         row.undoes,
         row.subject,

@@ -1,4 +1,4 @@
-"""Frames as the project knows them: place, revision, finalisation."""
+"""Frames of a project: index, revision, finalisation."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, select
 
-from annotator.project.payloads import FrameFinalised, FrameReopened
+from annotator.project.event_types import FrameFinalised, FrameReopened
 from annotator.project.schema import AnyRow, frames
-from annotator.project.writing import Change, Receipt, Writer
+from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types.errors import NotFoundError, ProjectError
 
 
@@ -21,9 +21,9 @@ class StoredFrame:
         id: within the project.
         recording_id: its recording.
         key: its name within the recording.
-        index: its place in the recording's latest scan, or None where that scan no longer found it.
-        revision: grows with every change; the next change has to name it.
-        finalised: True once an operator is done with it.
+        index: its index in the recording's latest scan, or None if that scan did not find it.
+        revision: number of changes so far; the next change must be based on it.
+        finalised: True if an operator has finalised it.
     """
 
     id: int
@@ -50,20 +50,20 @@ class Frames:
             return read_frame(connection, frame_id)
 
     def find(self, recording_id: int, key: str) -> StoredFrame:
-        """The frame of that key.
+        """The frame with that key.
 
         Raises:
             NotFoundError: no such frame.
         """
-        chosen = (frames.c.recording_id == recording_id) & (frames.c.key == key)
+        same = (frames.c.recording_id == recording_id) & (frames.c.key == key)
         with self.writer.store.read() as connection:
-            row = connection.execute(select(frames).where(chosen)).first()
+            row = connection.execute(select(frames).where(same)).first()
         if row is None:
             raise ProjectError(f"recording {recording_id} has no frame {key!r}; scan it again if the frame is new")
         return frame_of(row)
 
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
-        """The frames of some recordings (all by default) in order; those without an index come last."""
+        """The frames of some recordings (default: all) in order; those without an index come last."""
         query = select(frames).order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
         if recordings is not None:
             query = query.where(frames.c.recording_id.in_(recordings))
@@ -71,31 +71,31 @@ class Frames:
             return tuple(map(frame_of, connection.execute(query)))
 
     def count_present(self, recordings: Sequence[int] | None = None) -> int:
-        """How many frames of some recordings (all by default) the latest scan found."""
+        """Number of frames of some recordings (default: all) that the latest scan found."""
         query = select(func.count()).where(frames.c.position.is_not(None))
         if recordings is not None:
             query = query.where(frames.c.recording_id.in_(recordings))
         with self.writer.store.read() as connection:
             return int(connection.execute(query).scalar_one())
 
-    def finalise(self, frame_id: int, change: Change) -> Receipt:
-        """Close a frame to automatic passes.
+    def finalise(self, frame_id: int, context: WriteContext) -> Receipt:
+        """Protects a frame from automatic passes.
 
         Raises:
             StaleRevisionError: the frame has changed since.
             ProjectError: no such frame, or it is finalised already.
         """
-        return self.writer.to_frame(frame_id, (FrameFinalised(),), change)
+        return self.writer.to_frame(frame_id, (FrameFinalised(),), context)
 
-    def reopen(self, frame_id: int, change: Change) -> Receipt:
-        """Open a finalised frame again.
+    def reopen(self, frame_id: int, context: WriteContext) -> Receipt:
+        """Reopens a finalised frame.
 
         Raises:
             StaleRevisionError: the frame has changed since.
-            FinalisedFrameError: an automatic pass wanted to.
+            FinalisedFrameError: an automatic pass may not reopen a frame.
             ProjectError: no such frame, or it is open already.
         """
-        return self.writer.to_frame(frame_id, (FrameReopened(),), change)
+        return self.writer.to_frame(frame_id, (FrameReopened(),), context)
 
 
 def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
@@ -111,5 +111,5 @@ def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
 
 
 def frame_of(row: AnyRow) -> StoredFrame:
-    """The frame that a row of the table holds."""
+    """The frame of a table row."""
     return StoredFrame(row.id, row.recording_id, row.key, row.position, row.revision, row.finalised)

@@ -1,8 +1,8 @@
 """Undo and redo of each operator's own actions, over all frames, from the event log.
 
-Nothing is ever taken out of the log: an undo appends events that give the subjects of an action their former states,
-and is an action itself. So a redo is the undo of an undo. An operator's stacks follow from the order of their actions:
-a new one empties the redo stack. Automatic passes and imports are no actions and stay as they are.
+The log is append-only: an undo appends events that restore the state before an action, and is an action itself. So a
+redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the redo
+stack. Automatic passes and imports are not actions and cannot be undone.
 """
 
 from __future__ import annotations
@@ -14,16 +14,31 @@ from datetime import UTC, datetime
 
 from sqlalchemy import Connection, select
 
-from annotator.project.action_words import named, words_of
+from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
-from annotator.project.payloads import Payload
+from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, events, frames, revertible
-from annotator.project.subjects import FRAME, read_subject, restoring, same_state
-from annotator.project.writing import Change, FramePart, Receipt, Writer
+from annotator.project.undo_state import FRAME, IMAGE, LABEL, VIEW, read_state, restoring, same_state
+from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types.errors import HistoryError
 
-# Events of automatic passes and imports that may change what an action has left.
+# Events of automatic passes and imports that may change a target after an action.
 PASSES = ("proposals_replaced", "tracks_linked", "image_boxes_set", "view_boxes_set", "label_edited")
+
+# Event kind -> verb for the page; the first kind that occurs in an action names the action.
+VERBS = (
+    ("label_proposed", "propose"),
+    ("label_created", "draw"),
+    ("label_deleted", "delete"),
+    ("label_rejected", "reject"),
+    ("label_edited", "edit"),
+    ("label_accepted", "accept"),
+    ("label_tracked", "track"),
+    ("frame_finalised", "finalise"),
+    ("frame_reopened", "reopen"),
+    ("view_boxes_set", "draw on a view"),
+    ("image_boxes_set", "draw on the image"),
+)
 
 
 @dataclass(frozen=True)
@@ -31,8 +46,8 @@ class Step:
     """One entry of a stack.
 
     Attributes:
-        action: that is undone next.
-        original: what the operator did, behind any undo and redo.
+        action: the action to revert: the original one, or its latest undo or redo.
+        original: the operator's original action.
     """
 
     action: str
@@ -40,14 +55,14 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Done:
-    """An undo or redo that was made.
+class Reverted:
+    """The result of an undo or redo.
 
     Attributes:
-        frame_id: where; of several frames the one that the action began with.
-        receipt: as of every write, of that frame.
-        words: what was taken back or done again.
-        others: the other frames that were changed, and the receipt of each.
+        frame_id: the frame; for several frames, the first one of the action.
+        receipt: of that frame.
+        words: description of the action, such as "accept person (frame 000012)".
+        others: the other changed frames, each with its receipt.
     """
 
     frame_id: int
@@ -58,111 +73,115 @@ class Done:
 
 @dataclass
 class _Stacks:
-    """An operator's stacks, as of one event."""
+    """An operator's stacks after the event `last`."""
 
     last: int = 0
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
 
     def take(self, action: str, undoes: str | None) -> None:
-        """Take in the operator's next action."""
+        """Updates both stacks with the operator's next action."""
         if undoes is None:
             self.undo.append(Step(action, action))
             self.redo.clear()
             return
         for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
-            place = next((n for n in reversed(range(len(source))) if source[n].action == undoes), None)
-            if place is not None:
-                target.append(Step(action, source[place].original))
-                # what lay above had been changed by others and was passed over
-                del source[place:]
+            index = next((n for n in reversed(range(len(source))) if source[n].action == undoes), None)
+            if index is not None:
+                target.append(Step(action, source[index].original))
+                # the entries above were skipped: others have changed their targets
+                del source[index:]
                 return
 
 
 class History:
-    """Undoes and redoes; threads share it."""
+    """Undoes and redoes actions. Thread-safe."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
         self._lock = threading.Lock()
-        self._known: dict[str, _Stacks] = {}
+        self._stacks_by_author: dict[str, _Stacks] = {}
         self._words: dict[str, str] = {}
 
     def next(self, author: str) -> tuple[str | None, str | None]:
-        """What undo and redo would do next for an operator, in words; None where there is nothing."""
+        """Descriptions of the operator's next undo and redo; None where the stack is empty."""
         with self._writer.store.read() as connection:
             undo, redo = self._stacks(connection, author)
             return (
-                self._told(connection, undo[-1]) if undo else None,
-                self._told(connection, redo[-1]) if redo else None,
+                self._description(connection, undo[-1]) if undo else None,
+                self._description(connection, redo[-1]) if redo else None,
             )
 
-    def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Done:
-        """Take back the operator's last action.
+    def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
+        """Reverts the operator's last action.
 
         Args:
-            skip: pass over actions whose subjects somebody else has changed since.
+            skip: skip actions whose targets another author has changed since.
 
         Raises:
-            HistoryError: there is none, or somebody else has changed the same since.
+            HistoryError: the stack is empty, or another author has changed the same target since.
         """
         return self._revert(author, is_undo=True, skip=skip, effort=effort)
 
-    def redo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Done:
-        """Do again what was undone last; as `undo`."""
+    def redo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
+        """Repeats the action that was undone last; arguments and errors as in `undo`."""
         return self._revert(author, is_undo=False, skip=skip, effort=effort)
 
-    def _revert(self, author: str, *, is_undo: bool, skip: bool, effort: Effort | None) -> Done:
+    def _revert(self, author: str, *, is_undo: bool, skip: bool, effort: Effort | None) -> Reverted:
         with self._writer.store.write() as connection:
             steps = self._stacks(connection, author)[0 if is_undo else 1]
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             for step in reversed(steps):
                 rows = _changes_of(connection, step.action)
-                restored = _restored_by_frame(rows)
-                if not restored:
+                payloads_by_frame = _restoring_by_frame(rows)
+                if not payloads_by_frame:
                     continue
                 conflict = _conflict(connection, rows)
                 if conflict is None:
                     break
                 if not skip:
                     raise HistoryError(
-                        f"{self._told(connection, step)}: cannot be {'undone' if is_undo else 'redone'}, {conflict}; "
-                        "nothing was changed, both versions are in the log",
+                        f"{self._description(connection, step)}: cannot be {'undone' if is_undo else 'redone'}, "
+                        f"{conflict}; nothing was changed, both versions are in the log",
                         frame_id=rows[0].frame_id,
                     )
             else:
-                raise HistoryError(f"all that {author} could {'undo' if is_undo else 'redo'} was changed by others")
+                raise HistoryError(
+                    f"others have changed everything that {author} could {'undo' if is_undo else 'redo'}"
+                )
             parts = []
-            for frame_id, payloads in restored.items():
+            for frame_id, payloads in payloads_by_frame.items():
                 revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
-                parts.append(FramePart(frame_id, payloads, Change(revision, author, effort=effort, undoes=step.action)))
-                # what it cost is counted once
+                parts.append(
+                    FramePart(frame_id, payloads, WriteContext(revision, author, effort=effort, undoes=step.action))
+                )
+                # the effort counts once
                 effort = None
             receipts = self._writer.to_frames_in(connection, parts)
-            others = tuple(zip(list(restored)[1:], receipts[1:], strict=True))
-            return Done(parts[0].frame_id, receipts[0], self._told(connection, step), others)
+            others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
+            return Reverted(parts[0].frame_id, receipts[0], self._description(connection, step), others)
 
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
-        """Both stacks, brought up to the transaction's moment by the events since the last look."""
+        """Both stacks as of the transaction; only events since the last call are read."""
         with self._lock:
-            known = self._known.setdefault(author, _Stacks())
+            stacks = self._stacks_by_author.setdefault(author, _Stacks())
             query = (
                 select(events.c.id, events.c.action, events.c.undoes)
-                .where(events.c.author == author, events.c.action.is_not(None), events.c.id > known.last)
+                .where(events.c.author == author, events.c.action.is_not(None), events.c.id > stacks.last)
                 .order_by(events.c.id)
             )
             before: str | None = None
             for row in connection.execute(query):
-                # the events of an action follow each other
+                # the events of one action are consecutive
                 if row.action != before:
-                    known.take(row.action, row.undoes)
-                before, known.last = row.action, row.id
-            return list(known.undo), list(known.redo)
+                    stacks.take(row.action, row.undoes)
+                before, stacks.last = row.action, row.id
+            return list(stacks.undo), list(stacks.redo)
 
-    def _told(self, connection: Connection, step: Step) -> str:
+    def _description(self, connection: Connection, step: Step) -> str:
         if step.original not in self._words:
-            self._words[step.original] = words_of(connection, _changes_of(connection, step.original))
+            self._words[step.original] = _action_words(connection, _changes_of(connection, step.original))
         return self._words[step.original]
 
 
@@ -172,7 +191,7 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
             events.c.id,
             events.c.frame_id,
             events.c.kind,
-            revertible.c.subject,
+            revertible.c.subject.label("target"),
             revertible.c.before,
             revertible.c.after,
         )
@@ -184,54 +203,93 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
 
 
 def _conflict(connection: Connection, rows: Sequence[AnyRow]) -> str | None:
-    """Who has changed one of the subjects since, and what; None where all are as the action left them."""
-    left = {(row.frame_id, row.subject): row for row in rows}
-    for (_, subject), row in left.items():
-        present = read_subject(connection, row.frame_id, subject)
-        if not same_state(subject, present, row.after):
-            who, when = _last_hand(connection, row, subject)
-            return f"{named(subject, row.after or row.before)} was changed by {who} since{when}"
+    """Says which target of an action has changed since, and who changed it; None if none has changed."""
+    last_rows = {(row.frame_id, row.target): row for row in rows}
+    for row in last_rows.values():
+        present = read_state(connection, row.frame_id, row.target)
+        if not same_state(row.target, present, row.after):
+            author, when = _last_change(connection, row)
+            return f"{_target_name(row.target, row.after or row.before)} was changed by {author} since{when}"
     return None
 
 
-def _last_hand(connection: Connection, row: AnyRow, subject: str) -> tuple[str, str]:
-    later = (
+def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
+    """Author and time of the last change of a row's target after that row."""
+    of_target = (
         select(events.c.author, events.c.time_ns)
         .join(revertible, revertible.c.event_id == events.c.id)
-        .where(revertible.c.subject == subject, events.c.id > row.id, events.c.frame_id == row.frame_id)
+        .where(revertible.c.subject == row.target, events.c.id > row.id, events.c.frame_id == row.frame_id)
         .order_by(events.c.id.desc())
         .limit(1)
     )
-    found = connection.execute(later).first()
-    if found is None:
-        # automatic passes and imports are about many subjects and are not kept by subject
+    change = connection.execute(of_target).first()
+    if change is None:
+        # automatic passes and imports have many targets and no rows in `revertible`
         kinds = events.c.kind.in_(PASSES)
-        others = select(events.c.author, events.c.time_ns).where(
+        of_passes = select(events.c.author, events.c.time_ns).where(
             events.c.frame_id == row.frame_id, events.c.id > row.id, events.c.action.is_(None), kinds
         )
-        found = connection.execute(others.order_by(events.c.id.desc()).limit(1)).first()
-    if found is None:
+        change = connection.execute(of_passes.order_by(events.c.id.desc()).limit(1)).first()
+    if change is None:
         return "somebody else", ""
-    moment = datetime.fromtimestamp(found.time_ns / 1e9, UTC)
-    return found.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
+    moment = datetime.fromtimestamp(change.time_ns / 1e9, UTC)
+    return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 
 
-def _restored_by_frame(rows: Sequence[AnyRow]) -> dict[int, list[Payload]]:
-    """What takes an action back, frame by frame, in its order; no entry for a frame with nothing to restore."""
-    own = {frame_id: [row for row in rows if row.frame_id == frame_id] for frame_id in {r.frame_id: 0 for r in rows}}
-    found = {frame_id: _restored(part) for frame_id, part in own.items()}
-    return {frame_id: payloads for frame_id, payloads in found.items() if payloads}
+def _restoring_by_frame(rows: Sequence[AnyRow]) -> dict[int, list[Payload]]:
+    """The events that revert an action, per frame in the action's order; frames with nothing to restore are omitted."""
+    by_frame: dict[int, list[AnyRow]] = {}
+    for row in rows:
+        by_frame.setdefault(row.frame_id, []).append(row)
+    payloads = {frame_id: _restoring(part) for frame_id, part in by_frame.items()}
+    return {frame_id: part for frame_id, part in payloads.items() if part}
 
 
-def _restored(rows: Sequence[AnyRow]) -> list[Payload]:
-    """The events that give every subject of an action the state before it, the last one first.
+def _restoring(rows: Sequence[AnyRow]) -> list[Payload]:
+    """The events that restore each target of an action to its state before the action, the last target first.
 
-    None for what the action itself has put back, such as a label that it has made and deleted.
+    Targets that the action itself has restored, such as a label that it created and deleted, need no event.
     """
-    last = {row.subject: row for row in rows}
-    first = {row.subject: row for row in reversed(rows)}
+    last = {row.target: row for row in rows}
+    first = {row.target: row for row in reversed(rows)}
     return [
-        restoring(subject, row.before)
-        for subject, row in first.items()
-        if not (row.before == last[subject].after and (row.before is None or subject == FRAME))
+        restoring(target, row.before)
+        for target, row in first.items()
+        if not (row.before == last[target].after and (row.before is None or target == FRAME))
     ]
+
+
+# --- descriptions for the page ----------------------------------------------------------------------------------------
+
+
+def _target_name(target: str, state: str | None) -> str:
+    """Name of a target, such as "the person label"; `state` as of `read_state`."""
+    kind = target.partition(":")[0]
+    if kind == LABEL and state is not None:
+        return f"the {parsed(LabelState.model_validate_json, state).label} label"
+    return {LABEL: "the label", IMAGE: "the boxes on the image", VIEW: "the box on the view", FRAME: "the frame"}[kind]
+
+
+def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
+    """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
+    where = _frame_range(connection, rows)
+    kinds = {row.kind for row in rows}
+    kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
+    # labels that new proposals replace are not counted
+    counted = [row for row in rows if row.target.startswith(LABEL) and (verb != "propose" or row.kind == kind)]
+    by_target = {row.target: row for row in counted}
+    if len(by_target) > 1:
+        return f"{verb} {len(by_target)} labels ({where})"
+    for row in by_target.values():
+        name = parsed(LabelState.model_validate_json, row.after or row.before).label
+        return f"{verb} {name} ({where})"
+    return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
+
+
+def _frame_range(connection: Connection, rows: Sequence[AnyRow]) -> str:
+    """Such as "frame 000012" or "frames 000012 to 000019"."""
+    first, last = (
+        connection.execute(select(frames.c.key).where(frames.c.id == row.frame_id)).scalar_one()
+        for row in (rows[0], rows[-1])
+    )
+    return f"frame {first}" if rows[0].frame_id == rows[-1].frame_id else f"frames {first} to {last}"

@@ -1,4 +1,4 @@
-"""Bookkeeping of batch runs: which frames are done with which detectors and settings, which failed and why."""
+"""Batch runs: the frames done with each combination of detectors and settings, and the reasons of failures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from annotator.types.errors import ConfigError, NotFoundError
 
 
 class Status(StrEnum):
-    """How a frame ended."""
+    """Result of processing a frame."""
 
     DONE = "done"
     FAILED = "failed"
@@ -33,7 +33,7 @@ class Run:
         key: hash of the detectors and settings, from `run_key`.
         image_detector, view_detector: fingerprints.
         config: settings, JSON.
-        started_ns, finished_ns: UTC nanoseconds since the epoch; finished_ns is None while it runs or was killed.
+        started_ns, finished_ns: UTC nanoseconds since the epoch; finished_ns is None for a running or killed run.
     """
 
     id: int
@@ -47,12 +47,12 @@ class Run:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """How a frame ended, the last time it was tried under a key.
+    """The latest result of a frame under one key.
 
     Attributes:
         reason: of a failure; None for a frame that is done.
-        seconds: that the frame took.
-        proposals: that were found.
+        seconds: processing time.
+        proposals: number of proposals found.
     """
 
     frame_id: int
@@ -66,7 +66,7 @@ class FrameResult:
 
 
 def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
-    """SHA-256 (hex) over the detectors' fingerprints and the settings, whatever the order of their fields.
+    """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields.
 
     Raises:
         ConfigError: `config_json` is not JSON.
@@ -77,12 +77,12 @@ def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Jobs:
-    """Starts and finishes runs, and remembers how each frame ended."""
+    """Starts and finishes runs, and records the result of each frame."""
 
     store: Store
 
     def start(self, *, image_detector: str, view_detector: str, config_json: str) -> Run:
-        """A new run.
+        """Starts a run.
 
         Raises:
             ConfigError: `config_json` is not JSON.
@@ -100,7 +100,7 @@ class Jobs:
             return read_run(connection, key[0])
 
     def finish(self, run_id: int) -> Run:
-        """Note the end of a run.
+        """Records the end of a run.
 
         Raises:
             NotFoundError: no such run.
@@ -110,12 +110,12 @@ class Jobs:
             return read_run(connection, run_id)
 
     def all(self) -> tuple[Run, ...]:
-        """Every run, the first one first."""
+        """All runs, the oldest first."""
         with self.store.read() as connection:
             return tuple(map(_run, connection.execute(select(runs).order_by(runs.c.id))))
 
     def record_failure(self, run_id: int, frame_id: int, reason: str, seconds: float) -> None:
-        """Note that a frame failed (a frame that is done is noted by `Proposals.replace`); the next run retries it.
+        """Records a failure (`Proposals.replace` records a success); the next run retries the frame.
 
         Raises:
             NotFoundError: no such run or frame.
@@ -126,7 +126,7 @@ class Jobs:
     def results(
         self, *, key: str | None = None, run_id: int | None = None, status: Status | None = None
     ) -> tuple[FrameResult, ...]:
-        """How frames ended, the oldest first; None = no condition."""
+        """Results of frames, the oldest first; None = no condition."""
         query = select(frame_results).order_by(frame_results.c.id)
         if key is not None:
             query = query.where(frame_results.c.key == key)
@@ -145,24 +145,25 @@ class Jobs:
         after: StoredFrame | None = None,
         limit: int | None = None,
     ) -> tuple[StoredFrame, ...]:
-        """The frames that a run with this key has to do, in order.
+        """The frames that a run with this key must process, in order.
 
-        Left out are finalised frames, frames that the latest scan no longer found, and frames whose latest pass had
-        this key and succeeded. (After a pass with other settings the frame shows their proposals: it is done anew.)
+        Excluded are finalised frames, frames that the latest scan did not find, and frames whose latest pass had this
+        key and succeeded. (After a pass with another key the frame holds that pass's proposals, so it is processed
+        again.)
 
         Args:
-            after: only those behind this one, which has an index.
-            limit: at most so many.
+            after: only frames after this one, which must have an index.
+            limit: maximum number of frames.
         """
         query = _pending(key, recordings).order_by(frames.c.recording_id, frames.c.position)
         if after is not None:
-            place = tuple_(literal(after.recording_id), literal(after.index))
-            query = query.where(tuple_(frames.c.recording_id, frames.c.position) > place)
+            position = tuple_(literal(after.recording_id), literal(after.index))
+            query = query.where(tuple_(frames.c.recording_id, frames.c.position) > position)
         with self.store.read() as connection:
             return tuple(map(frame_of, connection.execute(query.limit(limit))))
 
     def count_pending(self, key: str, recordings: Collection[int] | None = None) -> int:
-        """How many these are."""
+        """Number of frames that `pending` returns without `after` and `limit`."""
         with self.store.read() as connection:
             query = select(func.count()).select_from(_pending(key, recordings).subquery())
             return int(connection.execute(query).scalar_one())
@@ -181,7 +182,7 @@ def _pending(key: str, recordings: Collection[int] | None) -> Select[Any]:
 
 
 def latest_results() -> Select[tuple[int]]:
-    """Selects the id of each frame's latest result."""
+    """A query for the id of each frame's latest result."""
     return select(func.max(frame_results.c.id)).group_by(frame_results.c.frame_id)
 
 
@@ -195,7 +196,7 @@ def record_result(
     reason: str | None = None,
     proposals: int = 0,
 ) -> None:
-    """Note how a frame ended, in place of what was noted under the same key; a `reason` says that it failed.
+    """Records the result of a frame, replacing an earlier one under the same key; a `reason` marks a failure.
 
     Raises:
         NotFoundError: no such run or frame.

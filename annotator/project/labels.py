@@ -1,4 +1,4 @@
-"""3D boxes of frames in their present state, and their review."""
+"""3D labels of frames: their present state, and their review."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, select
 
-from annotator.project.payloads import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected, Origin
-from annotator.project.records import BoxRecord, box_2d_of, storable
+from annotator.project.event_types import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected, Origin
+from annotator.project.records import BoxRecord, box_2d_of, parsed, storable
 from annotator.project.schema import AnyRow, frames, labels
-from annotator.project.writing import Change, Receipt, Writer
+from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
-from annotator.types.tracks import MOST_TRACK
+from annotator.types.label import MOST_TRACK
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement")
@@ -23,15 +23,15 @@ QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement")
 
 @dataclass(frozen=True, eq=False)
 class NewLabel:
-    """A 3D box that no automatic pass proposed.
+    """A 3D box not proposed by an automatic pass.
 
     Attributes:
         label: class name.
         box: camera frame.
-        score: detector confidence in 0..1, where it has one.
-        track_id: the object's id over the recording, where known.
-        state: anything but PROPOSED, which the next automatic pass would remove.
-        origin: how an operator made it, where one did.
+        score: detector confidence in 0..1, if any.
+        track_id: the object's id over the recording, if known.
+        state: any but PROPOSED, which the next automatic pass would remove.
+        origin: how an operator made it, if one did.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -44,23 +44,23 @@ class NewLabel:
     origin: Origin | None = None
 
     def __post_init__(self) -> None:
-        # the database would not take it, or a file would not give it back
+        # the limit of the database and of exported files
         if self.track_id is not None and abs(self.track_id) > MOST_TRACK:
-            raise ProjectError(f"a track id goes from -{MOST_TRACK} to {MOST_TRACK}; number the tracks anew")
+            raise ProjectError(f"a track id must lie in -{MOST_TRACK}..{MOST_TRACK}; renumber the tracks")
 
 
 @dataclass(frozen=True, eq=False)
 class StoredLabel:
-    """A label with its place in the project.
+    """A label as stored in the project.
 
     Attributes:
         frame_id: its frame.
         label: the label itself.
-        quality: the recursion's signals for the review, where it was proposed; a signal that had no value is NaN.
-        run_id: of the batch run that proposed it, where one did.
-        origin: how an operator made it, where one did.
-        image_box: on the camera image, where it was drawn from one.
-        track_linked: True where linking gave the track id, and no person or file.
+        quality: the recursion's signals for the review, if it was proposed; NaN for a signal without a value.
+        run_id: of the batch run that proposed it, if one did.
+        origin: how an operator made it, if one did.
+        image_box: box on the camera image that it was drawn from, if any.
+        track_linked: True if linking gave the track id, not a person or a file.
     """
 
     frame_id: int
@@ -74,7 +74,7 @@ class StoredLabel:
 
 @dataclass(frozen=True)
 class LabelSignals:
-    """What a label is sorted by: a `StoredLabel` without its box, whose reading takes most of the time.
+    """The sort keys of a label: a `StoredLabel` without its box, which takes most of the reading time.
 
     Attributes:
         frame_id, quality: as of `StoredLabel`.
@@ -91,7 +91,7 @@ class LabelSignals:
 
 @dataclass(frozen=True)
 class Created:
-    """The uids of new labels, in the order given, and the receipt."""
+    """Result of `Labels.create`: the uids of the new labels, in the given order, and the receipt."""
 
     uids: tuple[str, ...]
     receipt: Receipt
@@ -101,15 +101,15 @@ class Created:
 class Labels:
     """Reads and reviews 3D labels.
 
-    Every change names the revision of the frame that it is based on, and raises StaleRevisionError where the frame
-    has changed since, FinalisedFrameError where an automatic pass wants to change a finalised frame, and ProjectError
-    for a frame, label or class that the project does not have.
+    Every change is based on a revision of the frame. It raises StaleRevisionError if the frame has changed since,
+    FinalisedFrameError if an automatic pass may not change the frame, and ProjectError for an unknown frame, label or
+    class.
     """
 
     writer: Writer
 
     def of_frame(self, frame_id: int) -> tuple[Label, ...]:
-        """The labels of one frame in the order they were made, rejected ones included."""
+        """The labels of one frame in the order of their creation, rejected ones included."""
         with self.writer.store.read() as connection:
             return read_labels(connection, frame_id)
 
@@ -122,7 +122,7 @@ class Labels:
         with self.writer.store.read() as connection:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
         if row is None:
-            raise NotFoundError(f"the project has no label {uid} (any more)")
+            raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
         return stored_label(row)
 
     def select(
@@ -133,9 +133,9 @@ class Labels:
         classes: Collection[str] | None = None,
         tracks: Collection[int] | None = None,
     ) -> tuple[StoredLabel, ...]:
-        """Labels of the whole project, frame by frame; None = no condition. `REVIEWED` names the trustworthy states."""
-        chosen = _chosen(select(labels), states, recordings, classes)
-        ordered = _in_order(chosen if tracks is None else chosen.where(labels.c.track_id.in_(tracks)))
+        """Labels of the whole project, ordered by frame; None = no condition. `REVIEWED`: the trusted states."""
+        query = _filtered(select(labels), states, recordings, classes)
+        ordered = _in_order(query if tracks is None else query.where(labels.c.track_id.in_(tracks)))
         with self.writer.store.read() as connection:
             return tuple(map(stored_label, connection.execute(ordered)))
 
@@ -146,9 +146,9 @@ class Labels:
         recordings: Collection[int] | None = None,
         classes: Collection[str] | None = None,
     ) -> tuple[LabelSignals, ...]:
-        """The same labels as `select` gives, in the same order, without their boxes."""
+        """The same labels as `select`, in the same order, without their boxes."""
         names = ("frame_id", "uid", "label", "score", "track_id", "proposal_event_id", *QUALITY)
-        ordered = _in_order(_chosen(select(*(labels.c[name] for name in names)), states, recordings, classes))
+        ordered = _in_order(_filtered(select(*(labels.c[name] for name in names)), states, recordings, classes))
         with self.writer.store.read() as connection:
             return tuple(
                 LabelSignals(row.frame_id, row.uid, row.label, row.score, _quality(row), row.track_id)
@@ -158,37 +158,44 @@ class Labels:
     def frames(
         self, *, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None
     ) -> frozenset[int]:
-        """Ids of the frames that have such labels."""
-        query = _chosen(select(labels.c.frame_id).distinct(), states, recordings, None)
+        """Ids of the frames with at least one such label."""
+        query = _filtered(select(labels.c.frame_id).distinct(), states, recordings, None)
         with self.writer.store.read() as connection:
             return frozenset(connection.execute(query).scalars())
 
-    def create(self, frame_id: int, new: Sequence[NewLabel], change: Change) -> Created:
-        """Add labels, all or none; `change.source` says whether a person drew them or a file brought them."""
+    def create(self, frame_id: int, new: Sequence[NewLabel], context: WriteContext) -> Created:
+        """Adds labels, all or none; `context.source` distinguishes drawn labels from imported ones."""
         with storable("a label"):
             payloads = [_created(entry) for entry in new]
-        receipt = self.writer.to_frame(frame_id, payloads, change)
+        receipt = self.writer.to_frame(frame_id, payloads, context)
         return Created(tuple(payload.uid for payload in payloads), receipt)
 
-    def accept(self, frame_id: int, uid: str, change: Change) -> Receipt:
-        """The label is right as it stands."""
-        return self.writer.to_frame(frame_id, (LabelAccepted(uid=uid),), change)
+    def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
+        """Accepts a label unchanged."""
+        return self.writer.to_frame(frame_id, (LabelAccepted(uid=uid),), context)
 
     def edit(
-        self, frame_id: int, uid: str, change: Change, *, label: str, box: OrientedBox, track_id: int | None = None
+        self,
+        frame_id: int,
+        uid: str,
+        context: WriteContext,
+        *,
+        label: str,
+        box: OrientedBox,
+        track_id: int | None = None,
     ) -> Receipt:
-        """Give a label its new class, box and track."""
+        """Changes a label's class, box and track."""
         with storable(f"label {uid}"):
             payload = LabelEdited(uid=uid, label=label, box=BoxRecord.of(box), track_id=track_id)
-        return self.writer.to_frame(frame_id, (payload,), change)
+        return self.writer.to_frame(frame_id, (payload,), context)
 
-    def reject(self, frame_id: int, uid: str, change: Change) -> Receipt:
-        """There is no such object; it is not proposed again."""
-        return self.writer.to_frame(frame_id, (LabelRejected(uid=uid),), change)
+    def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
+        """Rejects a label: the object does not exist, and is not proposed again."""
+        return self.writer.to_frame(frame_id, (LabelRejected(uid=uid),), context)
 
-    def delete(self, frame_id: int, uid: str, change: Change) -> Receipt:
-        """Take a label away; the object may be proposed again."""
-        return self.writer.to_frame(frame_id, (LabelDeleted(uid=uid),), change)
+    def delete(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
+        """Removes a label; the object may be proposed again."""
+        return self.writer.to_frame(frame_id, (LabelDeleted(uid=uid),), context)
 
 
 def _created(entry: NewLabel) -> LabelCreated:
@@ -213,7 +220,7 @@ def _label(row: AnyRow) -> Label:
     return Label(
         row.uid,
         row.label,
-        BoxRecord.model_validate_json(row.box).box(),
+        parsed(BoxRecord.model_validate_json, row.box).box(),
         row.score,
         Source(row.source),
         ReviewState(row.state),
@@ -224,7 +231,7 @@ def _label(row: AnyRow) -> Label:
 
 
 def stored_label(row: AnyRow) -> StoredLabel:
-    """The label that a row of the table holds, with its place in the project."""
+    """The label of a table row."""
     origin = None if row.origin is None else Origin(row.origin)
     image_box = box_2d_of(row.image_box)
     return StoredLabel(row.frame_id, _label(row), _quality(row), row.run_id, origin, image_box, row.track_linked)
@@ -233,14 +240,14 @@ def stored_label(row: AnyRow) -> StoredLabel:
 def _quality(row: AnyRow) -> Quality | None:
     if row.proposal_event_id is None:
         return None
-    # SQLite keeps NaN as NULL
-    disagreement, kept, change = (
+    # SQLite stores NaN as NULL
+    disagreement, kept_share, last_change = (
         float("nan") if value is None else value for value in (row.view_disagreement, row.kept_share, row.last_change)
     )
-    return Quality(disagreement, kept, change, row.image_agreement)
+    return Quality(disagreement, kept_share, last_change, row.image_agreement)
 
 
-def _chosen(
+def _filtered(
     query: Select[Any],
     states: Collection[ReviewState] | None,
     recordings: Collection[int] | None,

@@ -4,26 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 
 from pydantic import TypeAdapter
 from sqlalchemy import Connection, insert, select, update
 
+from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, models
 from annotator.project.store import Store
-from annotator.types import BoxKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import NotFoundError, ProjectError
 
 _METRICS: TypeAdapter[dict[str, float]] = TypeAdapter(dict[str, float], config={"ser_json_inf_nan": "strings"})
 _LABELS: TypeAdapter[tuple[str, ...]] = TypeAdapter(tuple[str, ...])
-
-
-class Role(StrEnum):
-    """Which of a project's two detectors a model is."""
-
-    IMAGE = "image"
-    VIEW = "view"
 
 
 @dataclass(frozen=True)
@@ -32,19 +25,19 @@ class StoredModel:
 
     Attributes:
         id: within the project.
-        role: what it looks at.
+        role: camera images or pseudo-views.
         path: of the weights; absolute.
         created_ns: UTC nanoseconds since the epoch.
-        labels: the class names that it finds.
-        box_kind: what its boxes measure, as its labels did.
+        labels: the class names that it detects.
+        box_kind: what its boxes enclose, as in its training data.
         metrics: by name, from the training.
-        manifest: which labels it was trained on, or None; absolute.
-        fingerprint: as its detector gives it.
-        active: True for the one that its role uses now.
+        manifest: path of the list of labels it was trained on, or None; absolute.
+        fingerprint: of its detector.
+        active: True for the model that its role uses now.
     """
 
     id: int
-    role: Role
+    role: DetectorKind
     path: Path
     created_ns: int
     labels: tuple[str, ...]
@@ -57,11 +50,11 @@ class StoredModel:
 
 @dataclass(frozen=True, eq=False)
 class Models:
-    """Registers models and chooses the active one of each role.
+    """Registers models and selects the active one of each role.
 
     Attributes:
         store: the database.
-        folder: the project's folder; paths inside it are kept relative, so that the project can be moved.
+        folder: the project's folder; paths inside it are stored relative to it, so that the project can be moved.
     """
 
     store: Store
@@ -69,7 +62,7 @@ class Models:
 
     def register(
         self,
-        role: Role,
+        role: DetectorKind,
         path: Path,
         *,
         labels: Sequence[str],
@@ -79,22 +72,22 @@ class Models:
         manifest: Path | None = None,
         activate: bool = True,
     ) -> StoredModel:
-        """Add a trained model; by default its role uses it from now on.
+        """Adds a trained model; by default it becomes the active one of its role.
 
         Raises:
             ProjectError: a file is missing.
         """
         for file in (path, manifest):
             if file is not None and not file.exists():
-                raise ProjectError(f"{file}: is missing, so that the {role} model cannot be registered")
+                raise ProjectError(f"{file}: is missing; the {role} model cannot be registered without it")
         row = {
             "role": role.value,
-            "path": self._kept(path),
+            "path": self._stored_path(path),
             "created_ns": self.store.clock(),
             "labels": _LABELS.dump_json(tuple(labels)).decode(),
             "box_kind": box_kind.value,
             "metrics": _METRICS.dump_json(dict(metrics)).decode(),
-            "manifest": None if manifest is None else self._kept(manifest),
+            "manifest": None if manifest is None else self._stored_path(manifest),
             "fingerprint": fingerprint,
             "active": False,
         }
@@ -106,7 +99,7 @@ class Models:
             return self._read(connection, key[0])
 
     def activate(self, model_id: int) -> StoredModel:
-        """Let the model's role use it from now on.
+        """Makes a model the active one of its role.
 
         Raises:
             NotFoundError: no such model.
@@ -115,8 +108,8 @@ class Models:
             _activate(connection, self._read(connection, model_id).role, model_id)
             return self._read(connection, model_id)
 
-    def all(self, role: Role | None = None) -> tuple[StoredModel, ...]:
-        """Every model (of one role), the oldest first."""
+    def all(self, role: DetectorKind | None = None) -> tuple[StoredModel, ...]:
+        """All models (of one role), the oldest first."""
         query = select(models).order_by(models.c.id)
         if role is not None:
             query = query.where(models.c.role == role.value)
@@ -132,15 +125,11 @@ class Models:
         with self.store.read() as connection:
             return self._read(connection, model_id)
 
-    def latest(self, role: Role) -> StoredModel | None:
-        """The model of a role that was registered last, or None."""
-        return next(reversed(self.all(role)), None)
-
-    def active(self, role: Role) -> StoredModel | None:
-        """The model that a role uses now, or None."""
+    def active(self, role: DetectorKind) -> StoredModel | None:
+        """The active model of a role, or None."""
         return next((model for model in self.all(role) if model.active), None)
 
-    def _kept(self, path: Path) -> str:
+    def _stored_path(self, path: Path) -> str:
         path, folder = path.resolve(), self.folder.resolve()
         return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
 
@@ -154,19 +143,19 @@ class Models:
         folder = self.folder.resolve()
         return StoredModel(
             row.id,
-            Role(row.role),
+            DetectorKind(row.role),
             folder / row.path,
             row.created_ns,
-            _LABELS.validate_json(row.labels),
+            parsed(_LABELS.validate_json, row.labels),
             BoxKind(row.box_kind),
-            _METRICS.validate_json(row.metrics),
+            parsed(_METRICS.validate_json, row.metrics),
             None if row.manifest is None else folder / row.manifest,
             row.fingerprint,
             row.active,
         )
 
 
-def _activate(connection: Connection, role: Role, model_id: int) -> None:
-    # one statement for each half: never two active models of a role, which an index forbids
+def _activate(connection: Connection, role: DetectorKind, model_id: int) -> None:
+    # deactivate first: an index forbids two active models of a role
     connection.execute(update(models).where(models.c.role == role.value).values(active=False))
     connection.execute(update(models).where(models.c.id == model_id).values(active=True))

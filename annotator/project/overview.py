@@ -1,4 +1,4 @@
-"""What a page shows of one frame, and of many: read in one transaction each."""
+"""The data that the page shows of one frame, and of a list of frames; each is read in one transaction."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from annotator.types.errors import NotFoundError
 
 @dataclass(frozen=True, eq=False)
 class FramePage:
-    """All that is known of a frame at one moment.
+    """All stored data of a frame at one moment.
 
     Attributes:
-        frame: a change based on this names its revision.
-        previous, next: ids of the neighbours in the recording, where there are any.
+        frame: the frame; changes are based on its revision.
+        previous, next: ids of the neighbours in the recording, or None.
         recording_name: of its recording.
-        labels: in the order they were made, rejected ones included.
-        image_boxes: on the camera image, or None where nobody has looked for any.
+        labels: in the order of their creation, rejected ones included.
+        image_boxes: on the camera image, or None if it is unlabelled.
         view_boxes: on its pseudo-views.
     """
 
@@ -46,8 +46,8 @@ class FrameRow:
 
     Attributes:
         frame: the frame.
-        counts: labels by state.
-        image_boxes: how many boxes are on its image; None where nobody has looked for any.
+        counts: number of labels by state.
+        image_boxes: number of boxes on its image; None if it is unlabelled.
         proposed: its open proposals.
     """
 
@@ -58,10 +58,10 @@ class FrameRow:
 
 
 def read_page(project: Project, frame_id: int, known: FramePage | None = None) -> FramePage:
-    """Everything about one frame, as of one moment.
+    """Reads one frame.
 
     Args:
-        known: an earlier page of the same frame; what no event has changed since is taken from there.
+        known: an earlier result for the same frame; its labels and boxes are reused if no event has changed them.
 
     Raises:
         NotFoundError: no such frame.
@@ -75,20 +75,20 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
         query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
-        found = tuple(map(stored_label, connection.execute(query)))
+        stored = tuple(map(stored_label, connection.execute(query)))
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
-    return FramePage(frame, previous, following, name, found, boxes, views)
+    return FramePage(frame, previous, following, name, stored, boxes, views)
 
 
 def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
-    """Ids of the frames before and after one in its recording; both None for one that is no longer there."""
+    """Ids of the previous and next frame in the recording; both None for a frame without an index."""
     with project.store.read() as connection:
         row = connection.execute(_HEAD, {"frame": frame.id}).first()
     return (None, None) if row is None else (row.previous, row.next)
 
 
 def _beside(is_before: bool) -> ScalarSelect[Any]:
-    """The id of the frame before or after a frame; none for one that has no place in its recording."""
+    """Subquery for the id of the previous or next frame; NULL for a frame without an index."""
     other = frames.alias()
     place = other.c.position
     query = select(other.c.id).where(
@@ -98,7 +98,7 @@ def _beside(is_before: bool) -> ScalarSelect[Any]:
     return query.order_by(place.desc() if is_before else place).limit(1).correlate(frames).scalar_subquery()
 
 
-# asked for by every page all the time; made once, as putting it together takes longer than its answer
+# Built once, since building this frequent query takes longer than running it.
 _HEAD = (
     select(
         frames,
@@ -114,9 +114,9 @@ _HEAD = (
 def list_frames(
     project: Project, recording_id: int | None = None, offset: int = 0, limit: int | None = None
 ) -> tuple[tuple[FrameRow, ...], int]:
-    """Some frames of a recording (None: of all) in order, and how many there are in all.
+    """Some frames of a recording (None: of all) in order, and their total number.
 
-    Frames that the latest scan no longer found are left out.
+    Frames that the latest scan did not find are left out.
     """
     query = select(frames).where(frames.c.position.is_not(None))
     if recording_id is not None:
@@ -124,21 +124,21 @@ def list_frames(
     page = query.order_by(frames.c.recording_id, frames.c.position).offset(offset).limit(limit)
     with project.store.read() as connection:
         total = int(connection.execute(select(func.count()).select_from(query.subquery())).scalar_one())
-        chosen = [frame_of(row) for row in connection.execute(page)]
-        ids = [frame.id for frame in chosen]
+        shown = [frame_of(row) for row in connection.execute(page)]
+        ids = [frame.id for frame in shown]
         on_image = select(image_labels.c.frame_id, image_labels.c["count"]).where(image_labels.c.frame_id.in_(ids))
         boxes: dict[int, int] = {row[0]: row[1] for row in connection.execute(on_image)}
         rows = connection.execute(select(labels).where(labels.c.frame_id.in_(ids)).order_by(labels.c.id)).all()
-    return tuple(_frame_rows(chosen, boxes, [stored_label(row) for row in rows])), total
+    return tuple(_frame_rows(shown, boxes, [stored_label(row) for row in rows])), total
 
 
 def _frame_rows(
-    chosen: Sequence[StoredFrame], boxes: Mapping[int, int], found: Sequence[StoredLabel]
+    shown: Sequence[StoredFrame], boxes: Mapping[int, int], stored: Sequence[StoredLabel]
 ) -> list[FrameRow]:
     counts: dict[int, Counter[ReviewState]] = defaultdict(Counter)
     proposed: dict[int, list[StoredLabel]] = defaultdict(list)
-    for entry in found:
+    for entry in stored:
         counts[entry.frame_id][entry.label.state] += 1
         if entry.label.state is ReviewState.PROPOSED:
             proposed[entry.frame_id].append(entry)
-    return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in chosen]
+    return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown]

@@ -1,4 +1,4 @@
-"""What automatic passes proposed: new proposals in place of old ones, next to what has been reviewed."""
+"""Proposals of automatic passes: each pass replaces the unreviewed labels and keeps the reviewed ones."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ import numpy as np
 from sqlalchemy import select
 
 from annotator.geometry.iou import iou_3d_matrix
+from annotator.project.event_types import ProposalsReplaced, ProposedObject
 from annotator.project.events import Event, event_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import read_labels
-from annotator.project.payloads import LabelProposed, ProposalsReplaced, ProposedObject
-from annotator.project.records import BoxRecord, ProposalRecord, storable
+from annotator.project.records import BoxRecord, ProposalRecord, parsed, storable
 from annotator.project.schema import events, frames, labels
-from annotator.project.writing import Change, Receipt, Writer, require_writable
+from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
 from annotator.types import Label, LostObject, OrientedBox, Proposal, ReviewState
-from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.errors import ProjectError
 
+# Exact 3D IoU from which a proposal and a label of the same class are the same object.
 SAME_OBJECT_IOU = 0.5
 
 
 @dataclass(frozen=True)
 class RunShare:
-    """The part of a batch run that one frame was: the run's id, and the seconds that the frame took."""
+    """One frame's share of a batch run: the run's id, and the frame's processing time in seconds."""
 
     run_id: int
     seconds: float
@@ -35,12 +36,12 @@ class RunShare:
 
 @dataclass(frozen=True)
 class Replaced:
-    """What an automatic pass changed.
+    """Result of an automatic pass.
 
     Attributes:
-        uids: of the new labels, in the proposals' order, None for each that a reviewed label covers.
-        covered: how many those are.
-        receipt: as of every write.
+        uids: of the new labels, in the proposals' order; None for a proposal that a reviewed label covers.
+        covered: number of covered proposals.
+        receipt: of the write.
     """
 
     uids: tuple[str | None, ...]
@@ -53,8 +54,8 @@ class PassObject:
     """One proposal of a pass.
 
     Attributes:
-        uid: of the label that it became.
-        covered_by: uid of the reviewed label that said the same already, so that no label was made; else None.
+        uid: of the label created from it.
+        covered_by: uid of the reviewed label of the same object; if given, no label was created.
         proposal: with its whole trace.
     """
 
@@ -69,9 +70,9 @@ class Pass:
 
     Attributes:
         event_id, author, time_ns: of its event.
-        run_id: the batch run, where it was one.
-        objects: all that it proposed.
-        lost: frustums that led to no box.
+        run_id: the batch run, if it was part of one.
+        objects: all proposals.
+        lost: frustums without a resulting box.
     """
 
     event_id: int
@@ -84,7 +85,7 @@ class Pass:
 
 @dataclass(frozen=True, eq=False)
 class Proposals:
-    """Takes in the proposals of automatic passes, and reads their traces back."""
+    """Stores the proposals of automatic passes, and reads them with their traces."""
 
     writer: Writer
 
@@ -92,34 +93,34 @@ class Proposals:
         self,
         frame_id: int,
         proposals: Sequence[Proposal],
-        change: Change,
+        context: WriteContext,
         *,
         lost: Sequence[LostObject] = (),
         run: RunShare | None = None,
         track_ids: Sequence[int | None] | None = None,
     ) -> Replaced:
-        """Put new proposals in place of those that nobody has reviewed.
+        """Replaces the unreviewed labels of a frame with new proposals.
 
-        Accepted, edited and rejected labels stay. A proposal whose exact 3D IoU with one of them, of the same class,
-        is 0.5 or more says nothing new and becomes no label; the log keeps it with the uid of that label.
+        Accepted, edited and rejected labels stay. A proposal is covered if its exact 3D IoU with one of them, of the
+        same class, is 0.5 or more: it gets no label, and the log stores it with the uid of the covering label.
 
         Args:
-            change: its source is normally AUTO, which a finalised frame refuses.
-            run: where given, the frame is noted as done for that run, in the same transaction.
-            track_ids: of the proposals' objects over the recording, where the pass followed them from another frame;
-                one that a reviewed label of this frame has is passed over.
+            context: its source is normally AUTO, so that a finalised frame refuses the pass.
+            run: if given, the frame is recorded as done for that run, in the same transaction.
+            track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
+                id that a reviewed label of this frame has is ignored.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
         """
         with self.writer.store.write() as connection:
-            # the cheap refusals before the geometry
-            where = require_writable(connection, frame_id, change)
+            # the cheap checks precede the IoU
+            where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
             reviewed = [label for label in read_labels(connection, frame_id) if label.state is not ReviewState.PROPOSED]
             covering = covered_by(proposals, reviewed)
-            # two boxes of a frame are two objects, and somebody has said which of them this one is
+            # two boxes of a frame never share a track: the reviewed label keeps it
             taken = {label.track_id for label in reviewed if label.state is not ReviewState.REJECTED}
             ids = [None if id in taken else id for id in track_ids or [None] * len(proposals)]
             with storable(f"{where}: a proposal"):
@@ -130,46 +131,22 @@ class Proposals:
                     for each, cover, id in zip(proposals, covering, ids, strict=True)
                 )
                 payload = ProposalsReplaced(run=run.run_id if run else None, objects=objects, lost=tuple(lost))
-            receipt = self.writer.to_frame_in(connection, frame_id, (payload,), change)
+            receipt = self.writer.to_frame_in(connection, frame_id, (payload,), context)
             if run is not None:
                 time_ns = self.writer.store.clock()
                 record_result(connection, run.run_id, frame_id, run.seconds, time_ns=time_ns, proposals=len(proposals))
         uids = tuple(entry.uid if entry.covered_by is None else None for entry in objects)
         return Replaced(uids, uids.count(None), receipt)
 
-    def of_label(self, uid: str) -> Proposal | None:
-        """The proposal that a label came from, as it was before any edit; None for a label that was not proposed.
-
-        Raises:
-            NotFoundError: no such label.
-        """
-        query = (
-            select(labels.c.proposal_event_id, events)
-            .outerjoin(events, events.c.id == labels.c.proposal_event_id)
-            .where(labels.c.uid == uid)
-        )
-        with self.writer.store.read() as connection:
-            row = connection.execute(query).first()
-        if row is None:
-            raise NotFoundError(f"the project has no label {uid} (any more)")
-        if row.proposal_event_id is None:
-            return None
-        event = event_of(row)
-        if isinstance(event.payload, LabelProposed) and event.payload.proposal is not None:
-            return event.payload.proposal.proposal()
-        return next(entry.proposal.proposal() for entry in _payload(event).objects if entry.uid == uid)
-
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
-        """The boxes of a recording's open proposals as they were proposed, by uid; no other part of a trace is read."""
+        """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
         open_ones = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
-        own = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(open_ones)
-        found: dict[str, OrientedBox] = {}
+        event_ids = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(open_ones)
+        boxes: dict[str, OrientedBox] = {}
         with self.writer.store.read() as connection:
-            for (content,) in connection.execute(select(events.c.payload).where(events.c.id.in_(own))):
-                payload = json.loads(content)
-                for entry in payload.get("objects", [payload]):
-                    found[entry["uid"]] = BoxRecord.model_validate(entry["proposal"]["box"]).box()
-        return found
+            for (content,) in connection.execute(select(events.c.payload).where(events.c.id.in_(event_ids))):
+                boxes |= parsed(_proposed, content)
+        return boxes
 
     def latest(self, frame_id: int) -> Pass | None:
         """The latest automatic pass over a frame, or None."""
@@ -186,7 +163,7 @@ class Proposals:
 
 @runtime_checkable
 class Boxed(Protocol):
-    """What has a class and a 3D box, such as a `Proposal` or a `Label`."""
+    """A class name with a 3D box, such as a `Proposal` or a `Label`."""
 
     @property
     def label(self) -> str:
@@ -198,20 +175,20 @@ class Boxed(Protocol):
 
 
 def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Label]) -> list[str | None]:
-    """For each proposal the uid of the reviewed label of its class that overlaps it most, if by 0.5 or more."""
-    found: list[str | None] = [None] * len(proposals)
-    known = list(reviewed)
-    for name in {label.label for label in known}:
-        mine = [index for index, proposal in enumerate(proposals) if proposal.label == name]
-        theirs = [label for label in known if label.label == name]
-        if not mine:
+    """For each proposal, the uid of the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
+    covering: list[str | None] = [None] * len(proposals)
+    labels = list(reviewed)
+    for name in {label.label for label in labels}:
+        indices = [index for index, proposal in enumerate(proposals) if proposal.label == name]
+        candidates = [label for label in labels if label.label == name]
+        if not indices:
             continue
-        iou = iou_3d_matrix([proposals[index].box for index in mine], [label.box for label in theirs])
-        for index, row in zip(mine, iou, strict=True):
+        iou = iou_3d_matrix([proposals[index].box for index in indices], [label.box for label in candidates])
+        for index, row in zip(indices, iou, strict=True):
             best = int(np.argmax(row))
             if row[best] >= SAME_OBJECT_IOU:
-                found[index] = theirs[best].uid
-    return found
+                covering[index] = candidates[best].uid
+    return covering
 
 
 def _payload(event: Event) -> ProposalsReplaced:
@@ -224,3 +201,10 @@ def _pass(event: Event) -> Pass:
     payload = _payload(event)
     objects = tuple(PassObject(entry.uid, entry.covered_by, entry.proposal.proposal()) for entry in payload.objects)
     return Pass(event.id, event.author, event.time_ns, payload.run, objects, payload.lost)
+
+
+def _proposed(content: str) -> dict[str, OrientedBox]:
+    """The boxes in the payload of an event that proposes, by uid."""
+    payload = json.loads(content)
+    entries = payload.get("objects", [payload])
+    return {entry["uid"]: BoxRecord.model_validate(entry["proposal"]["box"]).box() for entry in entries}

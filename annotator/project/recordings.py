@@ -1,4 +1,4 @@
-"""The recordings of a project and the frames in them."""
+"""Registry of a project's recordings and their frames."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
+from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, frames, moves, recordings
 from annotator.project.store import Store
 from annotator.types.errors import NotFoundError, ProjectError
 
-# Frames that a message names.
+# Number of frame keys listed in an error message.
 MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
 class StoredRecording:
-    """A recording that belongs to the project.
+    """A recording of the project.
 
     Attributes:
         id: within the project.
@@ -29,7 +30,7 @@ class StoredRecording:
         format: name of the reader.
         name: unique within the project.
         is_sequence: True where the frames follow each other in time.
-        up: unit vector against gravity in the camera frame, where it is the same for the whole recording and known.
+        up: unit vector against gravity in the camera frame, if known and constant over the recording.
         added_ns: UTC nanoseconds since the epoch.
         frames: number of frames in the latest scan.
     """
@@ -46,31 +47,15 @@ class StoredRecording:
 
 @dataclass(frozen=True)
 class Rescan:
-    """What a new look at a recording changed: keys that are new, and keys that are gone (their labels stay)."""
+    """Result of scanning a recording again: new frame keys, and missing ones (their labels stay)."""
 
     added: tuple[str, ...]
     missing: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Move:
-    """A recording's folder has another place since.
-
-    Attributes:
-        before, after: absolute.
-        author: who said so.
-        time_ns: UTC nanoseconds since the epoch.
-    """
-
-    before: Path
-    after: Path
-    author: str
-    time_ns: int
-
-
 @dataclass(frozen=True, eq=False)
 class Recordings:
-    """Registers recordings; files of a recording are never touched."""
+    """Registers recordings; never changes their files."""
 
     store: Store
 
@@ -83,16 +68,16 @@ class Recordings:
         is_sequence: bool,
         up: Sequence[float | int] | np.ndarray | None = None,
     ) -> StoredRecording:
-        """Register a recording and its frames, at revision 0.
+        """Registers a recording and its frames, at revision 0.
 
         Args:
-            path: where it is; kept absolute.
-            name: what to call it; where another recording has that name, "-2", "-3" ... is appended.
+            path: of the recording; stored as an absolute path.
+            name: "-2", "-3" ... is appended if another recording has this name.
             keys: the frames' keys, in the recording's order.
             up: vector against gravity in the camera frame (3,), any length.
 
         Raises:
-            ProjectError: the recording is in the project already, a key comes twice, or `up` is not a direction.
+            ProjectError: the recording is in the project already, a key occurs twice, or `up` is not a direction.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -113,29 +98,28 @@ class Recordings:
             return _recording(connection, key[0])
 
     def rescan(self, recording_id: int, keys: Sequence[str]) -> Rescan:
-        """Take over the present frames of a recording: new ones are added, gone ones stay but have no index.
+        """Updates a recording's frames: new ones are added; missing ones stay, without an index.
 
         Raises:
-            ProjectError: no such recording, or a key comes twice.
+            ProjectError: no such recording, or a key occurs twice.
         """
         with self.store.write() as connection:
             _require_unique(_recording(connection, recording_id).path, keys)
-            own = frames.c.recording_id == recording_id
-            known = {row.key: row.position for row in connection.execute(select(frames).where(own))}
+            known = _positions(connection, recording_id)
             new = _take_keys(connection, recording_id, known, keys)
         present = set(keys)
         return Rescan(new, tuple(key for key in known if key not in present))
 
     def move(self, recording_id: int, path: Path, keys: Sequence[str], author: str) -> StoredRecording:
-        """Take over the new place of a recording; frames, labels and all that was drawn stay as they are.
+        """Changes the path of a moved recording; its frames, labels and boxes stay as they are.
 
         Args:
-            path: where it is now; kept absolute.
-            keys: the frames' keys there: all of the latest scan; it may have grown since.
-            author: who says so.
+            path: the new path; stored as an absolute path.
+            keys: the frames' keys there: all those of the latest scan, and possibly new ones.
+            author: of the change, for the table `moves`.
 
         Raises:
-            ProjectError: no such recording, frames are missing, or another recording of the project is there.
+            ProjectError: no such recording, frames are missing, or the path belongs to another recording.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -145,28 +129,18 @@ class Recordings:
             other = connection.execute(taken).scalar()
             if other is not None:
                 raise ProjectError(f"{path} is in the project already, as recording {other}")
-            own = frames.c.recording_id == recording_id
-            known = {row.key: row.position for row in connection.execute(select(frames).where(own))}
+            known = _positions(connection, recording_id)
             _require_same(before, path, known, keys)
             _take_keys(connection, recording_id, known, keys)
             if path != before.path:
-                chosen = recordings.c.id == recording_id
-                connection.execute(update(recordings).where(chosen).values(path=str(path)))
+                same = recordings.c.id == recording_id
+                connection.execute(update(recordings).where(same).values(path=str(path)))
                 row = {"recording_id": recording_id, "path_before": str(before.path), "path_after": str(path)}
                 connection.execute(insert(moves), row | {"author": author, "time_ns": self.store.clock()})
             return _recording(connection, recording_id)
 
-    def moves(self, recording_id: int) -> tuple[Move, ...]:
-        """Where a recording was before, the oldest move first."""
-        query = select(moves).where(moves.c.recording_id == recording_id).order_by(moves.c.id)
-        with self.store.read() as connection:
-            return tuple(
-                Move(Path(row.path_before), Path(row.path_after), row.author, row.time_ns)
-                for row in connection.execute(query)
-            )
-
     def all(self) -> tuple[StoredRecording, ...]:
-        """Every recording, in the order they were added."""
+        """All recordings, in the order they were added."""
         with self.store.read() as connection:
             return tuple(map(_stored, connection.execute(_query().order_by(recordings.c.id))))
 
@@ -183,13 +157,13 @@ class Recordings:
         """The recording of that name.
 
         Raises:
-            NotFoundError: no such recording; the message lists those there are.
+            NotFoundError: no such recording; the message lists the existing ones.
         """
-        known = self.all()
-        for recording in known:
+        stored = self.all()
+        for recording in stored:
             if recording.name == name:
                 return recording
-        names = ", ".join(recording.name for recording in known) or "none yet"
+        names = ", ".join(recording.name for recording in stored) or "none yet"
         raise NotFoundError(f"the project has no recording {name!r}; it has: {names}")
 
 
@@ -209,15 +183,21 @@ def _recording(connection: Connection, recording_id: int) -> StoredRecording:
     return _stored(row)
 
 
+def _positions(connection: Connection, recording_id: int) -> dict[str, int | None]:
+    """Frame key -> index of all frames of a recording."""
+    query = select(frames.c.key, frames.c.position).where(frames.c.recording_id == recording_id)
+    return {row.key: row.position for row in connection.execute(query)}
+
+
 def _stored(row: AnyRow) -> StoredRecording:
-    up = None if row.up is None else tuple(json.loads(row.up))
+    up = None if row.up is None else tuple(parsed(json.loads, row.up))
     return StoredRecording(row.id, Path(row.path), row.format, row.name, row.is_sequence, up, row.added_ns, row.frames)
 
 
 def _require_unique(path: Path, keys: Sequence[str]) -> None:
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ProjectError(f"{path}: frame key {twice!r} comes twice; keys must be unique within a recording")
+        raise ProjectError(f"{path}: frame key {twice!r} occurs twice; keys must be unique within a recording")
 
 
 def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, int | None], keys: Sequence[str]) -> None:
@@ -225,11 +205,11 @@ def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, in
     missing = [key for key, position in known.items() if position is not None and key not in present]
     if not missing:
         return
-    foreign = [key for key in keys if key not in known]
-    also = f" and also has {_some(foreign)}" if foreign else ""
+    unknown = [key for key in keys if key not in known]
+    also = f" and also has {_some(unknown)}" if unknown else ""
     raise ProjectError(
-        f"{path} is not {recording.name}: it lacks {_some(missing)}{also}; "
-        f"give the folder with the same {recording.frames} frames, and nothing was changed"
+        f"{path} is not {recording.name}: it lacks {_some(missing)}{also}; nothing was changed; "
+        f"give the folder with the same {recording.frames} frames"
     )
 
 
@@ -266,7 +246,7 @@ def _insert_frames(connection: Connection, recording_id: int, places: list[tuple
 def _take_keys(
     connection: Connection, recording_id: int, known: dict[str, int | None], keys: Sequence[str]
 ) -> tuple[str, ...]:
-    """The places of all frames as they are now; the keys of those that are new."""
+    """Updates the index of all frames and inserts new ones; returns the keys of the new frames."""
     _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
     new = [(index, key) for index, key in enumerate(keys) if key not in known]
     _insert_frames(connection, recording_id, new)
@@ -277,10 +257,10 @@ def _move_frames(
     connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int]
 ) -> None:
     moved = [
-        {"of": recording_id, "named": key, "to": present.get(key)}
+        {"of_recording": recording_id, "of_key": key, "new_position": present.get(key)}
         for key, position in known.items()
         if present.get(key) != position
     ]
     if moved:
-        chosen = (frames.c.recording_id == bindparam("of")) & (frames.c.key == bindparam("named"))
-        connection.execute(update(frames).where(chosen).values(position=bindparam("to")), moved)
+        same = (frames.c.recording_id == bindparam("of_recording")) & (frames.c.key == bindparam("of_key"))
+        connection.execute(update(frames).where(same).values(position=bindparam("new_position")), moved)

@@ -1,14 +1,14 @@
-"""The shared value types as JSON: what goes into an event, and comes back exactly.
+"""Lossless JSON records of the shared value types, for the payloads of events.
 
-Dataclasses of plain numbers (`Box2D`, `StepTrace`, `LostObject` ...) go through pydantic as they are. An `OrientedBox`
-goes as a `BoxTrace`: centre, rotation matrix and size as they lie in memory, so that not one bit changes.
+pydantic serialises dataclasses of plain numbers (`Box2D`, `StepTrace`, `LostObject` ...) directly. An `OrientedBox` is
+stored as centre, rotation matrix and size, bit for bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -21,8 +21,26 @@ from annotator.types.proposal import Matrix3
 
 ROTATION_TOLERANCE = 1e-6
 
-# NaN and infinity (a quality that has no value) are written as strings: JSON has no word for them
+# NaN and infinity (a signal without a value) are written as strings, since JSON has no such numbers
 EXACT = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+
+Stored = TypeVar("Stored")
+
+
+def parsed(read: Callable[[str], Stored], text: str) -> Stored:
+    """Parses the JSON of a database column with `read`.
+
+    Raises:
+        ProjectError: the JSON is damaged.
+    """
+    try:
+        return read(text)
+    except (ValueError, LookupError, TypeError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise ProjectError(
+            f"a row of the project's database is damaged ({reason}); restore it from a backup"
+        ) from error
 
 
 def _rotation(matrix: Matrix3) -> Matrix3:
@@ -51,7 +69,7 @@ class BoxRecord(BaseModel):
         """The record of a box.
 
         Raises:
-            pydantic.ValidationError: a pose that is not a rotation and a shift.
+            pydantic.ValidationError: a pose with a matrix that is not a rotation.
         """
         matrix = box.T_camera_box.as_matrix()
         return cls.model_validate(
@@ -59,11 +77,11 @@ class BoxRecord(BaseModel):
         )
 
     def box(self) -> OrientedBox:
-        """The box, equal to the last bit."""
+        """The box, bit for bit."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation
         matrix[:3, 3] = self.center_m
-        # the validator has looked at the rotation; making it orthonormal again would change its last bits
+        # validated above; normalising the rotation again would change its last bits
         return OrientedBox(RigidTransform(matrix, normalize=False), np.array(self.size_m))
 
 
@@ -92,19 +110,19 @@ class ProposalRecord(BaseModel):
         )
 
     def proposal(self) -> Proposal:
-        """The proposal, equal in every number."""
+        """The proposal, bit for bit."""
         return Proposal(self.label, self.score, self.box.box(), self.image_box, self.trace, self.quality)
 
 
 class ViewGeometry(BaseModel):
-    """How a pseudo-view lies in space, as in `PseudoView`.
+    """Pose and scale of a pseudo-view, as in `PseudoView`.
 
     Attributes:
         axes: rows = the view's x, y, z axes as unit vectors in the camera frame.
         metres_per_px: one uniform scale.
         origin_m: view coordinates, metres, of the centre of pixel (0, 0).
-        image_box: the box on the camera image whose frustum the view shows, where known; it tells whose views belong
-            together.
+        image_box: the box on the camera image whose frustum the view shows, if known; views with the same image box
+            belong to the same object.
         look_px: as in `PseudoView`.
     """
 
@@ -128,21 +146,24 @@ BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config
 
 
 def box_2d_json(box: Box2D | None) -> str | None:
-    """A 2D box as it lies in a column, or None."""
+    """A 2D box as JSON for a database column, or None."""
     return None if box is None else _BOX_2D.dump_json(box).decode()
 
 
 def box_2d_of(content: str | None) -> Box2D | None:
-    """The 2D box that a column holds, or None."""
+    """The 2D box of a database column, or None."""
     return None if content is None else _BOX_2D.validate_json(content)
 
 
 @contextmanager
 def storable(what: str) -> Iterator[None]:
-    """Turn pydantic's refusal of a value into an error for the user.
+    """Converts pydantic's errors into errors for the user.
+
+    Args:
+        what: names the value in the message.
 
     Raises:
-        ProjectError: `what` holds a value that would not come back as it was.
+        ProjectError: the value is invalid, or cannot be stored without loss.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""The tables of the newest database version, as SQLAlchemy Core sees them (a test holds them to the migrations)."""
+"""The tables of the newest database version in SQLAlchemy Core (a test compares them with the migrations)."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from sqlalchemy.types import TypeDecorator
 
 from annotator.types.errors import ProjectError
 
-# Shorter texts stay as they are: they would gain little, and can be read with any SQLite tool.
+# Length in characters from which texts are compressed; shorter ones gain little and stay readable in SQLite tools.
 PACKED_FROM = 1000
 
-# a row that a query gives, with its columns as attributes (SQLAlchemy's `Row` cannot be checked at run time)
+# A row of a query, with its columns as attributes (SQLAlchemy's `Row` cannot be checked at run time).
 AnyRow = Any
 
 
 class PackedText(TypeDecorator[str]):
-    """Text; a long one lies in the database as a zlib-compressed blob (from version 4 on, older rows stay text)."""
+    """Text; a long one is stored as a zlib-compressed blob since version 4 of the database (older rows stay text)."""
 
     impl = Text
     cache_ok = True
 
     def process_bind_param(self, value: str | None, dialect: Dialect) -> str | bytes | None:
-        """From Python to the database."""
+        """Converts a value from Python to the database."""
         return value if value is None or len(value) < PACKED_FROM else zlib.compress(value.encode())
 
     def process_result_value(self, value: str | bytes | None, dialect: Dialect) -> str | None:
-        """From the database to Python.
+        """Converts a value from the database to Python.
 
         Raises:
             ProjectError: a damaged blob.

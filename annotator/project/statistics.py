@@ -1,4 +1,4 @@
-"""How far a project is, in numbers."""
+"""Counts of a project, and the results of its review."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
-from annotator.project.effort_statistics import EffortStatistics, read_review
+from annotator.project.efforts import EffortStatistics, read_review
 from annotator.project.jobs import Status, latest_results
 from annotator.project.schema import (
     events,
@@ -25,7 +25,7 @@ from annotator.types import ReviewState, Source
 
 
 class LabelCounts(BaseModel):
-    """3D labels, counted in three ways; every state and source is named, also with none."""
+    """Counts of 3D labels; every state and source is a key, also with count 0."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -37,7 +37,7 @@ class LabelCounts(BaseModel):
 
 
 class BoxCounts(BaseModel):
-    """2D boxes and the pictures that they are on (a picture labelled as empty counts too)."""
+    """Counts of 2D boxes and of the labelled images (`pictures`), images labelled as empty included."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -50,9 +50,9 @@ class Statistics(BaseModel):
     """Counts of one project at one moment.
 
     Attributes:
-        frames: those that the latest scans found.
-        frames_with_proposals: with at least one proposal still waiting for its review.
-        frames_failed: whose latest automatic pass failed.
+        frames: found by the latest scans.
+        frames_with_proposals: with at least one unreviewed proposal.
+        frames_failed: with a failed latest automatic pass.
         effort, accepted_untouched, iou_proposal_to_final: as in `ReviewStatistics`.
     """
 
@@ -76,20 +76,20 @@ class Statistics(BaseModel):
 
 
 def read_statistics(store: Store) -> Statistics:
-    """Count everything, within one transaction.
+    """Counts everything, within one transaction.
 
     Raises:
         ProjectError: the database cannot be read.
     """
-    here = select(func.count()).where(frames.c.position.is_not(None))
+    present = select(func.count()).where(frames.c.position.is_not(None))
     proposed = labels.c.state == ReviewState.PROPOSED.value
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
     with store.read() as connection:
         review = read_review(connection)
         return Statistics(
             recordings=_rows(connection, recordings),
-            frames=_number(connection, here),
-            frames_finalised=_number(connection, here.where(frames.c.finalised.is_(True))),
+            frames=_number(connection, present),
+            frames_finalised=_number(connection, present.where(frames.c.finalised.is_(True))),
             frames_with_labels=_number(connection, select(func.count(distinct(labels.c.frame_id)))),
             frames_with_proposals=_number(connection, select(func.count(distinct(labels.c.frame_id))).where(proposed)),
             frames_failed=_number(connection, select(func.count()).where(failed)),
@@ -135,10 +135,10 @@ def _label_counts(connection: Connection) -> LabelCounts:
 
 def _class_and_state(connection: Connection) -> dict[str, dict[ReviewState, int]]:
     query = select(labels.c.label, labels.c.state, func.count()).group_by(labels.c.label, labels.c.state)
-    found: dict[str, dict[ReviewState, int]] = {}
+    counts: dict[str, dict[ReviewState, int]] = {}
     for name, state, number in connection.execute(query.order_by(labels.c.label)):
-        found.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] = int(number)
-    return found
+        counts.setdefault(name, dict.fromkeys(ReviewState, 0))[ReviewState(state)] = int(number)
+    return counts
 
 
 def _box_counts(connection: Connection, table: FromClause) -> BoxCounts:

@@ -1,4 +1,4 @@
-"""The SQLite database of one project: connections, transactions, migrations at opening."""
+"""The SQLite database of one project: connections, transactions, errors, and migrations when it is opened."""
 
 from __future__ import annotations
 
@@ -12,41 +12,52 @@ from pathlib import Path
 from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import QueuePool
 
-from annotator.project.faults import told_plainly
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
 from annotator.types.errors import ProjectError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
-# A web server answers in about so many threads at once, each with a connection of its own.
+# The web server answers in about this many threads at once, each with its own connection.
 THREADS = 20
 
 Clock = Callable[[], int]
 
 _BEGIN = "annotator_begin"
 
+_PROBLEMS = {
+    sqlite3.SQLITE_BUSY: "is locked by another process; close what else uses this project, or wait, and try again",
+    sqlite3.SQLITE_LOCKED: "is locked by another process; close what else uses this project, or wait, and try again",
+    sqlite3.SQLITE_CORRUPT: "is damaged; restore it from a backup (`sqlite3 project.db .recover` may save a part)",
+    sqlite3.SQLITE_NOTADB: "is not a project database, or its beginning is damaged; restore it from a backup",
+    sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
+    sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the permissions of the file and of its folder",
+    sqlite3.SQLITE_FULL: "cannot grow, the disk is full; nothing was changed; free some space and try again",
+    sqlite3.SQLITE_IOERR: "cannot be read or written, the disk reports an error; nothing was changed",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Store:
-    """One open database; many threads may share it, each process opens its own.
+    """One open database. Thread-safe, but not fork-safe: each process opens its own.
 
     Attributes:
         path: the database file.
         engine: SQLAlchemy's pool of connections.
-        clock: gives the present, UTC nanoseconds since the epoch.
-        turn: held by the thread that writes.
+        clock: returns the current time, UTC nanoseconds since the epoch.
+        write_lock: held by the thread that writes.
     """
 
     path: Path
     engine: Engine
     clock: Clock = time.time_ns
-    turn: threading.Lock = field(default_factory=threading.Lock)
+    write_lock: threading.Lock = field(default_factory=threading.Lock)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
-        """A transaction that sees one moment of the database, whatever others write meanwhile.
+        """A transaction that sees one snapshot of the database, unaffected by concurrent writes.
 
         Raises:
             ProjectError: the database is locked, damaged or cannot be read.
@@ -56,48 +67,49 @@ class Store:
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
-        """A transaction that holds the write lock from its beginning; all of it is kept, or nothing.
+        """A write transaction, committed as a whole or not at all.
 
-        The lock is taken at once: a reader that turns writer later would have to be refused as stale. Threads wait for
-        each other here, without a connection: SQLite would let them sleep and try again, and readers would find none.
+        It takes SQLite's write lock at its beginning: SQLite refuses to upgrade a read transaction whose snapshot is
+        outdated. Threads wait for `write_lock` before they take a connection: inside SQLite they would poll, and would
+        occupy the connections that readers need.
 
         Raises:
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
-        # after so long SQLite itself says what is wrong
-        has_turn = self.turn.acquire(timeout=BUSY_TIMEOUT_S)
+        # after the timeout, SQLite itself reports the problem
+        is_locked = self.write_lock.acquire(timeout=BUSY_TIMEOUT_S)
         try:
             with self._transaction("BEGIN IMMEDIATE") as connection:
                 yield connection
         finally:
-            if has_turn:
-                self.turn.release()
+            if is_locked:
+                self.write_lock.release()
 
     @contextmanager
     def _transaction(self, begin: str) -> Iterator[Connection]:
-        with told_plainly(self.path), self.engine.connect() as connection:
+        with _explained(self.path), self.engine.connect() as connection:
             connection = connection.execution_options(**{_BEGIN: begin})
             with connection.begin():
                 yield connection
 
     def problems(self) -> list[str]:
-        """What SQLite finds wrong when it reads the whole file; empty for a sound database.
+        """Problems that SQLite finds in the whole file; empty for a sound database.
 
         Raises:
             ProjectError: the file cannot be read at all.
         """
         with self.read() as connection:
-            found = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
+            lines = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
             orphans = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
-        return [line for line in found if line != "ok"] + [f"row without its parent: {tuple(row)}" for row in orphans]
+        return [line for line in lines if line != "ok"] + [f"row without its parent: {tuple(row)}" for row in orphans]
 
     def close(self) -> None:
-        """Give all connections back."""
+        """Closes all connections."""
         self.engine.dispose()
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
-    """A new database at `path`, of the newest version.
+    """Creates a database of the newest version at `path`.
 
     Raises:
         ProjectError: the file exists already, or cannot be written.
@@ -105,9 +117,9 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
     if path.exists():
         raise ProjectError(f"{path}: exists already")
     store = _store(path, "rwc", BUSY_TIMEOUT_S, clock)
-    with _closed_on_error(store), told_plainly(path):
+    with _closed_on_error(store), _explained(path):
         with closing(store.engine.raw_connection()) as outside_transactions:
-            # kept in the file: every later connection finds it in WAL mode
+            # stored in the file, thus valid for every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
         with store.write() as connection:
             connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -122,26 +134,45 @@ def open_store(
     clock: Clock = time.time_ns,
     migrations: tuple[Migration, ...] = MIGRATIONS,
 ) -> Store:
-    """The database at `path`, brought to the newest version.
+    """Opens the database at `path` and upgrades an older one to the newest version.
 
     Raises:
-        ProjectError: it is missing, not a project's, damaged, locked, or of a newer version.
+        ProjectError: it is missing, not a project database, damaged, locked, or of a newer version.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; restore it from a backup")
     store = _store(path, "rw", busy_timeout_s, clock)
     with _closed_on_error(store):
         with store.read() as connection:
-            found = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
+            application_id = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
             version = connection.exec_driver_sql("PRAGMA user_version").scalar_one()
-            # reading the schema touches the file's structure, so that a cut or overwritten file shows now
+            # reading the schema detects a truncated or overwritten file at once
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
-        if found != APPLICATION_ID:
+        if application_id != APPLICATION_ID:
             raise ProjectError(f"{path}: is an SQLite database, but not one of annotator's; restore it from a backup")
         if version != migrations[-1].version:
             with store.write() as connection:
                 upgrade(connection, path, migrations)
     return store
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Converts SQLite's errors about the file `path` into a ProjectError that says what to do.
+
+    Raises:
+        ProjectError: the database is locked, damaged, not writable or out of space.
+    """
+    try:
+        yield
+    except (DBAPIError, sqlite3.Error) as error:
+        cause = error.orig if isinstance(error, DBAPIError) else error
+        code = getattr(cause, "sqlite_errorcode", None)
+        # the low byte is the primary result code
+        problem = None if code is None else _PROBLEMS.get(code & 0xFF)
+        if problem is None:
+            raise
+        raise ProjectError(f"{path}: {problem} ({cause})") from error
 
 
 @contextmanager
@@ -165,10 +196,10 @@ def _store(path: Path, mode: str, busy_timeout_s: float, clock: Clock) -> Store:
             check_same_thread=False,  # the pool hands a connection to one thread at a time
         )
         connection.execute("PRAGMA foreign_keys = ON")
-        # FULL waits for the disk at every commit (NORMAL in WAL mode may lose the last ones in a power cut):
-        # an operator's click is acknowledged only once it is safe, and a commit takes milliseconds
+        # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it is
+        # safe. NORMAL in WAL mode may lose the last commits in a power cut.
         connection.execute("PRAGMA synchronous = FULL")
-        # without this, the rows that INSERT OR REPLACE removes would pass the append-only triggers by
+        # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
         connection.execute("PRAGMA recursive_triggers = ON")
         return connection
 

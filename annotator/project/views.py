@@ -1,4 +1,4 @@
-"""Pictures of labelled pseudo-views, each named by the hash of its content."""
+"""Images of labelled pseudo-views, each named by the hash of its content."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ _ID = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Views:
-    """The folder of pictures.
+    """The folder of images.
 
     Attributes:
-        folder: holds one `<id>.png` a view.
+        folder: holds one `<id>.png` per view.
     """
 
     folder: Path
 
-    def store(self, picture: bytes | UInt8[np.ndarray, "h w 3"]) -> str:
-        """Keep a picture, once however often it comes; returns its id, the SHA-256 (hex) of its PNG.
+    def store(self, image: bytes | UInt8[np.ndarray, "h w 3"]) -> str:
+        """Stores an image unless it is stored already; returns its id, the SHA-256 (hex) of its PNG.
 
         Args:
-            picture: the bytes of a PNG file, or (H, W, 3) uint8, RGB order.
+            image: the bytes of a PNG file, or (H, W, 3) uint8, RGB order.
 
         Raises:
             ProjectError: not a PNG, or it cannot be written.
         """
-        content = picture if isinstance(picture, bytes) else png(picture)
+        content = image if isinstance(image, bytes) else png(image)
         if not content.startswith(_PNG):
-            raise ProjectError(f"{self.folder}: only PNG pictures are kept here; convert the picture first")
+            raise ProjectError(f"{self.folder}: only PNG images can be stored; convert the image first")
         view_id = hashlib.sha256(content).hexdigest()
         path = self._file(view_id)
         if not path.exists():
@@ -50,33 +50,33 @@ class Views:
         return view_id
 
     def path(self, view_id: str) -> Path:
-        """The file of a picture.
+        """The file of an image.
 
         Raises:
-            NotFoundError: no such picture.
+            NotFoundError: no such image.
         """
         if not _ID.fullmatch(view_id):
             raise NotFoundError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
         path = self._file(view_id)
         if not path.is_file():
             raise NotFoundError(
-                f"view {view_id[:12]}: the picture is missing; store it first, or restore it from a backup"
+                f"view {view_id[:12]}: the image is missing; store it first, or restore it from a backup"
             )
         return path
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
-        """The picture, (H, W, 3) uint8, RGB order.
+        """The image, (H, W, 3) uint8, RGB order.
 
         Raises:
-            ProjectError: it is missing, or its content no longer fits its id.
+            ProjectError: it is missing, or its content does not match its id.
         """
         return _decode(self._file(view_id), self.content(view_id))
 
     def content(self, view_id: str) -> bytes:
-        """The bytes of a picture's PNG file.
+        """The bytes of an image's PNG file.
 
         Raises:
-            ProjectError: it is missing, or no longer fits its id.
+            ProjectError: it is missing, or does not match its id.
         """
         path = self.path(view_id)
         try:
@@ -84,14 +84,14 @@ class Views:
         except OSError as error:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
         if hashlib.sha256(content).hexdigest() != view_id:
-            raise ProjectError(f"{path}: is damaged (its content does not fit its name); restore it from a backup")
+            raise ProjectError(f"{path}: is damaged (its content does not match its name); restore it from a backup")
         return content
 
     def size(self, view_id: str) -> tuple[int, int]:
-        """Width and height of a picture, pixels, from the head of its file.
+        """Width and height of an image, pixels, from the header of its file.
 
         Raises:
-            NotFoundError: no such picture.
+            NotFoundError: no such image.
             ProjectError: it cannot be read.
         """
         path = self.path(view_id)
@@ -100,7 +100,7 @@ class Views:
                 head = file.read(24)
         except OSError as error:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
-        # the header chunk comes first: its length and name, then width and height as big-endian words
+        # the header chunk is the first one: its length and name, then width and height as big-endian words
         if not head.startswith(_PNG) or len(head) < 24:
             raise ProjectError(f"{path}: is damaged; restore it from a backup")
         width, height = struct.unpack(">II", head[16:24])
@@ -111,12 +111,12 @@ class Views:
 
 
 def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    """A picture, (H, W, 3) uint8, RGB order, as the bytes of a PNG file: always the same for the same picture."""
+    """An image, (H, W, 3) uint8, RGB order, as the bytes of a PNG file; deterministic."""
     import cv2
 
     written, content = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
     if not written:
-        raise ProjectError(f"a picture of shape {rgb.shape} cannot be written as PNG")
+        raise ProjectError(f"an image of shape {rgb.shape} cannot be encoded as PNG")
     return content.tobytes()
 
 
@@ -125,5 +125,5 @@ def _decode(path: Path, content: bytes) -> np.ndarray:
 
     bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     if bgr is None:
-        raise ProjectError(f"{path}: is not a picture that can be read")
+        raise ProjectError(f"{path}: cannot be decoded as an image; restore it from a backup")
     return np.ascontiguousarray(bgr[..., ::-1])

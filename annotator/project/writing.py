@@ -1,4 +1,4 @@
-"""The one way to write: revision and finalisation are checked, events appended and applied, all in one transaction."""
+"""Writing to the log: checks revision and finalisation, appends events and applies them, in one transaction."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sqlalchemy import Connection, func, select
 
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
+from annotator.project.event_types import PAYLOAD, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
 from annotator.project.events import Effort, Event, insert_event
-from annotator.project.payloads import PAYLOAD, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
 from annotator.project.records import storable
 from annotator.project.schema import events, frames, recordings
 from annotator.project.store import Store
@@ -22,11 +22,11 @@ from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectEr
 
 @dataclass(frozen=True)
 class Receipt:
-    """What was acknowledged.
+    """Result of a write.
 
     Attributes:
-        event_ids: of the events that were appended, in order.
-        revision: that the next change of the same frame (or view) has to name.
+        event_ids: of the appended events, in order.
+        revision: of the frame (or view) after the write; the next change must be based on it.
     """
 
     event_ids: tuple[int, ...]
@@ -34,23 +34,23 @@ class Receipt:
 
 
 @dataclass(frozen=True)
-class Change:
-    """Who writes, and what they had seen.
+class WriteContext:
+    """Author of a change, and the revision that it is based on.
 
     Attributes:
         revision: of the frame (or view) that the change is based on.
-        author: a person's name, or a program's; not empty.
-        source: how the change came about.
-        effort: what it cost the operator, where that was counted.
-        subject: uid of the label, or id of the begun object, that the effort went into; by default the labels changed.
-        undoes: the action that this change takes back.
+        author: name of the operator or program; not empty.
+        source: manual, automatic or imported.
+        effort: of the operator, if counted.
+        effort_target: uid of the label, or id of the draft, that the effort was for; default: the changed labels.
+        undoes: the action that this change reverts.
     """
 
     revision: int
     author: str
     source: Source = Source.MANUAL
     effort: Effort | None = None
-    subject: str | None = None
+    effort_target: str | None = None
     undoes: str | None = None
 
     def __post_init__(self) -> None:
@@ -60,11 +60,11 @@ class Change:
 
 @dataclass(frozen=True)
 class FramePart:
-    """What a change to several frames says of one of them."""
+    """The events for one frame within an action over several frames."""
 
     frame_id: int
     payloads: Sequence[Payload]
-    change: Change
+    context: WriteContext
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,29 +79,29 @@ class Writer:
     store: Store
     folder: Path
 
-    def to_frame(self, frame_id: int, payloads: Sequence[Payload], change: Change) -> Receipt:
-        """Append events to one frame, all or none.
+    def to_frame(self, frame_id: int, payloads: Sequence[Payload], context: WriteContext) -> Receipt:
+        """Appends events to one frame, all or none.
 
         Raises:
-            StaleRevisionError: the frame has changed since `change.revision`.
-            FinalisedFrameError: an automatic pass wanted to change a finalised frame.
-            ProjectError: an unknown frame, label or class; or the database refuses.
+            StaleRevisionError: the frame has changed since `context.revision`.
+            FinalisedFrameError: an automatic pass may not change a finalised frame.
+            ProjectError: an unknown frame, label or class; or the database cannot be written.
         """
-        # who comes too late is told so without waiting for those who write
+        # a stale change is refused before it waits for the write lock
         with self.store.read() as connection:
-            require_writable(connection, frame_id, change)
+            require_writable(connection, frame_id, context)
         with self.store.write() as connection:
-            return self.to_frame_in(connection, frame_id, payloads, change)
+            return self.to_frame_in(connection, frame_id, payloads, context)
 
     def to_frame_in(
-        self, connection: Connection, frame_id: int, payloads: Sequence[Payload], change: Change
+        self, connection: Connection, frame_id: int, payloads: Sequence[Payload], context: WriteContext
     ) -> Receipt:
-        """As `to_frame`, as a part of the caller's write transaction."""
-        where = require_writable(connection, frame_id, change)
-        return self._append(connection, frame_id, where, payloads, change)
+        """As `to_frame`, within the caller's write transaction."""
+        where = require_writable(connection, frame_id, context)
+        return self._append(connection, frame_id, where, payloads, context)
 
     def to_frames(self, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
-        """Append events to several frames as one action, all or none; the action costs what the first part says.
+        """Appends events to several frames as one action, all or none; the first part's effort is that of the action.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `to_frame`, of any of the frames.
@@ -110,27 +110,27 @@ class Writer:
             return self.to_frames_in(connection, parts)
 
     def to_frames_in(self, connection: Connection, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
-        """As `to_frames`, as a part of the caller's write transaction."""
+        """As `to_frames`, within the caller's write transaction."""
         action, receipts = uuid.uuid4().hex, list[Receipt]()
         for part in parts:
-            where = require_writable(connection, part.frame_id, part.change)
-            receipts.append(self._append(connection, part.frame_id, where, part.payloads, part.change, action))
+            where = require_writable(connection, part.frame_id, part.context)
+            receipts.append(self._append(connection, part.frame_id, where, part.payloads, part.context, action))
         return tuple(receipts)
 
-    def to_view(self, payload: ViewBoxesSet, change: Change) -> Receipt:
-        """Append boxes on a pseudo-view that came from no frame of the project.
+    def to_view(self, payload: ViewBoxesSet, context: WriteContext) -> Receipt:
+        """Appends boxes on a pseudo-view that belongs to no frame of the project.
 
         Raises:
-            StaleRevisionError: the view has changed since `change.revision` (0 for one never labelled).
-            ProjectError: an unknown class; or the database refuses.
+            StaleRevisionError: the view has changed since `context.revision` (0 for an unlabelled view).
+            ProjectError: an unknown class; or the database cannot be written.
         """
         where = f"view {payload.view[:12]}"
         with self.store.write() as connection:
-            own = (events.c.view_id == payload.view) & events.c.frame_id.is_(None)
-            revision = connection.execute(select(func.max(events.c.revision)).where(own)).scalar() or 0
-            if revision != change.revision:
-                raise StaleRevisionError(where, change.revision, revision)
-            return self._append(connection, None, where, (payload,), change)
+            of_view = (events.c.view_id == payload.view) & events.c.frame_id.is_(None)
+            revision = connection.execute(select(func.max(events.c.revision)).where(of_view)).scalar() or 0
+            if revision != context.revision:
+                raise StaleRevisionError(where, context.revision, revision)
+            return self._append(connection, None, where, (payload,), context)
 
     def _append(
         self,
@@ -138,15 +138,15 @@ class Writer:
         frame_id: int | None,
         where: str,
         payloads: Sequence[Payload],
-        change: Change,
-        shared: str | None = None,
+        context: WriteContext,
+        shared_action: str | None = None,
     ) -> Receipt:
-        """`shared`: the action that these events are a part of, where they are one; None = one of their own."""
+        """`shared_action`: id of the action over several frames that the events belong to; None = a new action."""
         self._require_classes(where, payloads)
         time_ns = self.store.clock()
-        action = (shared or uuid.uuid4().hex) if _is_action(frame_id, payloads, change) else None
-        done: list[Event] = []
-        for revision, payload in enumerate(payloads, change.revision + 1):
+        action = (shared_action or uuid.uuid4().hex) if _is_action(frame_id, payloads, context) else None
+        appended: list[Event] = []
+        for revision, payload in enumerate(payloads, context.revision + 1):
             content, stored = _encoded(where, payload)
             event = insert_event(
                 connection,
@@ -154,33 +154,33 @@ class Writer:
                 revision=revision,
                 content=content,
                 payload=stored,
-                author=change.author,
+                author=context.author,
                 time_ns=time_ns,
-                source=change.source,
+                source=context.source,
                 action=action,
-                undoes=change.undoes,
-                subject=change.subject,
-                effort=None if done else change.effort,
+                undoes=context.undoes,
+                effort_target=context.effort_target,
+                effort=None if appended else context.effort,
             )
             _apply(connection, event, where)
-            done.append(event)
-        return Receipt(tuple(event.id for event in done), change.revision + len(done))
+            appended.append(event)
+        return Receipt(tuple(event.id for event in appended), context.revision + len(appended))
 
     def _require_classes(self, where: str, payloads: Sequence[Payload]) -> None:
-        wanted = set().union(*(payload.classes() for payload in payloads))
-        if not wanted:
+        used = set().union(*(payload.classes() for payload in payloads))
+        if not used:
             return
-        # read anew: another process may have added a class since this one opened the project
+        # read from the file: another process may have added a class
         known = read_config(self.folder).classes
-        if unknown := sorted(wanted - set(known)):
+        if unknown := sorted(used - set(known)):
             raise ProjectError(
-                f"{where}: {', '.join(map(repr, unknown))} is no class of the project ({', '.join(known)}); "
+                f"{where}: {', '.join(map(repr, unknown))} is not a class of the project ({', '.join(known)}); "
                 "use one of these, or add the class to the project first"
             )
 
 
-def require_writable(connection: Connection, frame_id: int, change: Change) -> str:
-    """The frame's name for messages, where `change` may be made to it.
+def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:
+    """Checks that the frame may be changed; returns its name for messages.
 
     Raises:
         FinalisedFrameError, StaleRevisionError, ProjectError: as `Writer.to_frame`.
@@ -194,21 +194,21 @@ def require_writable(connection: Connection, frame_id: int, change: Change) -> s
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
-    if row.finalised and change.source is Source.AUTO:
-        raise FinalisedFrameError(f"{where} is finalised; automatic passes leave it alone until it is reopened")
-    if row.revision != change.revision:
-        raise StaleRevisionError(where, change.revision, row.revision)
+    if row.finalised and context.source is Source.AUTO:
+        raise FinalisedFrameError(f"{where} is finalised; automatic passes may not change it; reopen it first")
+    if row.revision != context.revision:
+        raise StaleRevisionError(where, context.revision, row.revision)
     return where
 
 
-def _is_action(frame_id: int | None, payloads: Sequence[Payload], change: Change) -> bool:
-    """True for what an operator may take back: neither automatic passes nor imports."""
-    by_hand = frame_id is not None and change.source is Source.MANUAL
+def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: WriteContext) -> bool:
+    """True for changes that an operator can undo: not automatic passes, imports or changes of no frame."""
+    by_hand = frame_id is not None and context.source is Source.MANUAL
     return by_hand and not any(isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads)
 
 
 def _encoded(where: str, payload: Payload) -> tuple[str, Payload]:
-    """The payload as JSON, and as it will be read back: the state is made from the latter, now as in a rebuild."""
+    """The payload as JSON, and the payload parsed from that JSON, which updates the tables, as in a rebuild."""
     with storable(f"{where}: {payload.kind}"):
         content = payload.model_dump_json(warnings="error")
         return content, PAYLOAD.validate_json(content)

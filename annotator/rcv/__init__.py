@@ -1,1 +1,1 @@
-"""Recursive Cross-View: from 2D boxes to oriented 3D boxes. Knows no file and no user interface."""
+"""Recursive Cross-View: from 2D boxes to oriented 3D boxes. Independent of files and user interfaces."""

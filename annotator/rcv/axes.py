@@ -1,7 +1,7 @@
 """Projection axes of a cloud (RCV paper, section II.D): camera axes, eigenvectors, K-means over normals.
 
-A *frame* here is a (3, 3) matrix with rows a1, a2, a3 in camera coordinates, right-handed and orthonormal. The front
-view looks along a3, the side view along a1; a2 points down where "down" means something.
+*Axes* are a (3, 3) matrix with rows a1, a2, a3 in camera coordinates, right-handed and orthonormal. The front view
+looks along a3, the side view along -a1. For upright boxes a2 points down.
 """
 
 from __future__ import annotations
@@ -16,120 +16,124 @@ from jaxtyping import Float, Float64
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import PointCloud
 
-# K-means settles in a few rounds and stops then; this only bounds the time of one that swings to and fro.
+# K-means usually converges in a few rounds; this bounds the time if it oscillates.
 KMEANS_ROUNDS = 20
 
 Clustering = Callable[[np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
-"""Clusters directions, as `axial_kmeans` does."""
+"""A function with the signature of `axial_kmeans`."""
 
 
 class NoAxesError(Exception):
-    """A strategy cannot be used on this cloud; the caller falls back to the next simpler one."""
+    """A strategy finds no axes in a cloud; the caller falls back to the next simpler strategy."""
 
 
 @dataclass(frozen=True)
-class Axes:
-    """A frame, the strategy that gave it, and the ones that could not."""
+class FoundAxes:
+    """Projection axes, the strategy that gave them, and why each richer strategy failed."""
 
-    frame: Float64[np.ndarray, "3 3"]
+    axes: Float64[np.ndarray, "3 3"]
     strategy: Strategy
     fallback: tuple[str, ...] = ()
 
 
 def _signed_permutations() -> Float64[np.ndarray, "24 3 3"]:
-    """The 24 rotations that turn a box into itself, axes relabelled."""
-    found = []
+    """The 24 rotations that turn a box into itself with its axes relabelled."""
+    matrices = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
             matrix[range(3), order] = signs
             if np.linalg.det(matrix) > 0:
-                found.append(matrix)
-    return np.array(found)
+                matrices.append(matrix)
+    return np.array(matrices)
 
 
 BOX_SYMMETRIES = _signed_permutations()
 UPRIGHT_SYMMETRIES = BOX_SYMMETRIES[BOX_SYMMETRIES[:, 1, 1] == 1.0]
 
 
-def match_frame(
-    frame: Float64[np.ndarray, "3 3"],
+def match_axes(
+    axes: Float64[np.ndarray, "3 3"],
     reference: Float64[np.ndarray, "3 3"],
     symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
 ) -> Float64[np.ndarray, "3 3"]:
-    """The relabelling of a frame's axes that is nearest to a reference, so that a quarter turn is no rotation."""
-    return match_frames(frame[None], reference, symmetries)[0]
+    """The relabelling of axes that is nearest to a reference, so that a quarter turn counts as no rotation."""
+    return match_all_axes(axes[None], reference, symmetries)[0]
 
 
-def match_frames(
-    frames: Float64[np.ndarray, "n 3 3"],
+def match_all_axes(
+    axes: Float64[np.ndarray, "n 3 3"],
     reference: Float64[np.ndarray, "3 3"],
     symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
 ) -> Float64[np.ndarray, "n 3 3"]:
-    """`match_frame` of several frames."""
-    candidates = symmetries @ frames[:, None]
+    """`match_axes` of several axes at once."""
+    candidates = symmetries @ axes[:, None]
     best = np.argmax(np.einsum("nkij,ij->nk", candidates, reference), axis=1)
-    return candidates[np.arange(len(frames)), best]
+    return candidates[np.arange(len(axes)), best]
 
 
-def frame_angle(a: Float64[np.ndarray, "3 3"], b: Float64[np.ndarray, "3 3"]) -> float:
-    """The smallest rotation, radians, between two frames when relabelled axes count as equal."""
-    matched = match_frame(a, b)
+def axes_angle_rad(a: Float64[np.ndarray, "3 3"], b: Float64[np.ndarray, "3 3"]) -> float:
+    """The smallest rotation between two axes, radians; relabelled axes count as equal."""
+    matched = match_axes(a, b)
     return float(np.arccos(np.clip((np.einsum("ij,ij->", matched, b) - 1) / 2, -1, 1)))
 
 
-def camera_frame(up: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
-    """The camera's axes; with `up` (unit vector) levelled, so that a2 points along gravity."""
+def camera_axes(up: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
+    """The camera's axes; levelled if `up` (unit vector) is given, so that a2 points along gravity."""
     if up is None:
         return np.eye(3)
-    return upright_frame(np.array([0.0, 0.0, 1.0]), up)
+    return upright_axes(np.array([0.0, 0.0, 1.0]), up)
 
 
-def upright_frame(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """The frame with a2 = -up whose a3 is nearest to `forward`."""
+def upright_axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """The axes with a2 = -up whose a3 is nearest to `forward`."""
     down = -up / np.linalg.norm(up)
     level = forward - down * (forward @ down)
-    if np.linalg.norm(level) < 1e-6:  # looking straight down: any heading will do
+    if np.linalg.norm(level) < 1e-6:  # looking straight up or down: any heading will do
         level = np.cross(down, [1.0, 0.0, 0.0])
     a3 = level / np.linalg.norm(level)
     return np.stack([np.cross(down, a3), down, a3])
 
 
-def eigenvector_frame(
+def eigenvector_axes(
     xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
 ) -> Float64[np.ndarray, "3 3"]:
-    """Principal axes of the points; with `up`, of their footprint."""
+    """Principal axes of the points; if `up` is given, of their footprint.
+
+    Raises:
+        NoAxesError: too few points, or eigenvalues that are too similar.
+    """
     if len(xyz_m) < max(4, config.min_points):
         raise NoAxesError(f"{len(xyz_m)} points are too few for eigenvectors")
     centred = np.asarray(xyz_m, np.float64) - np.mean(xyz_m, axis=0, dtype=np.float64)
     if up is not None:
-        base = camera_frame(up)
+        base = camera_axes(up)
         values, vectors = np.linalg.eigh(np.cov((centred @ base.T)[:, [0, 2]].T))
         _require_distinct(values, config)
         major = base[[0, 2]].T @ vectors[:, 1]
-        return upright_frame(major, up)
+        return upright_axes(major, up)
     values, vectors = np.linalg.eigh(np.cov(centred.T))
     _require_distinct(values, config)
-    frame = vectors.T[::-1].copy()
-    frame[2] = np.cross(frame[0], frame[1])
-    return frame
+    axes = vectors.T[::-1].copy()
+    axes[2] = np.cross(axes[0], axes[1])
+    return axes
 
 
 def _require_distinct(values: np.ndarray, config: RcvConfig) -> None:
     if values[-1] <= 0 or np.diff(values).min() < config.axes.min_flatness * values[-1]:
-        raise NoAxesError("eigenvalues too alike to fix the axes")
+        raise NoAxesError("eigenvalues are too similar to determine axes")
 
 
 def axial_kmeans(
     directions: Float64[np.ndarray, "n 3"], clusters: int, seed: int
 ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
-    """K-means of directions without sign: centres (k, 3), unit, and the number of members (k,).
+    """K-means of directions without sign: unit centres (k, 3), and the number of members (k,) of each.
 
-    Nearness is |cosine|; a centre is the principal eigenvector of its members' sum of n n^T, the axial mean.
+    Similarity is |cosine|. A centre is the axial mean of its members: the principal eigenvector of the sum of n n^T.
     """
     rng = np.random.default_rng(seed)
     centres = [directions[rng.integers(len(directions))]]
-    for _ in range(clusters - 1):  # the farthest direction next: spread seeds, no chance of an empty start
+    for _ in range(clusters - 1):  # farthest-point initialisation: spreads the centres, and none starts empty
         nearest = np.abs(directions @ np.array(centres).T).max(axis=1)
         centres.append(directions[np.argmin(nearest)])
     centre = np.array(centres)
@@ -140,23 +144,26 @@ def axial_kmeans(
             break
         member = assigned
         for k in range(clusters):
-            own = directions[member == k]
-            if len(own):
-                centre[k] = np.linalg.eigh(own.T @ own)[1][:, -1]
+            members = directions[member == k]
+            if len(members):
+                centre[k] = np.linalg.eigh(members.T @ members)[1][:, -1]
     return centre, np.bincount(member, minlength=clusters)
 
 
-def normal_frame(
+def normal_axes(
     normals: Float[np.ndarray, "n 3"],
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
     clustering: Clustering = axial_kmeans,
 ) -> Float64[np.ndarray, "3 3"]:
-    """The biggest cluster's direction as major axis, completed by the next one (or the camera's down).
+    """Axes with a3 along the largest cluster of normals, completed by the next cluster (or, upright, by gravity).
 
     Args:
         normals: unit vectors, or zero where unknown; antipodal ones are one direction.
         clustering: finds the clusters.
+
+    Raises:
+        NoAxesError: too few usable normals.
     """
     known = np.asarray(normals, np.float64)
     known = known[np.einsum("ij,ij->i", known, known) > 0.25]
@@ -171,7 +178,7 @@ def normal_frame(
     centres, counts = clustering(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
     major = centres[np.argmax(counts)]
     if up is not None:
-        return upright_frame(major, up)
+        return upright_axes(major, up)
     second = _second_direction(centres, counts, major, config.axes.min_second_angle_rad)
     a1 = second - major * (second @ major)
     a1 /= np.linalg.norm(a1)
@@ -182,7 +189,7 @@ def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray
     for index in np.argsort(-counts, kind="stable"):
         if np.abs(centres[index] @ major) < np.cos(min_angle_rad):
             return centres[index]
-    # One direction only, such as a wall: the camera axis that is most nearly perpendicular completes it.
+    # Only one direction, such as a wall: the most nearly perpendicular camera axis completes it.
     return np.eye(3)[np.argmin(np.abs(major))]
 
 
@@ -193,12 +200,12 @@ def find_axes(
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
     clustering: Clustering = axial_kmeans,
-) -> Axes:
-    """The frame of one strategy, or of the next simpler one that the cloud allows, matched to `reference`.
+) -> FoundAxes:
+    """The axes of a strategy, or of the next simpler one that works on the cloud, matched to `reference`.
 
     Args:
         strategy: camera, eigenvectors or normals.
-        up: unit vector against gravity that the frame is held at, as `held_direction` gives it; None leaves it free.
+        up: unit vector along which an axis is held (against gravity), from `held_direction`; None leaves them free.
         clustering: finds the clusters of normals.
     """
     symmetries = UPRIGHT_SYMMETRIES if up is not None else BOX_SYMMETRIES
@@ -211,11 +218,11 @@ def find_axes(
         try:
             if candidate is Strategy.NORMALS:
                 normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
-                frame = normal_frame(normals, up, config, clustering)
+                axes = normal_axes(normals, up, config, clustering)
             else:
-                frame = eigenvector_frame(cloud.xyz_m, up, config)
+                axes = eigenvector_axes(cloud.xyz_m, up, config)
         except NoAxesError as error:
             failed.append(f"{candidate}: {error}")
             continue
-        return Axes(match_frame(frame, reference, symmetries), candidate, tuple(failed))
-    return Axes(camera_frame(up), Strategy.CAMERA, tuple(failed))
+        return FoundAxes(match_axes(axes, reference, symmetries), candidate, tuple(failed))
+    return FoundAxes(camera_axes(up), Strategy.CAMERA, tuple(failed))

@@ -1,7 +1,6 @@
-"""Where the work on many points is done: numpy here, or another device through the same four functions.
+"""The interface to the device that works on many points: pseudo-views, normals and clusters.
 
-The recursion asks a `Compute` for pictures, normals and clusters, and for nothing else; `annotator.gpu` has one on
-torch.
+`NumpyCompute` runs on the CPU; `annotator.gpu` implements the same interface on torch.
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ from annotator.types import Camera, Frame, PointCloud, PseudoView
 
 @runtime_checkable
 class Compute(Protocol):
-    """A device for the work on many points. Threads may share it."""
+    """A device for the work on many points; thread-safe."""
 
     def hold(self, frame: Frame) -> Frame:
-        """The frame with its cloud ready on the device; what is selected from that cloud is ready, too."""
+        """The frame with its cloud on the device; clouds selected from it are on the device, too."""
 
     def render_pairs(
         self,
         cloud: PointCloud,
-        frames: Sequence[Float64[np.ndarray, "3 3"]],
+        axes: Sequence[Float64[np.ndarray, "3 3"]],
         config: ViewConfig,
         show: Float[np.ndarray, "m 3"] | None = None,
     ) -> list[PseudoView]:
@@ -45,21 +44,21 @@ class Compute(Protocol):
 
 
 class NumpyCompute:
-    """The processor."""
+    """The CPU."""
 
     def hold(self, frame: Frame) -> Frame:
-        """The frame as it is."""
+        """Returns the frame unchanged."""
         return frame
 
     def render_pairs(
         self,
         cloud: PointCloud,
-        frames: Sequence[Float64[np.ndarray, "3 3"]],
+        axes: Sequence[Float64[np.ndarray, "3 3"]],
         config: ViewConfig,
         show: Float[np.ndarray, "m 3"] | None = None,
     ) -> list[PseudoView]:
         """`pseudo_view.render_pairs`."""
-        return render_pairs(cloud, frames, config, show)
+        return render_pairs(cloud, axes, config, show)
 
     def normals_from_depth(self, camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
         """`geometry.normals.normals_from_depth`."""

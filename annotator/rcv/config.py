@@ -1,6 +1,6 @@
-"""Every threshold of Recursive Cross-View, each with its unit.
+"""The settings of Recursive Cross-View: every threshold, with its unit and bounds.
 
-Numbers that are no settings, such as how densely a search looks, are constants beside their code.
+Numbers that only affect computing time, such as the resolution of a search, are constants beside their code.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.types import BoxKind
 
-# Part of what decides whether a frame has been done: raise it when the same settings would give other boxes.
+# Part of the fingerprint that marks a frame as annotated. Raise it when the same settings give different boxes.
 REVISION = 6
 
 
 class Strategy(StrEnum):
-    """How the projection axes of a step are found; the order is from simple to rich."""
+    """How the projection axes of a step are found, from simple to rich."""
 
     CAMERA = "camera"
     EIGENVECTORS = "eigenvectors"
@@ -26,7 +26,7 @@ class Strategy(StrEnum):
 
 
 class Orientation(StrEnum):
-    """UPRIGHT holds one axis at gravity; FREE allows any rotation."""
+    """UPRIGHT keeps one box axis parallel to gravity; FREE allows any rotation."""
 
     UPRIGHT = "upright"
     FREE = "free"
@@ -39,17 +39,15 @@ class ViewConfig(BaseModel):
 
     size_px: int = Field(64, ge=32, le=2048, description="longer side of a pseudo-view, pixels")
     deep_size_px: int = Field(
-        224, ge=32, le=2048, description="the same of the first step's views, where a frustum is deep, pixels"
+        224, ge=32, le=2048, description="longer side of a first-step view of a deep frustum, pixels"
     )
-    deep: float = Field(
-        2.0, gt=0, description="a frustum that is so many times as deep as wide and high shows its object small, factor"
-    )
+    deep: float = Field(2.0, gt=0, description="depth/width ratio of a frustum above which `deep_size_px` applies")
     points_per_px: float = Field(
-        4.0, gt=0, description="clouds with more points for each pixel of a square picture are drawn thinned out"
+        4.0, gt=0, description="larger clouds are thinned to this many points per pixel of a square view"
     )
     padding: float = Field(0.06, ge=0, le=1, description="empty border on each side, share of the shown extent")
-    min_extent_m: float = Field(0.02, gt=0, description="a view never shows less than this, metres")
-    max_splat_px: int = Field(9, ge=1, le=31, description="largest square that one point is drawn as, pixels")
+    min_extent_m: float = Field(0.02, gt=0, description="smallest extent that a view shows, metres")
+    max_splat_px: int = Field(9, ge=1, le=31, description="largest square that a point is drawn as, pixels")
 
 
 class AxesConfig(BaseModel):
@@ -58,26 +56,28 @@ class AxesConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     min_flatness: float = Field(
-        0.05, ge=0, lt=1, description="relative gap of neighbouring eigenvalues below which they fix no axes"
+        0.05, ge=0, lt=1, description="relative gap between eigenvalues below which they determine no axes"
     )
     normal_neighbours: int = Field(
-        16, ge=3, le=256, description="neighbours that a normal is estimated from without a depth image, points"
+        16, ge=3, le=256, description="neighbours used to estimate a normal if there is no depth image, points"
     )
-    min_normals: int = Field(30, ge=3, description="fewer usable normals fall back to eigenvectors, points")
-    max_normals: int = Field(2000, ge=16, description="of more normals, so many are clustered, points")
+    min_normals: int = Field(
+        30, ge=3, description="minimum number of usable normals; with fewer, eigenvectors are used"
+    )
+    max_normals: int = Field(2000, ge=16, description="maximum number of normals to cluster")
     kmeans_clusters: int = Field(6, ge=1, le=16, description="clusters of point normals")
-    seed: int = Field(0, ge=0, description="of K-means")
+    seed: int = Field(0, ge=0, description="random seed of K-means")
     steep_normal_rad: float = Field(
         math.radians(25),
         ge=0,
         le=math.pi / 2,
-        description="upright: a normal nearer to the vertical is a floor's or a table top's and fixes no side, radians",
+        description="upright: normals within this angle of the vertical (floor, table top) are ignored, radians",
     )
     min_second_angle_rad: float = Field(
         math.radians(30),
         gt=0,
         le=math.pi / 2,
-        description="free: a cluster nearer to the major axis cannot give the second one, radians",
+        description="free: minimum angle between the major axis and the cluster that gives the second axis, radians",
     )
 
 
@@ -88,73 +88,95 @@ class FitConfig(BaseModel):
 
     edge_noise: float = Field(0.02, gt=0, description="expected error of a detected edge, share of the view's extent")
     cut_doubt: float = Field(
-        3.0, ge=1, description="an edge that its picture cut off counts as so many times less certain, factor"
+        3.0, ge=1, description="factor on the expected error of an edge that is cut off by the view's border"
     )
     huber_sigmas: float = Field(
-        1.5, gt=0, description="an edge that is further off weighs less, multiples of its expected error"
+        1.5, gt=0, description="residual above which an edge is down-weighted (Huber), multiples of its expected error"
     )
-    min_size_m: float = Field(1e-3, gt=0, description="a box with a side this short is no fit, metres")
+    min_size_m: float = Field(1e-3, gt=0, description="a fit with a side this short is rejected, metres")
     min_determinacy: float = Field(
         0.02,
         gt=0,
         lt=1,
-        description="smallest singular value of the equations, each unknown scaled to one; below, they fix no box",
+        description="smallest singular value of the normalised equations below which the fit is rejected",
     )
 
 
 class ConsensusConfig(BaseModel):
-    """The axis hypotheses of a consensus step, and which of their boxes may win where silhouettes were taught."""
+    """The axis hypotheses of a consensus step, and which of their boxes qualify for silhouette detectors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    upright_hypotheses: int = Field(4, ge=2, le=16, description="yaws of a wide step, over a quarter turn")
-    free_hypotheses: int = Field(12, ge=4, le=64, description="orientations of a wide step")
-    refine_hypotheses: int = Field(3, ge=1, le=16, description="hypotheses of a step around the last fit")
-    refine_steps: int = Field(
-        1, ge=0, le=16, description="steps around the last fit, after the wide one; more for what a picture cuts off"
+    upright_hypotheses: int = Field(
+        4, ge=2, le=16, description="upright: yaw hypotheses of a wide step, over a quarter turn"
     )
-    refine_spread_rad: float = Field(0.35, gt=0, description="how far these lie from the last fit, radians")
+    free_hypotheses: int = Field(12, ge=4, le=64, description="free: orientation hypotheses of a wide step")
+    refine_hypotheses: int = Field(3, ge=1, le=16, description="hypotheses of a refinement step, close to the last fit")
+    refine_steps: int = Field(
+        1, ge=0, le=16, description="refinement steps after the wide step; cut-off objects get more, up to `max_steps`"
+    )
+    refine_spread_rad: float = Field(
+        0.35, gt=0, description="angle of the refinement hypotheses from the last fit, radians"
+    )
     whole_share: float = Field(
         0.95,
         ge=0,
         le=1,
-        description="a silhouette's box with less than this share of the median's points has lost a part of the object",
+        description="silhouettes: a hypothesis with less than this share of the median point count is discarded",
     )
     silhouette_margin: float = Field(
-        0.03, ge=0, le=1, description="points this share of a box's size outside still count as held (detector's blur)"
+        0.03, ge=0, le=1, description="silhouettes: margin within which points count as inside, share of the box's size"
     )
 
 
 class WarmConfig(BaseModel):
-    """How an object starts from a box that it had a moment ago, and when that box is dropped."""
+    """Warm starts: how an object starts from its previous box, the start box, and when that box is dropped."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     min_image_iou: float = Field(
-        0.3, gt=0, le=1, description="IoU on the image of the seed, and of what came of it, with the image box"
+        0.3,
+        gt=0,
+        le=1,
+        description="minimum IoU on the image between the image box and the start box, and between it and the result",
     )
     room: float = Field(
-        0.2, ge=0, le=2, description="points this share of the seed's longest side outside are looked at, and no more"
+        0.2,
+        ge=0,
+        le=2,
+        description="margin around the start box within which points are used, share of its longest side",
     )
     spread_rad: float = Field(
-        0.35, gt=0, le=1.5, description="free: how far the hypotheses lie from the seed's axes, radians"
+        0.35, gt=0, le=1.5, description="free: angle of the hypotheses from the start box's axes, radians"
     )
-    min_seen: float = Field(0.6, ge=0, le=1, description="share of the first step's views that show the object")
-    max_size_ratio: float = Field(1.5, ge=1, description="a side that differs more is another object's, factor")
+    min_seen: float = Field(
+        0.6, ge=0, le=1, description="minimum share of the first step's views on which the object is detected"
+    )
+    max_size_ratio: float = Field(
+        1.5, ge=1, description="maximum ratio between a side of the result and of the start box"
+    )
     min_iou: float = Field(
-        0.4, ge=0, le=1, description="IoU with the seed, centre on centre, below which it is another object's"
+        0.4,
+        ge=0,
+        le=1,
+        description="minimum IoU between result and start box with their centres aligned",
     )
     settled_iou: float = Field(
-        0.8, ge=0, le=1, description="IoU with the seed, centre on centre, from which one step is enough"
+        0.8,
+        ge=0,
+        le=1,
+        description="IoU between result and start box with their centres aligned, above which one step is enough",
     )
     seed_doubt: float = Field(
-        0.05, gt=0, description="how far an end of the seed may be off by now, share of its mean side; small trusts it"
+        0.05,
+        gt=0,
+        description="expected error of the start box's faces, share of its mean side; smaller values trust it more",
     )
-    max_steps: int = Field(2, ge=1, le=20, description="step limit from a seed")
+    max_steps: int = Field(2, ge=1, le=20, description="maximum number of steps after a warm start")
 
 
 class RcvConfig(BaseModel):
-    """Settings of the recursion. Defaults are the ones that measured best (docs/benchmarks.md)."""
+    """Settings of the recursion. The defaults measured best (docs/benchmarks.md)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -167,36 +189,54 @@ class RcvConfig(BaseModel):
     fit: FitConfig = FitConfig()
     warm: WarmConfig = WarmConfig()
 
-    max_steps: int = Field(5, ge=1, le=20, description="step limit, the first (camera axes) included")
-    min_points: int = Field(5, ge=1, description="a cloud with fewer points ends the recursion, points")
-    axes_tolerance_rad: float = Field(0.02, gt=0, description="axes that turn less have converged, radians")
+    max_steps: int = Field(
+        5, ge=1, le=20, description="maximum number of steps, including the first one along the camera axes"
+    )
+    min_points: int = Field(5, ge=1, description="the recursion ends if fewer points are left, points")
+    axes_tolerance_rad: float = Field(
+        0.02, gt=0, description="the recursion has converged if the axes turn by less than this, radians"
+    )
     box_tolerance: float = Field(
-        0.03, gt=0, lt=1, description="a box with 1 - IoU to the last below this has converged"
+        0.03, gt=0, lt=1, description="the recursion has converged if 1 - IoU with the last box is below this"
     )
 
-    min_image_score: float = Field(0.25, ge=0, le=1, description="image detections below are ignored")
-    min_view_score: float = Field(0.05, ge=0, le=1, description="pseudo-view detections below are ignored")
+    min_image_score: float = Field(0.25, ge=0, le=1, description="image detections with a lower score are ignored")
+    min_view_score: float = Field(0.05, ge=0, le=1, description="view detections with a lower score are ignored")
     min_shared_overlap: float = Field(
-        0.3, ge=0, le=1, description="1D IoU of front and side box on their shared axis for a pair, first step"
+        0.3, ge=0, le=1, description="first step: minimum 1D IoU of front and side box on their shared axis"
     )
-    max_objects_per_frustum: int = Field(5, ge=1, description="pairs that survive the first step, objects")
+    max_objects_per_frustum: int = Field(5, ge=1, description="first step: maximum number of objects per frustum")
     stranger_weight: float = Field(
-        0.1, ge=0, description="what a detection away from the last box still counts, against 1 for one that fits it"
+        0.1,
+        ge=0,
+        description="weight of a detection that does not overlap the last box; one that matches it weighs 1 more",
     )
-    border_px: float = Field(1.0, ge=0, description="an edge this near to the picture's border was cut off, pixels")
-    cut_room: float = Field(1.4, ge=1, description="pictures after a cut-off show so many times the box, factor")
-    keep_margin: float = Field(0.03, ge=0, le=1, description="points this share of the box's size outside are kept")
+    border_px: float = Field(
+        1.0, ge=0, description="an edge within this distance of the view's border counts as cut off, pixels"
+    )
+    cut_room: float = Field(
+        1.4, ge=1, description="after a cut-off, the next views show the box enlarged by this factor"
+    )
+    keep_margin: float = Field(
+        0.03, ge=0, le=1, description="margin around the box within which points are kept, share of its mean side"
+    )
     keep_margin_view: float = Field(
-        0.04, ge=0, le=1, description="points this share of the view's extent outside are kept (the detector's blur)"
+        0.04, ge=0, le=1, description="additional margin for the detector's inaccuracy, share of the view's extent"
     )
     min_image_agreement: float = Field(
         0.05,
         ge=0,
         le=1,
-        description="IoU on the image with the image box, below which a further object of a frustum is dropped",
+        description="minimum IoU with the image box for further objects in a frustum",
     )
     coarse_box: bool = Field(
         False,
-        description="propose a coarse box for a lost object: its last one, or that around its frustum's points",
+        description="propose a coarse box for a lost object: its last box, or one around the frustum's points",
     )
-    nms_iou: float = Field(0.3, ge=0, le=1, description="of two boxes of a class that overlap more, the better stays")
+    nms_iou: float = Field(
+        0.3, ge=0, le=1, description="of two boxes of one class with a higher IoU, only the better one is kept"
+    )
+
+    def with_box_kind(self, kind: BoxKind) -> RcvConfig:
+        """The same settings for a view detector whose boxes measure `kind`. Only this method sets `box_kind`."""
+        return self.model_copy(update={"box_kind": kind})

@@ -13,17 +13,25 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-# Keeps the error of an edge finite, whatever the detector says of itself; its square root is taken.
+# Lower bound of scores in the expected error of an edge, which is divided by the square root of the score.
 LEAST_SCORE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """One front and one side detection, as indices into the views' boxes, and the box they make."""
+    """A front and a side detection, as indices into the views' boxes, and the 3D box that they make.
+
+    Attributes:
+        axes: rows = axes of the front view.
+        spans_m: low and high end along each of them.
+        shared_overlap: 1D IoU of the two detections along their shared axis.
+        disagreement: mean difference of their ends along it, relative to the fused length.
+        score: geometric mean of the detections' scores.
+    """
 
     front: int
     side: int
-    frame: Float64[np.ndarray, "3 3"]
+    axes: Float64[np.ndarray, "3 3"]
     spans_m: Float64[np.ndarray, "3 2"]
     shared_overlap: float
     disagreement: float
@@ -31,26 +39,26 @@ class Pair:
 
     @cached_property
     def box(self) -> OrientedBox:
-        return span_box(self.frame, self.spans_m)
+        return span_box(self.axes, self.spans_m)
 
 
-def span_box(frame: Float64[np.ndarray, "3 3"], spans_m: Float64[np.ndarray, "3 2"]) -> OrientedBox:
-    """The box that spans (low, high) metres along each row of a frame."""
-    rotation = frame.T
+def span_box(axes: Float64[np.ndarray, "3 3"], spans_m: Float64[np.ndarray, "3 2"]) -> OrientedBox:
+    """The box that spans (low, high) metres along each row of `axes`."""
+    rotation = axes.T
     center = rotation @ spans_m.mean(axis=1)
     size = np.maximum(spans_m[:, 1] - spans_m[:, 0], 1e-4)
     return OrientedBox.from_parts(center, rotation, size)
 
 
 def make_pair(
-    frame: Float64[np.ndarray, "3 3"],
+    axes: Float64[np.ndarray, "3 3"],
     views: tuple[PseudoView, PseudoView],
     front_boxes: Sequence[Box2D],
     side_boxes: Sequence[Box2D],
     front: int,
     side: int,
 ) -> Pair:
-    """Fuses detection `front` of the front view and `side` of the side view; the shared interval by score."""
+    """Fuses a front and a side detection; their intervals on the shared axis are averaged, weighted by score."""
     a, b = front_boxes[front], side_boxes[side]
     across, shared_front = views[0].interval_m(a)
     depth, shared_side = views[1].interval_m(b)
@@ -59,7 +67,7 @@ def make_pair(
     overlap = interval_iou(shared_front, shared_side)
     disagreement = float(np.abs(shared_front - shared_side).mean() / max(shared[1] - shared[0], 1e-9))
     spans = np.stack([across, shared, depth])
-    return Pair(front, side, frame, spans, overlap, disagreement, float(np.sqrt(a.score * b.score)))
+    return Pair(front, side, axes, spans, overlap, disagreement, float(np.sqrt(a.score * b.score)))
 
 
 def interval_iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -69,25 +77,25 @@ def interval_iou(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def pair_all(
-    frame: Float64[np.ndarray, "3 3"],
+    axes: Float64[np.ndarray, "3 3"],
     views: tuple[PseudoView, PseudoView],
     front_boxes: Sequence[Box2D],
     side_boxes: Sequence[Box2D],
     cloud: PointCloud,
     config: RcvConfig,
 ) -> list[Pair]:
-    """Pairs for several objects in one frustum, best first; each detection serves once.
+    """The pairs of several objects in one frustum, best first; each detection is used once.
 
-    Objects that stand on one floor agree on the shared axis in every combination, so agreement is not enough: a
-    pair also counts by the share of the points of its front box that its side box confirms.
+    Objects that stand on one floor overlap on the shared axis in every combination. A pair is therefore also ranked
+    by its support: the IoU of the sets of points in its front box and in its side box.
     """
     from annotator.rcv.kernels.spans import count_within
 
-    axes, xyz_m = frame.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
+    axes32, xyz_m = axes.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
     ranked: list[tuple[float, Pair]] = []
     for i in range(len(front_boxes)):
         for j in range(len(side_boxes)):
-            pair = make_pair(frame, views, front_boxes, side_boxes, i, j)
+            pair = make_pair(axes, views, front_boxes, side_boxes, i, j)
             if pair.shared_overlap < config.min_shared_overlap:
                 continue
             margin = cut_margin_m(pair.box, views, config)
@@ -95,7 +103,7 @@ def pair_all(
                 (pair.spans_m[:, 0] - margin).astype(np.float32),
                 (pair.spans_m[:, 1] + margin).astype(np.float32),
             )
-            both, front_only, side_only = count_within(xyz_m, axes, low, high)
+            both, front_only, side_only = count_within(xyz_m, axes32, low, high)
             if both == 0:
                 continue
             support = both / max(front_only + side_only - both, 1)
@@ -111,13 +119,13 @@ def pair_all(
 
 
 def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, config: RcvConfig) -> int | None:
-    """The one detection that goes on: the best score times agreement with the last box.
+    """The detection that continues an object: the one with the best score times agreement with the last box.
 
     Args:
-        last: (8, 3) corners of the last step's box, camera frame; None lets the score decide.
+        last: (8, 3) corners of the last step's box, camera frame; None compares the scores only.
 
     Returns:
-        an index into `boxes`, or None where there is no detection.
+        an index into `boxes`, or None without detections.
     """
     if not boxes:
         return None
@@ -126,8 +134,8 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, co
     scores = np.array([box.score for box in boxes])
     if last is None:
         return int(np.argmax(scores))
-    seen = last @ view.axes[:2].T
-    expected = view.box_px(np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1), boxes[0].label)
+    corners = last @ view.axes[:2].T
+    expected = view.box_px(np.stack([corners.min(axis=0), corners.max(axis=0)], axis=1), boxes[0].label)
     agreement = np.array([box_iou(box, expected) for box in boxes])
     return int(np.argmax(scores * (config.stranger_weight + agreement)))
 
@@ -143,11 +151,11 @@ def box_iou(a: Box2D, b: Box2D) -> float:
 
 
 def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], config: RcvConfig) -> Intervals:
-    """What detections measure along their views' x and y, two intervals a view, with the expected error of each end.
+    """The intervals that detections measure along their views' x and y axes, two per view.
 
     Args:
         views: one or more.
-        boxes: one a view.
+        boxes: one per view.
     """
     # (view, axis, end)
     metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
@@ -157,20 +165,20 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
     scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
     is_cut = np.array([cut_edges(view, box, config) for view, box in zip(views, boxes, strict=True)])
     noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
-    # A cut edge is known only not to lie further inside.
+    # of a cut-off edge only a bound is known, so its expected error is larger
     sigma_m = noise_m * np.where(is_cut.reshape(-1, 2, 2), config.fit.cut_doubt, 1.0)
     directions = np.concatenate([view.axes[:2] for view in views])
     return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
 
 
 def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> tuple[bool, bool, bool, bool]:
-    """Which edges of a box lie on the picture's border: left, right, top, bottom."""
+    """Which edges of a box lie on the view's border: left, right, top, bottom."""
     height_px, width_px = view.rgb.shape[:2]
     near, right, bottom = config.border_px - 0.5, width_px - 0.5 - config.border_px, height_px - 0.5 - config.border_px
     return bool(box.x_min <= near), bool(box.x_max >= right), bool(box.y_min <= near), bool(box.y_max >= bottom)
 
 
 def cut_margin_m(box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> float:
-    """How far outside of a step's box points are kept, metres: a share of the box, and of what the detector blurs."""
+    """The margin around a step's box within which points are kept, metres: a share of the box and of the views."""
     extent = max(max(view.rgb.shape[:2]) * view.metres_per_px for view in views)
     return config.keep_margin * float(box.size_m.mean()) + config.keep_margin_view * extent

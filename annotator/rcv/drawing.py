@@ -1,8 +1,8 @@
-"""Points as a picture: each at its pixel, the nearest in front, near points as squares that close the gaps.
+"""Rendering of points: each is drawn at its pixel as a square that closes gaps, and the nearest one wins.
 
-One integer a point holds its depth and its number, so that a plain minimum over the points of a pixel finds the nearest
-and says which one it is; the minimum over a neighbourhood makes squares of the points. The integers are also the bits
-of positive floats, whose order is the same: on a graphics processor (`annotator.gpu`) filters know floats only.
+One integer key per point holds its depth and its index. The minimum key over the points of a pixel gives the nearest
+point; the minimum over a neighbourhood draws points as squares. Read as the bits of a float, a key is positive and
+keeps its order, because the image filters on a GPU (`annotator.gpu`) only take floats.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from jaxtyping import Float, Float32, Float64, UInt8, UInt32
 
 from annotator.rcv.config import ViewConfig
 
-# The grey that letterboxing pads with, so that a view's own border is not a feature of the picture.
+# The grey that letterboxing pads with, so that a view's border is not visible to the detector.
 BACKGROUND = 114
-# The bits of the least and of the largest normal positive float32; what lies between are the keys.
+# The bits of the smallest and the largest normal positive float32: the range of keys.
 LEAST_KEY, LAST_KEY = 0x00800000, 0x7F7FFFFF
-# More than float32 can tell apart would overflow into the next level.
+# More levels than float32 can distinguish would overflow into the next level.
 DEPTH_BITS = 20
 
 
 @dataclass(frozen=True)
 class Window:
-    """What a view shows: the view coordinates of its first pixel's centre, the scale and the size."""
+    """The part of the view plane that a view shows: view coordinates of the first pixel's centre, scale and size."""
 
     origin_m: Float64[np.ndarray, "2"]
     metres_per_px: float
@@ -37,7 +37,7 @@ class Window:
 def fit_windows(
     low_m: Float64[np.ndarray, "v 2"], high_m: Float64[np.ndarray, "v 2"], config: ViewConfig
 ) -> list[Window]:
-    """The windows that show view coordinates from `low_m` to `high_m` with the configured border."""
+    """The windows that show view coordinates from `low_m` to `high_m`, with the configured border."""
     extent = np.maximum(high_m - low_m, config.min_extent_m) * (1 + 2 * config.padding)
     scale = extent.max(axis=1) / config.size_px
     size = np.clip(np.ceil(extent / scale[:, None]), min(8, config.size_px), config.size_px)
@@ -48,16 +48,16 @@ def fit_windows(
 
 
 def splat_px(n_points: int, window: Window, largest: int) -> int:
-    """Odd side length of the square that a point is drawn as: about the spacing of points spread over the picture."""
+    """Side of the square that a point is drawn as, odd: about the spacing of points spread evenly over the view."""
     spacing = (window.width_px * window.height_px / max(n_points, 1)) ** 0.5
-    # The object fills only part of the picture, so its points lie denser; but single rows of missing pixels, where
-    # the sensor's grid and the picture's beat against each other, are worth closing.
+    # The object fills only part of the view, so its points are denser than this spacing. Squares are still needed to
+    # close single rows of missing pixels, which arise where the sensor's grid interferes with the view's.
     radius = round(0.5 * spacing - 0.15)
     return min(2 * radius + 1, largest - (1 - largest % 2))
 
 
 def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt32[np.ndarray, "packed"] | None:
-    """One integer a point (so that a picture is one gather), and the background as an extra last entry."""
+    """One integer per colour, so that a view is one gather; the last entry is the background. None for None."""
     if colors is None:
         return None
     packed = np.empty((n_points + 1, 4), np.uint8)
@@ -68,11 +68,11 @@ def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt3
 
 @dataclass(frozen=True)
 class KeyLayout:
-    """How a point's depth and number share one integer.
+    """How a point's depth and index share one integer.
 
     Attributes:
-        index_bits: the lowest bits hold the number.
-        levels: how many depths can be told apart; the last is the background's.
+        index_bits: number of low bits that hold the index.
+        levels: number of depth levels; the last one is the background's.
         empty: the key of a pixel without a point, larger than any point's.
     """
 
@@ -82,14 +82,16 @@ class KeyLayout:
 
     @classmethod
     def of(cls, n_points: int) -> KeyLayout:
-        """The index takes as many of the bits as it needs, depth the rest: a millimetre a level for 50,000 points in
-        30 m."""
+        """The layout for a number of points: depth gets the bits that the index does not need.
+
+        For 50,000 points over 30 m one level is a millimetre.
+        """
         index_bits = n_points.bit_length()
         levels = min((LAST_KEY - LEAST_KEY) >> index_bits, 1 << DEPTH_BITS) - 1
         return cls(index_bits, levels, LEAST_KEY + (levels << index_bits) + n_points)
 
     def scale(self, near_m: float, far_m: float) -> float:
-        """Levels a metre."""
+        """Levels per metre."""
         return (self.levels - 1) / max(far_m - near_m, 1e-6)
 
 
@@ -101,14 +103,15 @@ def draw_views(
     depths_m: Float[np.ndarray, "v 2"],
     largest_splat_px: int,
 ) -> list[UInt8[np.ndarray, "_ _ 3"]]:
-    """One picture a view of the same points; the nearest point wins a pixel. The pictures share their memory.
+    """Images of the same points, one per view; the nearest point wins a pixel. The images share one buffer.
 
     Args:
-        xyz_m: one row an axis.
+        xyz_m: one row per coordinate.
         packed: from `pack_colors`; None shades by depth, near points light.
-        axes: of each view, rows = right, down, into the page.
+        axes: of each view, rows = right, down, into the image.
         windows: of each view; points outside are drawn at its border.
-        depths_m: least and largest depth of the points in each view.
+        depths_m: smallest and largest depth of the points in each view.
+        largest_splat_px: largest square that a point is drawn as.
     """
     from annotator.rcv.kernels import drawing as kernel
 
@@ -124,7 +127,7 @@ def draw_views(
     colors = np.zeros(1, np.uint32) if packed is None else packed
     kernel.draw_views(xyz_m, colors, axes, sizes, corners, depths, splats, bits, begins, pixels[0])
     rgb = cv2.cvtColor(pixels.view(np.uint8).reshape(1, -1, 4), cv2.COLOR_BGRA2BGR)[0]
-    rgb.flags.writeable = False  # at once, since views of it would be made read-only one by one
+    rgb.flags.writeable = False  # before slicing, so that all slices are read-only
     return [
         rgb[begin : begin + length].reshape(w.height_px, w.width_px, 3)
         for begin, length, w in zip(begins.tolist(), lengths.tolist(), windows, strict=True)

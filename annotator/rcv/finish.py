@@ -1,4 +1,4 @@
-"""From the ends of a frame's recursions to its proposals: scores, quality, and which of rival boxes stay."""
+"""The proposals of a frame from its finished recursions: scores, quality, and removal of duplicates."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from annotator.geometry.fit import aligned_box
 from annotator.geometry.nms import nms_3d
+from annotator.geometry.oriented_box import aligned_box, canonical_box
 from annotator.geometry.outline import box_on_image, points_on_image
-from annotator.rcv.axes import camera_frame
-from annotator.rcv.canonical import canonical_box
+from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.recursion import ObjectState
@@ -21,7 +20,7 @@ from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Pro
 
 @dataclass(frozen=True, eq=False)
 class FrameProposals:
-    """What one frame gave: boxes, best first, and the frustums that led to none."""
+    """The result of one frame: proposals, best first, and the objects for which no box was found."""
 
     key: str
     proposals: tuple[Proposal, ...]
@@ -29,10 +28,10 @@ class FrameProposals:
 
 
 def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> FrameProposals:
-    """What a frame's recursions have led to, all of them ended.
+    """The proposals of a frame whose recursions have all ended.
 
-    Of boxes that overlap, and of further objects in one frustum, the agreement with the image decides who stays: a
-    part of a neighbour that reaches into a frustum is seen whole, and better, from its own.
+    Among overlapping boxes, and among several objects in one frustum, the agreement with the image box decides: if a
+    part of a neighbour reaches into a frustum, the neighbour's own frustum shows it completely.
     """
     proposals: list[Proposal] = []
     lost: list[LostObject] = []
@@ -41,19 +40,19 @@ def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> Fr
         if box is None:
             lost.append(LostObject(state.image_box.label, state.image_box, state.steps))
             continue
-        # No view has confirmed the box around a frustum: it ranks below all that one has.
+        # a coarse box around a frustum has no view score and ranks below all boxes confirmed by a view
         score = float(np.sqrt(state.image_box.score * (state.view_score or config.min_view_score)))
         quality = replace(state.quality, image_agreement=image_agreement(frame.camera, state, box, config))
         proposals.append(Proposal(state.image_box.label, score, box, state.image_box, state.steps, quality))
-    proposals = _without_strangers(proposals, config)
+    proposals = _agreeing_with_image(proposals, config)
     rank = np.array([p.score * _agreement(p) for p in proposals])
     keep = nms_3d([p.box for p in proposals], rank, [p.label for p in proposals], config.nms_iou)
-    kept = sorted((proposals[int(i)] for i in keep), key=lambda p: -p.score)
-    return FrameProposals(frame.key, tuple(kept), tuple(lost))
+    by_score = sorted((proposals[int(i)] for i in keep), key=lambda p: -p.score)
+    return FrameProposals(frame.key, tuple(by_score), tuple(lost))
 
 
 def image_agreement(camera: Camera, state: ObjectState, box: OrientedBox, config: RcvConfig) -> float:
-    """IoU on the image: what an object's 3D box (for silhouettes, its points) spans, with the box it came from."""
+    """IoU on the image between the projected 3D box (for silhouettes, the object's points) and the image box."""
     label = state.image_box.label
     if config.box_kind is BoxKind.SILHOUETTE:
         seen = points_on_image(camera, state.cloud.xyz_m, label)
@@ -69,24 +68,24 @@ def _final_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
 
 
 def _coarse_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
-    """The last box of an object that got lost, or the one around its frustum's points (RCV paper, section II.B)."""
+    """The last box of a lost object, or the box around its frustum's points (RCV paper, section II.B)."""
     if state.box is not None:
         return state.box
     if len(state.cloud) < config.min_points:
         return None
-    return canonical_box(aligned_box(state.cloud.xyz_m, camera_frame(state.up).T), state.up)
+    return canonical_box(aligned_box(state.cloud.xyz_m, camera_axes(state.up).T), state.up)
 
 
-def _without_strangers(proposals: Iterable[Proposal], config: RcvConfig) -> list[Proposal]:
-    """Of each frustum the object that agrees best with its image box, and the others that agree well enough."""
+def _agreeing_with_image(proposals: Iterable[Proposal], config: RcvConfig) -> list[Proposal]:
+    """The proposal of each frustum that agrees best with the image box, and others above `min_image_agreement`."""
     by_frustum: dict[int, list[Proposal]] = defaultdict(list)
     for proposal in proposals:
         by_frustum[id(proposal.image_box)].append(proposal)
-    kept: list[Proposal] = []
-    for found in by_frustum.values():
-        best = max(found, key=_agreement)
-        kept += [p for p in found if p is best or _agreement(p) >= config.min_image_agreement]
-    return kept
+    agreeing: list[Proposal] = []
+    for rivals in by_frustum.values():
+        best = max(rivals, key=_agreement)
+        agreeing += [p for p in rivals if p is best or _agreement(p) >= config.min_image_agreement]
+    return agreeing
 
 
 def _agreement(proposal: Proposal) -> float:

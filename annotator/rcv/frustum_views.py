@@ -1,4 +1,4 @@
-"""The first look at an object: front and side view of all that its image box's frustum holds."""
+"""The views of an object's first step: front and side view of all points in its image box's frustum."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from annotator.types import PointCloud, PseudoView
 
 
 def frustum_views(
-    cloud: PointCloud, frame: Float64[np.ndarray, "3 3"], config: RcvConfig, compute: Compute = NUMPY
+    cloud: PointCloud, axes: Float64[np.ndarray, "3 3"], config: RcvConfig, compute: Compute = NUMPY
 ) -> tuple[PseudoView, PseudoView]:
-    """Both views of a frustum's points; of a deep frustum large ones, to be looked at larger than others.
+    """Both views of a frustum's points; larger, and detected at a larger size, for a deep frustum.
 
     Args:
         cloud: at least one point, camera frame.
-        frame: as in `render_pairs`.
+        axes: as in `render_pairs`.
     """
-    # Each point is drawn: of a far object among many near points too few would be left.
+    # all points are drawn: thinning would leave too few of a far object among many near points
     view = config.view.model_copy(update={"points_per_px": float(len(cloud))})
     if not is_deep(cloud, config):
-        front, side = compute.render_pairs(cloud, [frame], view, None)
+        front, side = compute.render_pairs(cloud, [axes], view, None)
         return front, side
     large = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})
-    front, side = compute.render_pairs(cloud, [frame], large, None)
+    front, side = compute.render_pairs(cloud, [axes], large, None)
     return replace(front, look_px=view.deep_size_px), replace(side, look_px=view.deep_size_px)
 
 
 def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
-    """Whether the points of a frustum reach so much further into the scene than across that its object is small in it.
+    """True if a frustum's depth is more than `config.view.deep` times its width and height.
 
-    What lies behind a pedestrian in a street makes the side view 60 m wide: of 96 pixels he has two. Into the scene is
-    along the frustum, which may lie at any angle to the camera's axis.
+    The object is then small in the side view: a pedestrian in front of 60 m of street is two of 96 pixels wide.
+    Depth is measured along the frustum, which may lie at any angle to the camera's axis.
     """
     from annotator.rcv.kernels import drawing as kernel
 
     xyz = np.array(cloud.xyz_m.T, order="C")
-    into = unit(xyz.mean(axis=1, dtype=np.float64))
-    across = unit(np.cross([0.0, 1.0, 0.0], into))
-    axes = np.stack([across, np.cross(into, across), into]).astype(np.float32)
+    forward = unit(xyz.mean(axis=1, dtype=np.float64))
+    across = unit(np.cross([0.0, 1.0, 0.0], forward))
+    frustum_axes = np.stack([across, np.cross(forward, across), forward]).astype(np.float32)
     least, most = np.empty((2, 1, 3), np.float32)
-    kernel.extents(xyz, axes[None], least, most)
-    reach = (most - least)[0].tolist()
-    return bool(reach[2] > config.view.deep * max(reach[:2]))
+    kernel.extents(xyz, frustum_axes[None], least, most)
+    width, height, depth = (most - least)[0].tolist()
+    return bool(depth > config.view.deep * max(width, height))

@@ -1,10 +1,10 @@
 """One oriented box from many measured intervals: the fit behind the consensus strategy.
 
-A view along a known direction measures, for each direction d in its plane, the interval of the object on d. For a box
-with centre c, axes r_i and sizes s_i that interval is `d.c -/+ sum_i s_i / 2 |d.r_i|` (DESIGN: a few directions
-over-determine the 5 unknowns of an upright and the 9 of a free box). The middles of the intervals hold the centre and
-their lengths size and rotation: so orientations are searched on a grid by the lengths alone, with three unknowns each
-(`reach_costs`), and the best ones refined by robust Gauss-Newton steps on everything (`interval_refine`).
+A view measures the interval of the object along the directions d of its plane. For a box with centre c, axes r_i and
+sizes s_i that interval is `d.c -/+ sum_i s_i / 2 |d.r_i|`. A few directions over-determine the 7 unknowns of an upright
+box and the 9 of a free one. The middles of the intervals fix the centre, their lengths the sizes and the rotation. So
+rotations are searched on a grid by the lengths alone (`rotation_search`), and the best ones are refined on all ends by
+robust, damped Gauss-Newton steps (`kernels.refinement`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.rcv.config import FitConfig
-from annotator.rcv.interval_refine import Edges
-from annotator.rcv.reach_costs import reach_costs
-from annotator.rcv.rotation_grid import distinct, free_grid, grid_near, yaw_grid
+from annotator.rcv.rotation_search import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
 
-# How many rotations are refined, and how far apart they are: steps of a computation, which decide nothing about an
-# object.
+# How many rotations are refined, and how far apart they start; not settings, since they do not change what counts as
+# an object.
 STARTS = 6
 START_DISTANCE_RAD = float(np.deg2rad(10))
+# Keeps the equations of the centre solvable if no interval measures a direction.
+RIDGE = 1e-9
 
 DEFAULTS = FitConfig()
 
@@ -34,7 +34,7 @@ class Intervals:
     Attributes:
         directions: (m, 3) unit vectors, camera frame.
         ends_m: (m, 2) low and high end along the direction, metres.
-        sigma_m: (m, 2) expected error of each end, metres; infinite where an end is not known.
+        sigma_m: (m, 2) expected error of each end, metres; infinite for an unknown end.
     """
 
     directions: Float64[np.ndarray, "m 3"]
@@ -73,11 +73,11 @@ def fit_box(
     near: Float64[np.ndarray, "3 3"] | None = None,
     config: FitConfig = DEFAULTS,
 ) -> BoxFit | None:
-    """The box that explains the intervals best; None where they do not fix one.
+    """The box that fits the intervals best; None if they do not determine one.
 
     Args:
-        up: holds the box's z axis at this unit vector; None leaves the rotation free.
-        near: (3, 3) box rotation to try besides the grid, such as the last step's.
+        up: unit vector along which the box's z axis is held; None leaves the rotation free.
+        near: (3, 3) box rotation to try besides the grid, such as that of the last step.
     """
     known = np.isfinite(intervals.sigma_m)
     if known.sum() < (7 if up is not None else 9):
@@ -86,19 +86,97 @@ def fit_box(
     fit = edges.refine(_starts(intervals, up, near, config), held=up is not None)
     if not np.isfinite(fit.cost) or (fit.size_m <= config.min_size_m).any():
         return None
-    if not edges.fixes(fit, held=up is not None):
+    if not edges.determine(fit, held=up is not None):
         return None
-    off = np.sort(np.abs(edges.residuals(fit)[known]))
-    # the median; numpy's own takes several times as long for so few
-    spread = 1.4826 * float(off[(len(off) - 1) // 2] + off[len(off) // 2]) / 2
+    errors = np.sort(np.abs(edges.residuals(fit)[known]))
+    # the median; np.median takes several times as long for so few values
+    spread = 1.4826 * float(errors[(len(errors) - 1) // 2] + errors[len(errors) // 2]) / 2
     return BoxFit(fit.center_m, fit.rotation, fit.size_m, fit.cost, spread)
 
 
 def _starts(
     intervals: Intervals, up: np.ndarray | None, near: np.ndarray | None, config: FitConfig
 ) -> Float64[np.ndarray, "k 3 3"]:
-    """The rotations of the grid that explain the intervals' lengths best, and `near`."""
+    """The grid's rotations that fit the intervals' lengths best, and `near`."""
     grid = free_grid() if up is None else yaw_grid(up)
-    costs = reach_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
-    best = distinct(costs, grid_near(up, START_DISTANCE_RAD), STARTS if near is None else STARTS - 1)
+    costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
+    count = STARTS if near is None else STARTS - 1
+    best = cheapest_distinct(costs, grid_neighbours(up, START_DISTANCE_RAD), count)
     return grid[best] if near is None else np.concatenate([near[None], grid[best]])
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A refined box and its robust cost, in units of the expected variance; columns of `rotation` are its axes."""
+
+    center_m: Float64[np.ndarray, "3"]
+    rotation: Float64[np.ndarray, "3 3"]
+    size_m: Float64[np.ndarray, "3"]
+    cost: float
+
+
+@dataclass(frozen=True)
+class Edges:
+    """The ends of m intervals, centred for precision.
+
+    Attributes:
+        direction: (m, 3) unit vectors.
+        ends: (m, 2) low and high end, metres from `shift`; 0 if unknown.
+        inverse: (m, 2) one over the expected error; 0 if unknown.
+        shift: (3,) what was subtracted from all positions, metres.
+        config: settings.
+    """
+
+    direction: Float64[np.ndarray, "m 3"]
+    ends: Float64[np.ndarray, "m 2"]
+    inverse: Float64[np.ndarray, "m 2"]
+    shift: Float64[np.ndarray, "3"]
+    config: FitConfig
+
+    @classmethod
+    def of(
+        cls,
+        direction: Float64[np.ndarray, "m 3"],
+        ends_m: Float64[np.ndarray, "m 2"],
+        sigma_m: Float64[np.ndarray, "m 2"],
+        config: FitConfig,
+    ) -> Edges:
+        """From the parts of `Intervals`."""
+        known = np.isfinite(sigma_m)
+        middle = np.where(known, ends_m, 0.0) @ (0.5, 0.5)
+        # any point near the object will do; the ridge handles directions that no interval measures
+        spread = direction.T @ direction + RIDGE * len(direction) * np.eye(3)
+        shift = np.linalg.solve(spread, direction.T @ middle)
+        ends = np.where(known, ends_m - (direction @ shift)[:, None], 0.0)
+        return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift, config)
+
+    def residuals(self, fit: Solution) -> Float64[np.ndarray, "m 2"]:
+        """Predicted minus measured ends, metres."""
+        reach = np.abs(self.direction @ fit.rotation) @ fit.size_m / 2
+        middle = self.direction @ (fit.center_m - self.shift)
+        return np.stack([middle - reach, middle + reach], axis=1) - self.ends
+
+    def determine(self, fit: Solution, held: bool) -> bool:
+        """True if the equations determine all unknowns of the box; `held` as in `refine`."""
+        from annotator.rcv.kernels.refinement import FREE, HELD, determined
+
+        box = (fit.center_m, fit.rotation, fit.size_m)
+        return determined(self._measured, box, HELD if held else FREE, self.config.min_determinacy)
+
+    def refine(self, rotation: Float64[np.ndarray, "k 3 3"], held: bool) -> Solution:
+        """The best box that Gauss-Newton steps from several rotations lead to.
+
+        Args:
+            rotation: where to start; columns = box axes.
+            held: turn about the boxes' z axes only.
+        """
+        from annotator.rcv.kernels.refinement import FREE, HELD, refine
+
+        starts, unknowns = np.array(rotation, order="C"), HELD if held else FREE
+        delta, least = self.config.huber_sigmas, self.config.min_size_m
+        (center, turned, size), cost = refine(self._measured, starts, unknowns, delta, least)
+        return Solution(center + self.shift, turned, size, cost)
+
+    @property
+    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.direction, self.ends, self.inverse

@@ -1,8 +1,8 @@
-"""The 2D boxes that known 3D boxes have on a frame's pictures (RCV paper, section III.A and Fig. 5).
+"""The 2D boxes of known 3D boxes on a frame's image and pseudo-views (RCV paper, section III.A and Fig. 5).
 
-An object goes through the first two steps as under an operator's hands (`annotator.rcv.operator`), its projected 3D
-box in place of each drag. Unlike an operator's views, these carry the boxes of all objects that they show: a frustum
-often holds neighbours, and a detector that is not told of them would learn that they are background.
+Each object goes through the two steps of manual labelling (`annotator.rcv.operator`), with its projected 3D box in
+place of each drawn box. Unlike manually labelled views, these carry the boxes of all objects that they show: a frustum
+often contains neighbours, which would otherwise be unlabelled background in training.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from annotator.rcv.operator import draw_object
 from annotator.rcv.teach import is_shown, project_box
 from annotator.types import Box2D, Frame, PseudoView, Truth
 
-# An object without a point of its own is hidden where at least this share of the points in its place on the image lie
-# before it.
+# An object without points counts as hidden if at least this share of the points in its image box's frustum lie in front
+# of it.
 HIDING_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class KnownView:
-    """A pseudo-view, its step (from 0), and the boxes of the objects that it shows, its own object's first."""
+    """A pseudo-view, the number of its step (from 0), and the boxes on it, that of its own object first."""
 
     view: PseudoView
     step: int
@@ -37,7 +37,7 @@ class KnownView:
 
 @dataclass(frozen=True, eq=False)
 class KnownObject:
-    """One object's box on the image, and its views: front and side of each step."""
+    """An object's box on the image, and its views: front and side of each step."""
 
     image_box: Box2D
     views: tuple[KnownView, ...]
@@ -45,14 +45,14 @@ class KnownObject:
 
 @dataclass(frozen=True, eq=False)
 class KnownFrame:
-    """What a frame's 3D boxes are on its pictures.
+    """The 2D boxes of a frame's 3D boxes.
 
     Attributes:
-        on_image: of the objects that the camera sees, also of those without a view.
-        objects: those that could be followed through both steps.
-        outside: classes of the objects outside the picture.
-        hidden: classes of the objects behind something else, without a point of their own.
-        without_views: classes of the objects on the image that got lost on the way, for want of points.
+        on_image: boxes on the image of all visible objects, including those without views.
+        objects: the objects that went through both steps.
+        outside: classes of the objects outside the image.
+        hidden: classes of the objects without points that are hidden behind something else.
+        without_views: classes of the visible objects with too few points for both steps.
     """
 
     on_image: tuple[Box2D, ...]
@@ -65,16 +65,16 @@ class KnownFrame:
 def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> KnownFrame:
     """The 2D boxes of known objects on the image and on the views of the first two steps.
 
-    An object that reaches out of the picture has the box of its visible part; one that is hidden in part has the box
-    of its whole extent, since that is what a box of the kind `BoxKind.BOX` measures.
+    The box of an object that is cut off by the image border covers its visible part. The box of a partly hidden object
+    covers its whole extent, as for `BoxKind.BOX`.
 
     Args:
-        frame: read whole; its normals are estimated where it has none.
-        truths: all labelled objects of the classes that shall be learnt.
-        config: how views are drawn; its orientation is the frame's.
+        frame: with cloud; missing normals are estimated.
+        truths: all labelled objects of the classes to learn.
+        config: how views are drawn.
     """
     known = _Known(frame, truths)
-    outside, hidden, seen = [], [], []
+    outside, hidden, visible = [], [], []
     for index, truth in enumerate(truths):
         image_box = box_on_image(frame.camera, truth.box, truth.label)
         if image_box is None:
@@ -82,23 +82,23 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
         elif known.points[index] == 0 and _is_hidden(frame, truth, image_box):
             hidden.append(truth.label)
         else:
-            seen.append((index, image_box))
-    frame = frame_with_normals(frame, [box for index, box in seen if known.points[index]], config)
+            visible.append((index, image_box))
+    frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]], config)
     objects, without_views = [], []
-    for index, image_box in seen:
+    for index, image_box in visible:
         followed = known.follow(frame, index, image_box, config) if known.points[index] else None
         if followed is None:
             without_views.append(truths[index].label)
         else:
             objects.append(followed)
-    on_image = tuple(box for _, box in seen)
+    on_image = tuple(box for _, box in visible)
     return KnownFrame(on_image, tuple(objects), tuple(outside), tuple(hidden), tuple(without_views))
 
 
 def _is_hidden(frame: Frame, truth: Truth, image_box: Box2D) -> bool:
-    """True for an object without points whose place on the image is taken by what lies before it.
+    """True for an object without points if the measured points in its frustum lie in front of it.
 
-    Where nothing was measured at all, or what was lies behind it (far objects, glass), the image may well show it.
+    If nothing was measured there, or only points behind the object (far objects, glass), the image may show it.
     """
     depth_m = frame.cloud.xyz_m[in_frustum(frame.camera, frame.cloud.xyz_m, image_box), 2]
     nearest_m = max(float(box_corners(truth.box)[:, 2].min()), NEAR_M)
@@ -107,7 +107,7 @@ def _is_hidden(frame: Frame, truth: Truth, image_box: Box2D) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """The objects of a frame, and how many of the cloud's points are whose."""
+    """The objects of a frame, the number of points in each, and their corners."""
 
     frame: Frame
     truths: Sequence[Truth]
@@ -121,34 +121,37 @@ class _Known:
         object.__setattr__(self, "corners_m", corners_m)
 
     def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> KnownObject | None:
-        """One object through both steps; None where it gets lost."""
+        """Takes one object through both steps; None if too few points are left."""
         truth = self.truths[index]
-        # the two views of a step draw the same points; the key is good as long as `shown` keeps them
+        # both views of a step have the same points; the ids stay valid because the dictionary keeps the arrays
         shown: dict[int, tuple[np.ndarray, tuple[int, ...]]] = {}
 
-        def of(view: PseudoView) -> tuple[int, ...]:
+        def objects_on(view: PseudoView) -> tuple[int, ...]:
             if id(view.xyz_m) not in shown:
                 shown[id(view.xyz_m)] = (view.xyz_m, self._shown(view.xyz_m))
             return shown[id(view.xyz_m)][1]
 
         def draw(view: PseudoView) -> Box2D | None:
-            return project_box(view, truth.box, truth.label) if index in of(view) else None
+            return project_box(view, truth.box, truth.label) if index in objects_on(view) else None
 
         drawn = draw_object(frame, image_box, draw, config)
         if drawn is None:
             return None
         return KnownObject(
             image_box,
-            tuple(KnownView(d.view, d.step, (d.box, *self._others(d.view, index, of(d.view)))) for d in drawn.views),
+            tuple(
+                KnownView(d.view, d.step, (d.box, *self._others(d.view, index, objects_on(d.view))))
+                for d in drawn.views
+            ),
         )
 
-    def _others(self, view: PseudoView, own: int, shown: Sequence[int]) -> list[Box2D]:
-        others = [self.truths[index] for index in shown if index != own]
+    def _others(self, view: PseudoView, target: int, shown: Sequence[int]) -> list[Box2D]:
+        others = [self.truths[index] for index in shown if index != target]
         boxes = [project_box(view, truth.box, truth.label) for truth in others]
         return [box for box in boxes if box is not None]
 
     def _shown(self, xyz_m: np.ndarray) -> tuple[int, ...]:
-        """The objects of which a picture of these points shows enough."""
+        """Indices of the objects that a view of these points shows enough of to label."""
         low, high = xyz_m.min(axis=0), xyz_m.max(axis=0)
         near = ((self.corners_m.min(axis=1) <= high) & (self.corners_m.max(axis=1) >= low)).all(axis=1)
         return tuple(

@@ -1,4 +1,4 @@
-"""From the detections of one step's views to one box: a pair, the consensus of all, or the tightest."""
+"""The box of a step from the detections on its views: from a pair, the consensus of all, or the tightest pair."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-UNFIXED = "consensus: the measured intervals fix no box"
+UNDETERMINED = "consensus: the measured intervals do not determine a box"
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What a step measured.
+    """The result of a step's detections.
 
     Attributes:
         box: the step's box, axes in any order.
-        frame: rows, the axes that count as the step's.
+        axes: rows = the axes of the step.
         disagreement: see `Quality.view_disagreement`.
         score: mean score of the detections used.
-        used: per view, which detection was used.
-        intervals: everything measured of the object so far.
-        fallback: what was tried first and could not be used, with the reason.
-        cut: a used detection touches the border of its picture.
+        used: per view, the index of the detection that was used.
+        intervals: all intervals measured of the object so far.
+        fallback: what was tried first and failed, with the reason.
+        cut: a used detection touches the border of its view.
     """
 
     box: OrientedBox
-    frame: Float64[np.ndarray, "3 3"]
+    axes: Float64[np.ndarray, "3 3"]
     disagreement: float
     score: float
     used: tuple[int | None, ...]
@@ -45,95 +45,96 @@ class Measurement:
 def choose_all(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None, config: RcvConfig
 ) -> tuple[int | None, ...]:
-    """For each view the one detection that continues the last box."""
+    """The detection on each view that continues the last box, see `cross_view.choose`."""
     corners = None if last is None else box_corners(last)
-    return tuple(cross_view.choose(view, found, corners, config) for view, found in zip(views, boxes, strict=True))
+    return tuple(cross_view.choose(view, on_view, corners, config) for view, on_view in zip(views, boxes, strict=True))
 
 
 def measure_pair(
-    frame: Float64[np.ndarray, "3 3"],
+    axes: Float64[np.ndarray, "3 3"],
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
     config: RcvConfig,
 ) -> Measurement | None:
-    """The paper's step: one front and one side detection; None where a view has none."""
+    """The paper's step: a pair of one front and one side detection; None if a view has none."""
     front, side = choose_all(views, boxes, last, config)
     if front is None or side is None:
         return None
-    pair = cross_view.make_pair(frame, (views[0], views[1]), boxes[0], boxes[1], front, side)
+    pair = cross_view.make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
     used = (front, side)
-    return Measurement(pair.box, frame, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config))
+    return Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config))
 
 
 def measure_consensus(
-    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    axes: Sequence[Float64[np.ndarray, "3 3"]],
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
     earlier: Intervals | None,
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
-    seed: OrientedBox | None = None,
+    start_box: OrientedBox | None = None,
 ) -> Measurement | None:
-    """One box through the intervals of all views with a detection, and of the steps before.
+    """The box fitted to the intervals of all detections of this and earlier steps.
 
     Args:
-        seed: a box that the object had a moment ago, which counts as a weak measurement.
+        start_box: the box of a warm start, which counts as a weak measurement.
 
-    None where no view has a detection; the least-volume pair where the intervals do not fix a box.
+    Returns:
+        the fit, or the pair of least volume if the intervals do not determine a box; None without detections.
     """
     used = choose_all(views, boxes, last, config)
-    seen = [(view, found[i]) for view, found, i in zip(views, boxes, used, strict=True) if i is not None]
+    seen = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
     if not seen:
         return None
     parts = [cross_view.measured_intervals([view for view, _ in seen], [box for _, box in seen], config)]
-    if seed is not None:
-        parts.append(_remembered(seed, parts[0], config))
+    if start_box is not None:
+        parts.append(_start_intervals(start_box, parts[0], config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
     fit = fit_box(intervals, up, None if last is None else last.rotation, config.fit)
     if fit is None:
-        pairs = _pairs(frames, views, boxes, used)
-        return _least_volume(pairs, used, intervals, (UNFIXED,))
+        pairs = _pairs(axes, views, boxes, used)
+        return _least_volume(pairs, used, intervals, (UNDETERMINED,))
     box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
     score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
     return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used, config))
 
 
-def _remembered(seed: OrientedBox, seen: Intervals, config: RcvConfig) -> Intervals:
-    """The seed as a measurement, put where the middles of the measured intervals say that the object is now.
+def _start_intervals(start_box: OrientedBox, seen: Intervals, config: RcvConfig) -> Intervals:
+    """The start box as three intervals, moved to the object's present centre, as the measured intervals give it.
 
-    A few views leave a side that they see badly open to their errors; a box of the moment before knows it better.
+    It stabilises sides that the few views of a warm start measure badly.
     """
     center = np.linalg.lstsq(seen.directions, seen.ends_m.mean(axis=1), rcond=None)[0]
-    axes = seed.rotation.T
-    ends = (axes @ center)[:, None] + np.stack([-seed.size_m / 2, seed.size_m / 2], axis=1)
-    return Intervals(axes, ends, np.full((3, 2), config.warm.seed_doubt * float(seed.size_m.mean())))
+    axes, half = start_box.rotation.T, start_box.size_m / 2
+    ends = (axes @ center)[:, None] + np.stack([-half, half], axis=1)
+    return Intervals(axes, ends, np.full((3, 2), config.warm.seed_doubt * float(start_box.size_m.mean())))
 
 
 def _pairs(
-    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    axes: Sequence[Float64[np.ndarray, "3 3"]],
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     used: Sequence[int | None],
 ) -> list[cross_view.Pair]:
     pairs = []
-    for k, frame in enumerate(frames):
+    for k, rows in enumerate(axes):
         front, side = used[2 * k], used[2 * k + 1]
         if front is not None and side is not None:
             two = (views[2 * k], views[2 * k + 1])
-            pairs.append(cross_view.make_pair(frame, two, boxes[2 * k], boxes[2 * k + 1], front, side))
+            pairs.append(cross_view.make_pair(rows, two, boxes[2 * k], boxes[2 * k + 1], front, side))
     return pairs
 
 
 def any_cut(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], used: Sequence[int | None], config: RcvConfig
 ) -> bool:
-    """True where a used detection touches the border of its picture."""
+    """True if a used detection touches the border of its view."""
     return any(
-        i is not None and any(cross_view.cut_edges(view, found[i], config))
-        for view, found, i in zip(views, boxes, used, strict=True)
+        i is not None and any(cross_view.cut_edges(view, on_view[i], config))
+        for view, on_view, i in zip(views, boxes, used, strict=True)
     )
 
 
@@ -146,31 +147,31 @@ def _least_volume(
     if not pairs:
         return None
     best = min(pairs, key=lambda pair: pair.box.volume_m3)
-    return Measurement(best.box, best.frame, best.disagreement, best.score, used, intervals, fallback)
+    return Measurement(best.box, best.axes, best.disagreement, best.score, used, intervals, fallback)
 
 
 def measure_tightest(
-    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    axes: Sequence[Float64[np.ndarray, "3 3"]],
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     last: OrientedBox | None,
     cloud: PointCloud,
     config: RcvConfig,
 ) -> Measurement | None:
-    """The least-volume box among the hypotheses: silhouettes are narrower than the box off its own axes.
+    """The pair of least volume among the hypotheses: silhouettes fit tightly only along the object's own axes.
 
-    A hypothesis whose detections missed a part of the object would win by being small; so those that hold clearly
-    fewer points than most do not take part.
+    A hypothesis whose detections missed a part of the object would be the smallest. So hypotheses that contain clearly
+    fewer points than the median are discarded.
     """
     used = choose_all(views, boxes, last, config)
-    pairs = _pairs(frames, views, boxes, used)
+    pairs = _pairs(axes, views, boxes, used)
     if not pairs:
         return None
     margin = config.consensus.silhouette_margin * float(np.median([pair.box.size_m.mean() for pair in pairs]))
-    held = np.array([contains(pair.box, cloud.xyz_m, margin).sum() for pair in pairs])
+    inside = np.array([contains(pair.box, cloud.xyz_m, margin).sum() for pair in pairs])
     whole = [
         pair
-        for pair, points in zip(pairs, held, strict=True)
-        if points >= config.consensus.whole_share * np.median(held)
+        for pair, points in zip(pairs, inside, strict=True)
+        if points >= config.consensus.whole_share * np.median(inside)
     ]
     return _least_volume(whole, used, None)

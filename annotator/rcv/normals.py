@@ -1,4 +1,4 @@
-"""Normals for the projection axes, estimated once a frame."""
+"""Normals for the projection axes, estimated once per frame."""
 
 from __future__ import annotations
 
@@ -16,19 +16,17 @@ from annotator.types import Box2D, BoxKind, Frame, PointCloud
 
 
 def needs_normals(config: RcvConfig) -> bool:
-    """True where a step looks at normals."""
+    """True if the recursion uses normals with these settings."""
     return config.strategy is Strategy.NORMALS or (
         config.strategy is Strategy.CONSENSUS and config.box_kind is BoxKind.SILHOUETTE
     )
 
 
-def with_normals(
-    frame: Frame, wanted: Bool[np.ndarray, "n"], config: RcvConfig, compute: Compute = NUMPY
-) -> PointCloud:
-    """The frame's cloud with normals at least for the wanted points; zero where unknown.
+def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"], config: RcvConfig, compute: Compute = NUMPY) -> PointCloud:
+    """The frame's cloud with normals, at least at the points of `mask`; zero if unknown.
 
-    An organised depth image gives them from pixel neighbours; otherwise the nearest neighbours among the wanted
-    points do.
+    They are estimated from pixel neighbours if the cloud comes from a depth image, otherwise from the nearest
+    neighbours within `mask`.
     """
     cloud = frame.cloud
     if cloud.normals is not None:
@@ -37,14 +35,14 @@ def with_normals(
         grid = compute.normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
         return replace(cloud, normals=grid[cloud.pixel_index])
     normals = np.zeros((len(cloud), 3), np.float32)
-    if wanted.any():
-        normals[wanted] = normals_knn(cloud.xyz_m[wanted], config.axes.normal_neighbours)
+    if mask.any():
+        normals[mask] = normals_knn(cloud.xyz_m[mask], config.axes.normal_neighbours)
     return replace(cloud, normals=normals)
 
 
 def frame_with_normals(frame: Frame, image_boxes: Sequence[Box2D], config: RcvConfig) -> Frame:
-    """The frame whose cloud has normals in the frustums of these boxes, for who looks at one object after another."""
+    """The frame with normals in the frustums of all these boxes, so that they are not estimated once per object."""
     if not image_boxes or frame.cloud.normals is not None:
         return frame
-    wanted = np.logical_or.reduce(in_frustums(frame.camera, frame.cloud.xyz_m, image_boxes))
-    return replace(frame, cloud=with_normals(frame, wanted, config))
+    mask = np.logical_or.reduce(in_frustums(frame.camera, frame.cloud.xyz_m, image_boxes))
+    return replace(frame, cloud=with_normals(frame, mask, config))

@@ -1,7 +1,7 @@
-"""The paper's labelling procedure (Fig. 6), step by step: image box -> two views -> two more views -> the object.
+"""The paper's labelling procedure (Fig. 6): image box -> two views -> two more views -> the object.
 
-Whoever draws the boxes, a person in the browser or the simulated operator of the benchmarks, goes through the same
-steps: five 2D boxes an object.
+The browser's operator and the simulated operator of the benchmarks follow the same steps, with five 2D boxes per
+object.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jaxtyping import Bool
 
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners
-from annotator.rcv.axes import camera_frame, find_axes
+from annotator.rcv.axes import camera_axes, find_axes
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.cross_view import make_pair
 from annotator.rcv.frustum_views import frustum_views
@@ -27,16 +27,16 @@ from annotator.types import Box2D, Frame, PseudoView
 LABELLED_STEPS = 2
 
 DrawOnView = Callable[[PseudoView], Box2D | None]
-"""Draws the one box of the object on a pseudo-view; None where it cannot be seen."""
+"""Draws the object's box on a pseudo-view; None if the object is not visible."""
 
 Views = tuple[PseudoView, PseudoView]
 Span = tuple[np.ndarray, np.ndarray]
-"""A view's axes (3, 3), and the view coordinates (2, 2), metres, that the box on it spans."""
+"""A view's axes (3, 3), and the view coordinates (2, 2) of the box on it, metres: (low, high) of x and y."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnView:
-    """A pseudo-view, the step that it belongs to (from 0), and the box drawn on it."""
+    """A pseudo-view, the number of its step (from 0), and the box drawn on it."""
 
     view: PseudoView
     step: int
@@ -45,7 +45,7 @@ class DrawnView:
 
 @dataclass(frozen=True, eq=False)
 class DrawnObject:
-    """One object after the drags.
+    """One object with all its drawn boxes.
 
     Attributes:
         image_box: on the camera image.
@@ -57,13 +57,14 @@ class DrawnObject:
 
 
 def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvConfig) -> DrawnObject | None:
-    """Goes through both steps with one object.
+    """Takes one object through both steps.
 
     Args:
-        frame: with normals already (`frame_with_normals`) where several of its objects are drawn.
+        frame: with normals (`frame_with_normals`) if several of its objects are drawn.
+        draw: draws the boxes on views.
 
     Returns:
-        None where the object gets lost: too few points, or a view on which nothing could be drawn.
+        None if too few points are left, or if the object is not visible on a view.
     """
     drawn: list[DrawnView] = []
     views = first_views(frame, image_box, config)
@@ -79,29 +80,29 @@ def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvCon
 
 
 def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | None:
-    """Front and side view of a box's frustum along the camera axes; None with too few points in it."""
+    """Front and side view of an image box's frustum along the camera axes; None if it has too few points."""
     cloud = frame.cloud.select(in_frustum(frame.camera, frame.cloud.xyz_m, image_box))
     if len(cloud) < config.min_points:
         return None
-    return frustum_views(cloud, camera_frame(held_direction(frame.up, config)), config)
+    return frustum_views(cloud, camera_axes(held_direction(frame.up, config)), config)
 
 
 def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: RcvConfig) -> Views | None:
-    """The views after a step: what the front and the side box have cut out, along the normals' axes.
+    """The views of the next step: the points that the front and the side box cut out, along the axes of their normals.
 
     Args:
         frame: see `draw_object`.
-        spans: of the front and the side view's box, in this order.
+        spans: of the boxes on the front and the side view, in this order.
 
     Returns:
-        None where too few points are left.
+        None if too few points are left.
     """
     (axes, front_span), (_, side_span) = spans
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
     if mask.sum() < config.min_points:
         return None
     frustum = with_normals(frame, mask, config).select(mask)
-    # As the recursion does it, so that the drawn views look like those that a detector will be shown.
+    # as in the recursion, so that the drawn views look like those that the detector will see
     front, side = frustum_views(frustum, axes, config)
     label = image_box.label
     drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
@@ -109,20 +110,20 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
     cloud = cut_cloud(frustum, box, (front, side), config)
     if len(cloud) < config.min_points:
         return None
-    found = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).frame
+    next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
     show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0), config), config))
-    front, side = render_pairs(cloud, [found], config.view, show)
+    front, side = render_pairs(cloud, [next_axes], config.view, show)
     return front, side
 
 
 def cut_out(frame: Frame, image_box: Box2D, spans: Sequence[tuple[Span, float]]) -> Bool[np.ndarray, "n"]:
-    """Which points an object's drags leave: those of the frustum that lie within every box.
+    """Which points an object's 2D boxes select: those in the frustum and within the box on every view.
 
     Args:
-        spans: of each view's box, with the margin that a drag may be off, metres.
+        spans: of each view's box, with the inaccuracy of drawing that is allowed, metres.
     """
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
     for (axes, span), margin_m in spans:
-        seen = frame.cloud.xyz_m @ axes[:2].T
-        mask &= ((seen >= span[:, 0] - margin_m) & (seen <= span[:, 1] + margin_m)).all(axis=1)
+        on_view = frame.cloud.xyz_m @ axes[:2].T
+        mask &= ((on_view >= span[:, 0] - margin_m) & (on_view <= span[:, 1] + margin_m)).all(axis=1)
     return mask

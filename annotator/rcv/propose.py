@@ -1,4 +1,4 @@
-"""Frames in, proposals out: all objects of all frames advance together, one detector batch a step."""
+"""Recursive Cross-View on frames: all objects of all frames advance together, one detector batch per step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
 from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start
-from annotator.rcv.seeds import Seed, checked, matched_seeds, warm_start
+from annotator.rcv.warm_start import WarmStart, check_first_step, match_warm_starts, start_warm
 from annotator.types import Box2D, Detector, Frame, StopReason
 
 
@@ -21,24 +21,24 @@ def propose(
     image_detector: Detector,
     view_detector: Detector,
     config: RcvConfig,
-    seeds: Sequence[Sequence[Seed]] | None = None,
+    warm_starts: Sequence[Sequence[WarmStart]] | None = None,
     compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
     """Recursive Cross-View on several frames at once.
 
-    The image detector runs once on all images; then every step runs the view detector once, on the pseudo-views of
-    all objects that are still in recursion.
+    The image detector runs once on all images. Then the view detector runs once per step, on the pseudo-views of all
+    objects that are still in recursion.
 
     Args:
-        seeds: for each frame the boxes that its objects had a moment ago. An object whose image box matches one starts
-            from it, and without it where the two turn out to disagree (`seeds`).
-        compute: where pictures are drawn, normals estimated and clustered.
+        warm_starts: for each frame, boxes that its objects had in an earlier frame. An object whose image box matches
+            one starts from it (`annotator.rcv.warm_start`).
+        compute: the device that draws views and estimates and clusters normals.
 
     Returns:
-        one result a frame, in the order given.
+        one result per frame, in the order given.
     """
     image_boxes = image_detector.detect(frames)
-    return propose_from_boxes(frames, image_boxes, view_detector, config, seeds, compute)
+    return propose_from_boxes(frames, image_boxes, view_detector, config, warm_starts, compute)
 
 
 def propose_from_boxes(
@@ -46,22 +46,22 @@ def propose_from_boxes(
     image_boxes: Sequence[Sequence[Box2D]],
     view_detector: Detector,
     config: RcvConfig,
-    seeds: Sequence[Sequence[Seed]] | None = None,
+    warm_starts: Sequence[Sequence[WarmStart]] | None = None,
     compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
-    """The same from given 2D boxes on the images, one list a frame."""
+    """As `propose`, from given 2D boxes on the images, one list per frame."""
     active: list[ObjectState] = []
-    each_seeds = seeds if seeds is not None else [()] * len(frames)
-    for index, (frame, boxes, known) in enumerate(zip(frames, image_boxes, each_seeds, strict=True)):
-        active.extend(_frustums(index, frame, boxes, known, config, compute))
+    starts_of_frames = warm_starts if warm_starts is not None else [()] * len(frames)
+    for index, (frame, boxes, starts) in enumerate(zip(frames, image_boxes, starts_of_frames, strict=True)):
+        active.extend(_initial_states(index, frame, boxes, starts, config, compute))
     done = [state for state in active if state.stop is not StopReason.CONTINUES]
     active = [state for state in active if state.stop is StopReason.CONTINUES]
     while active:
         plans = [plan_step(state, config, compute) for state in active]
-        found = iter(view_detector.detect([view for plan in plans for view in plan.views]))
+        on_views = iter(view_detector.detect([view for plan in plans for view in plan.views]))
         advanced: list[ObjectState] = []
         for state, plan in zip(active, plans, strict=True):
-            detections = [next(found) for _ in plan.views]
+            detections = [next(on_views) for _ in plan.views]
             advanced.extend(_advanced(frames[state.frame_index], state, plan, detections, config))
         done.extend(state for state in advanced if state.stop is not StopReason.CONTINUES)
         active = [state for state in advanced if state.stop is StopReason.CONTINUES]
@@ -72,14 +72,20 @@ def _advanced(
     frame: Frame, state: ObjectState, plan: StepPlan, detections: Sequence[Sequence[Box2D]], config: RcvConfig
 ) -> list[ObjectState]:
     advanced = absorb_step(state, plan, detections, config)
-    if state.without_seed is None:
+    if state.cold is None:
         return advanced
-    return [checked(frame.camera, state, after, config) for after in advanced]
+    return [check_first_step(frame.camera, state, after, config) for after in advanced]
 
 
-def _frustums(
-    index: int, frame: Frame, boxes: Sequence[Box2D], seeds: Sequence[Seed], config: RcvConfig, compute: Compute
+def _initial_states(
+    index: int,
+    frame: Frame,
+    boxes: Sequence[Box2D],
+    warm_starts: Sequence[WarmStart],
+    config: RcvConfig,
+    compute: Compute,
 ) -> list[ObjectState]:
+    """The state of each image box before its first step."""
     boxes = [box for box in boxes if box.score >= config.min_image_score]
     if boxes:
         frame = compute.hold(frame)
@@ -88,10 +94,10 @@ def _frustums(
     if boxes and needs_normals(config):
         cloud = with_normals(frame, np.logical_or.reduce(masks), config, compute)
     states = [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
-    if not seeds:
+    if not warm_starts:
         return states
-    matched = matched_seeds(frame.camera, boxes, seeds, config)
+    start_boxes = match_warm_starts(frame.camera, boxes, warm_starts, config)
     return [
-        state if seed is None or state.stop is not StopReason.CONTINUES else warm_start(state, seed, config)
-        for state, seed in zip(states, matched, strict=True)
+        state if box is None or state.stop is not StopReason.CONTINUES else start_warm(state, box, config)
+        for state, box in zip(states, start_boxes, strict=True)
     ]

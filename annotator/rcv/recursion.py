@@ -1,7 +1,7 @@
-"""The recursion of one object: plan a step's pseudo-views, take in what was detected on them, keep or stop.
+"""The recursion of one object: draw a step's pseudo-views, fuse the detections on them, continue or stop.
 
-A step is split in two, `plan_step` and `absorb_step`, so that the caller can draw the views of all objects of all
-frames and send them through the detector in one batch between the two.
+A step has two halves, `plan_step` and `absorb_step`. Between them the caller sends the views of all objects of all
+frames through the detector in one batch.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.rcv import cross_view
-from annotator.rcv.axes import camera_frame, find_axes, frame_angle
-from annotator.rcv.canonical import canonical_box
+from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.frustum_views import frustum_views
-from annotator.rcv.hypotheses import beside_frames, near_frames, wide_frames
+from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.types import (
@@ -39,24 +38,24 @@ from annotator.types import (
 
 @dataclass(frozen=True, eq=False)
 class ObjectState:
-    """One object on its way through the recursion.
+    """The state of one object in the recursion.
 
     Attributes:
         frame_index: position of its frame in the batch.
         image_box: the detection on the camera image.
         cloud: the points kept so far.
         up: unit vector against gravity for an upright box, None for a free one.
-        axes: rows, the frame of the last step.
+        axes: rows = axes of the last step.
         box: the last step's box.
-        measured: intervals of all steps of a consensus so far.
-        is_cut: a detection of the last step touched its picture's border, so the object may go on beyond.
+        measured: intervals of all consensus steps so far.
+        is_cut: a detection of the last step touched its view's border, so the object may extend beyond it.
         view_score: mean score of the detections that made the last box.
         disagreement, last_change, kept_share: the quality signals of the last step.
         steps: the trace.
         stop: CONTINUES while the recursion runs.
-        notes: what the first step's trace tells of how the object started.
-        is_warm: it started from a seed, a box that it had a moment ago (`seeds`).
-        without_seed: for an object that starts from a seed and has not been checked yet, its state without the seed.
+        notes: how the object started, for the trace of the first step.
+        is_warm: the object started from its previous box (`warm_start`).
+        cold: until a warm start has been checked, the state without it.
     """
 
     frame_index: int
@@ -75,11 +74,11 @@ class ObjectState:
     stop: StopReason = StopReason.CONTINUES
     notes: tuple[str, ...] = ()
     is_warm: bool = False
-    without_seed: ObjectState | None = None
+    cold: ObjectState | None = None
 
     @property
     def is_first(self) -> bool:
-        """True where nothing is known of the object but its frustum."""
+        """True before the first step of an object without a start box: only its frustum is known."""
         return not self.steps and self.box is None
 
     @property
@@ -89,28 +88,28 @@ class ObjectState:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """The pseudo-views that an object's next step needs: front and side of each frame in turn."""
+    """The pseudo-views of an object's next step: front and side view along each axes, in turn."""
 
     strategy: Strategy
     fallback: tuple[str, ...]
-    frames: tuple[Float64[np.ndarray, "3 3"], ...]
+    axes: tuple[Float64[np.ndarray, "3 3"], ...]
     views: tuple[PseudoView, ...]
 
 
 def held_direction(up: np.ndarray | None, config: RcvConfig) -> np.ndarray | None:
-    """The direction that boxes are held at: unit (3,), or None where they turn freely."""
+    """The direction along which a box axis is held: unit vector (3,), or None for free boxes."""
     if config.orientation is Orientation.FREE:
         return None
-    # Where a recording does not know gravity, a camera held level is the best guess.
+    # without a gravity direction, the camera is assumed to be level
     return np.array([0.0, -1.0, 0.0]) if up is None else up
 
 
 def start(
     frame_index: int, image_box: Box2D, cloud: PointCloud, up: np.ndarray | None, config: RcvConfig
 ) -> ObjectState:
-    """The state before the first step; stopped at once where the frustum holds too few points."""
+    """The state before the first step; already stopped if the frustum has too few points."""
     held = held_direction(up, config)
-    state = ObjectState(frame_index, image_box, cloud, held, camera_frame(held))
+    state = ObjectState(frame_index, image_box, cloud, held, camera_axes(held))
     if len(cloud) < config.min_points:
         step = StepTrace(Strategy.CAMERA, (), (), None, len(cloud), 0, StopReason.TOO_FEW_POINTS)
         return replace(state, steps=(step,), stop=StopReason.TOO_FEW_POINTS)
@@ -118,92 +117,94 @@ def start(
 
 
 def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:
-    """Chooses the projection axes of the next step and draws its views, on the device of `compute`."""
+    """Chooses the projection axes of the next step and draws its views on the device of `compute`."""
     fallback: tuple[str, ...] = ()
     if state.is_first:
-        strategy, frames = Strategy.CAMERA, [camera_frame(state.up)]
+        strategy, axes = Strategy.CAMERA, [camera_axes(state.up)]
     elif config.strategy is Strategy.CONSENSUS:
         strategy = Strategy.CONSENSUS
-        frames, fallback = _consensus_frames(state, config, compute)
+        axes, fallback = _consensus_axes(state, config, compute)
     else:
-        axes = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
-        strategy, fallback, frames = axes.strategy, axes.fallback, [axes.frame]
+        found = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
+        strategy, fallback, axes = found.strategy, found.fallback, [found.axes]
     if not state.steps:
         fallback = state.notes + fallback
     views: Sequence[PseudoView]
     if state.is_first:
-        views = frustum_views(state.cloud, frames[0], config, compute)
+        views = frustum_views(state.cloud, axes[0], config, compute)
     else:
         show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
-        views = compute.render_pairs(state.cloud, frames, config.view, show)
-    return StepPlan(strategy, fallback, tuple(frames), tuple(views))
+        views = compute.render_pairs(state.cloud, axes, config.view, show)
+    return StepPlan(strategy, fallback, tuple(axes), tuple(views))
 
 
 def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
-    """What the next pictures must show: the box, or, where it was cut off, room around it."""
+    """The box that the next views must show: the last box, enlarged if it was cut off."""
     return OrientedBox(box.T_camera_box, box.size_m * (config.cut_room if is_cut else 1.0))
 
 
 def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> PointCloud:
-    """What a step keeps: the points in its box, and those as near to it as its views may have blurred."""
+    """The points that a step keeps: those in its box and within `cross_view.cut_margin_m` of it."""
     return cloud.select(contains(box, cloud.xyz_m, cross_view.cut_margin_m(box, views, config)))
 
 
-def _consensus_frames(
+def _consensus_axes(
     state: ObjectState, config: RcvConfig, compute: Compute
 ) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
-    """The step's hypotheses, and what was tried for them in vain."""
+    """The axis hypotheses of a step, and why richer strategies failed."""
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
-        return wide_frames(state.up, config), ()
+        return wide_axes(state.up, config), ()
     if state.is_warm:
-        frames = beside_frames(state.box.rotation, state.up, len(state.steps), config)
+        axes = warm_axes(state.box.rotation, state.up, len(state.steps), config)
     else:
-        frames = near_frames(state.box.rotation, state.up, config)
+        axes = near_axes(state.box.rotation, state.up, config)
     if config.box_kind is not BoxKind.SILHOUETTE:
-        return frames, ()
-    reference = camera_frame(state.up)
+        return axes, ()
+    reference = camera_axes(state.up)
     normals = find_axes(state.cloud, Strategy.NORMALS, reference, state.up, config, compute.axial_kmeans)
-    return [*frames, normals.frame], normals.fallback
+    return [*axes, normals.axes], normals.fallback
 
 
 def absorb_step(
     state: ObjectState, plan: StepPlan, detections: Sequence[Sequence[Box2D]], config: RcvConfig
 ) -> list[ObjectState]:
-    """The object's state after a step; several states where the first step found several objects.
+    """The object's state after a step; several states if the first step found several objects.
 
     Args:
-        detections: per view of the plan, best first, any class; others than the frustum's are ignored.
+        detections: per view of the plan, best first; classes other than the frustum's are ignored.
     """
     boxes = [
-        tuple(b for b in found if b.label == state.image_box.label and b.score >= config.min_view_score)
-        for found in detections
+        tuple(b for b in on_view if b.label == state.image_box.label and b.score >= config.min_view_score)
+        for on_view in detections
     ]
     if state.is_first:
         return _absorb_first(state, plan, boxes, config)
     if plan.strategy is not Strategy.CONSENSUS:
-        measured = measure_pair(plan.frames[0], plan.views, boxes, state.box, config)
+        measured = measure_pair(plan.axes[0], plan.views, boxes, state.box, config)
     elif config.box_kind is BoxKind.SILHOUETTE:
-        measured = measure_tightest(plan.frames, plan.views, boxes, state.box, state.cloud, config)
+        measured = measure_tightest(plan.axes, plan.views, boxes, state.box, state.cloud, config)
     else:
-        seed = state.box if state.is_warm and not state.steps else None
-        measured = measure_consensus(plan.frames, plan.views, boxes, state.box, state.measured, state.up, config, seed)
+        start_box = state.box if state.is_warm and not state.steps else None
+        measured = measure_consensus(
+            plan.axes, plan.views, boxes, state.box, state.measured, state.up, config, start_box
+        )
     return [_advance(state, plan, boxes, measured, config)]
 
 
 def _absorb_first(
     state: ObjectState, plan: StepPlan, boxes: list[tuple[Box2D, ...]], config: RcvConfig
 ) -> list[ObjectState]:
-    frame, views = plan.frames[0], (plan.views[0], plan.views[1])
-    pairs = cross_view.pair_all(frame, views, boxes[0], boxes[1], state.cloud, config)
+    axes, views = plan.axes[0], (plan.views[0], plan.views[1])
+    pairs = cross_view.pair_all(axes, views, boxes[0], boxes[1], state.cloud, config)
     if not pairs:
         return [_advance(state, plan, boxes, None, config)]
     results = []
     for pair in pairs:
         used = (pair.front, pair.side)
-        # It finds the object among all that the frustum holds. Its pictures show the object small, and their edges are
-        # off by three times as much as later ones', always to one side: a consensus is better without them.
+        # The first step's intervals are not kept for the consensus: the object is small in these views, and their edges
+        # have three times the error of later ones, with a bias to one side.
         measured = Measurement(
-            pair.box, frame, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config)
+            pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config)
         )
         results.append(_advance(state, plan, boxes, measured, config))
     return results
@@ -216,7 +217,7 @@ def _advance(
     measured: Measurement | None,
     config: RcvConfig,
 ) -> ObjectState:
-    """Cuts the cloud with the step's box, decides whether to go on, and writes the trace."""
+    """Cuts the cloud with the step's box, decides whether to continue, and writes the trace."""
     n = len(state.cloud)
     if measured is None:
         step = _step_trace(plan, boxes, (None,) * len(boxes), None, n, 0, StopReason.LOST)
@@ -225,14 +226,14 @@ def _advance(
     cloud = cut_cloud(state.cloud, box, plan.views, config)
     inside = int(np.count_nonzero(contains(box, cloud.xyz_m)))
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
-    turned = np.inf if state.box is None else frame_angle(measured.frame, state.axes)
+    turned = np.inf if state.box is None else axes_angle_rad(measured.axes, state.axes)
     stop = _stop(state, len(cloud), turned, change, measured.cut, config)
-    told = replace(plan, fallback=plan.fallback + measured.fallback)
-    step = _step_trace(told, boxes, measured.used, box, n, len(cloud), stop)
+    plan = replace(plan, fallback=plan.fallback + measured.fallback)
+    step = _step_trace(plan, boxes, measured.used, box, n, len(cloud), stop)
     return replace(
         state,
         cloud=cloud,
-        axes=measured.frame,
+        axes=measured.axes,
         box=box,
         measured=measured.intervals,
         is_cut=measured.cut,
@@ -251,8 +252,8 @@ def _stop(
     if points < config.min_points:
         return StopReason.TOO_FEW_POINTS
     steps = len(state.steps) + 1
-    # The first step's axes are the camera's, whatever the object: a fit that happens to agree with them has not
-    # converged yet. What a picture cut off is looked at once more in a larger one.
+    # The first step uses the camera's axes for any object, so agreement with them is no convergence. A cut-off object
+    # gets another step with larger views.
     first = 2 if config.strategy is Strategy.CONSENSUS and not state.is_warm else 1
     if steps > first and not is_cut and turned_rad < config.axes_tolerance_rad:
         return StopReason.AXES_CONVERGED
@@ -280,16 +281,16 @@ def _step_trace(
             origin_m=(float(view.origin_m[0]), float(view.origin_m[1])),
             width_px=view.rgb.shape[1],
             height_px=view.rgb.shape[0],
-            boxes=found,
+            boxes=on_view,
             used=index,
         )
-        for view, found, index in zip(plan.views, boxes, used, strict=True)
+        for view, on_view, index in zip(plan.views, boxes, used, strict=True)
     )
     return StepTrace(plan.strategy, plan.fallback, views, box_trace(box), points_in, points_kept, stop)
 
 
 def box_trace(box: OrientedBox | None) -> BoxTrace | None:
-    """A box as plain numbers."""
+    """The box as plain numbers; None for None."""
     if box is None:
         return None
     center, size = box.center_m, box.size_m

@@ -1,7 +1,7 @@
-"""Pseudo-views that a known 3D box labels: training pictures at no cost, from any direction.
+"""Training images for the view detector: pseudo-views from random directions, labelled by known 3D boxes.
 
-The crops imitate what the recursion looks at: a frustum along the camera axes, then what a first cross-view box keeps
-seen from anywhere, then what a nearly right box keeps seen from nearly its own axes.
+The crops imitate the stages of the recursion: a frustum along the camera axes; the points in a first cross-view box,
+from any direction; and the points in a nearly correct box, from close to its own axes.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
-from annotator.rcv.axes import camera_frame
+from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import span_box
 from annotator.rcv.frustum_views import frustum_views
-from annotator.rcv.hypotheses import look_from_camera
+from annotator.rcv.hypotheses import face_camera
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 
-# How random crops are made: they describe what training pictures shall look like and not the recursion, which reads its
-# thresholds from `RcvConfig`. Other values need a new training and a new measurement, so they are no settings.
+# Parameters of the random crops. They are not settings like those of `RcvConfig`, because every change needs a new
+# training and a new evaluation.
 MIN_POINTS = 5
-# An object of which less than this share of its points is in a picture is not labelled on it.
+# An object is labelled on a view if the view shows at least this share of its points.
 MIN_SHARE = 0.3
 FRUSTUM_SHARE, WIDE_SHARE = 0.2, 0.45
 SPAN_JITTER, NEAR_JITTER = 0.06, 0.06
@@ -42,7 +42,7 @@ class TaughtObject:
     Attributes:
         label: class name.
         box: camera frame; for silhouettes, it cuts the object's points out of the cloud.
-        points: (n,) which of the frame's points are the object's; None means those inside the box.
+        points: (n,) mask of the object's points in the frame's cloud; None means those inside the box.
     """
 
     label: str
@@ -60,14 +60,14 @@ class TaughtView:
 
 
 def project_box(view: PseudoView, box: OrientedBox, label: str) -> Box2D | None:
-    """What a 3D box spans on a view, clipped to the picture; None where it lies outside."""
+    """The 2D box of a 3D box on a view, clipped to the view; None if it lies outside."""
     return span_on_view(view, box_corners(box), label)
 
 
 def span_on_view(view: PseudoView, xyz_m: Float[np.ndarray, "n 3"], label: str) -> Box2D | None:
-    """The 2D box around points (camera frame) on a view, clipped to the picture; None where it lies outside."""
-    seen = xyz_m @ view.axes[:2].T
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    """The 2D box around points (camera frame, metres) on a view, clipped to the view; None if outside or below 1 px."""
+    on_view = xyz_m @ view.axes[:2].T
+    low, high = on_view.min(axis=0), on_view.max(axis=0)
     if (high - low <= 0).any():
         return None
     raw = view.box_px(np.stack([low, high], axis=1), label)
@@ -92,10 +92,11 @@ def teach_views(
     """Front and side views of each object along `draws` random axes and crops, with all objects labelled.
 
     Args:
-        kind: what the boxes shall measure.
-        up: for upright objects; views are then level too.
-        doubtful: where there may be more objects. A view that shows enough of one is left out, because it would teach
-            that this is background.
+        kind: what the 2D boxes measure.
+        draws: number of random crops per object; each gives two views.
+        up: unit vector against gravity for upright objects, whose views are level; None for free ones.
+        doubtful: boxes of possible further objects. Views that show enough of one to label it are left out, because
+            without a label they would train the detector to treat it as background.
     """
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
     known = np.logical_or.reduce(masks) if masks else np.zeros(len(frame.cloud), bool)
@@ -105,7 +106,7 @@ def teach_views(
         if mask.sum() < MIN_POINTS:
             continue
         scene = _Scene(frame, objects, masks, doubts)
-        # All crops but the frustum stay near the object: the rest of a large cloud need not be looked at each time.
+        # all crops except the frustum are close to the object, so most of a large cloud can be skipped
         near = scene.near(target.box)
         for _ in range(draws):
             taught.extend(_draw(scene, near, target, kind, config, up, rng))
@@ -114,7 +115,7 @@ def teach_views(
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """A frame, its objects, which points are whose, and whose may be another object's."""
+    """A frame, its objects, and the point masks of the objects and of the doubtful boxes."""
 
     frame: Frame
     objects: Sequence[TaughtObject]
@@ -122,16 +123,16 @@ class _Scene:
     doubts: Sequence[np.ndarray]
 
     def near(self, box: OrientedBox) -> _Scene:
-        """The part of the scene within reach of any crop around a box; shares of points stay those of the whole."""
+        """The part of the scene within reach of any crop around a box."""
         distance = np.linalg.norm(self.frame.cloud.xyz_m - box.center_m.astype(np.float32), axis=1)
         keep = distance < 1.5 * np.linalg.norm(box.size_m)
         frame = replace(self.frame, cloud=self.frame.cloud.select(keep))
         return _Scene(frame, self.objects, [mask[keep] for mask in self.masks], [mask[keep] for mask in self.doubts])
 
     def shows_doubtful(self, keep: np.ndarray, whole: _Scene) -> bool:
-        """True where these points show enough of a doubtful object to be labelled, if it is one."""
+        """True if the points of `keep` show enough of a doubtful object to label it."""
         pairs = zip(self.doubts, whole.doubts, strict=True)
-        return any(is_shown(int((mask & keep).sum()), int(all_of.sum())) for mask, all_of in pairs)
+        return any(is_shown(int((mask & keep).sum()), int(whole_mask.sum())) for mask, whole_mask in pairs)
 
 
 def _draw(
@@ -150,16 +151,16 @@ def _draw(
         if box is None:
             return []
         scene, xyz = whole, whole.frame.cloud.xyz_m
-        keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_frame(up), None
-        own = whole.masks[list(whole.objects).index(target)]
-        if not is_shown(int((own & keep).sum()), int(own.sum())):
-            return []  # most of it is behind the camera or out of the picture: its rest would be taught as background
+        keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_axes(up), None
+        target_mask = whole.masks[list(whole.objects).index(target)]
+        if not is_shown(int((target_mask & keep).sum()), int(target_mask.sum())):
+            return []  # mostly behind the camera or outside the image: the visible rest would be unlabelled background
     elif choice < FRUSTUM_SHARE + WIDE_SHARE:
         crop = _camera_crop(target.box, up, rng)
-        keep, axes, show = contains(crop, xyz), look_from_camera(_random_turn(up, rng), up), box_corners(crop)
+        keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
     else:
         crop = _near_crop(target.box, up, rng)
-        keep, axes, show = contains(crop, xyz), look_from_camera(_near_turn(crop, up, rng), up), box_corners(crop)
+        keep, axes, show = contains(crop, xyz), face_camera(_near_turn(crop, up, rng), up), box_corners(crop)
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return []
     cloud = scene.frame.cloud.select(keep)
@@ -187,15 +188,15 @@ def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[i
 
 
 def is_shown(points: int, total: int) -> bool:
-    """True where a picture that draws so many of an object's points, of `total` in the whole cloud, shows it."""
+    """True if a view with `points` of an object's `total` points shows enough of it to label it."""
     return points >= max(MIN_POINTS, MIN_SHARE * total)
 
 
 def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> Box2D | None:
-    seen = box_on_image(frame.camera, target.box, target.label)
-    if seen is None:
+    exact = box_on_image(frame.camera, target.box, target.label)
+    if exact is None:
         return None
-    low, high = np.array(seen.xyxy).reshape(2, 2)
+    low, high = np.array(exact.xyxy).reshape(2, 2)
     shift = rng.normal(0, IMAGE_JITTER, 4) * np.tile(high - low, 2)
     low, high = low + shift[:2], high + shift[2:]
     if (high - low < 2).any():
@@ -204,8 +205,8 @@ def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> 
 
 
 def _camera_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> OrientedBox:
-    """What a first cross-view box along the camera axes would be, a little off and rather too large."""
-    axes = camera_frame(up)
+    """A random first cross-view box along the camera axes, slightly inaccurate and usually too large."""
+    axes = camera_axes(up)
     along = box_corners(box) @ axes.T
     spans = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
     reach = spans[:, 1] - spans[:, 0]
@@ -215,7 +216,7 @@ def _camera_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generat
 
 
 def _near_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> OrientedBox:
-    """A nearly right box."""
+    """A random, nearly correct box."""
     turn = _small_turn(NEAR_TURN_RAD / 2, up, rng)
     center = box.center_m + box.rotation @ (rng.normal(0, NEAR_JITTER / 2, 3) * box.size_m)
     size = box.size_m * (1 + NEAR_JITTER + rng.normal(0, NEAR_JITTER, 3)).clip(0.8, 1.5)
@@ -233,5 +234,5 @@ def _small_turn(sigma_rad: float, up: np.ndarray | None, rng: np.random.Generato
 
 def _random_turn(up: np.ndarray | None, rng: np.random.Generator) -> np.ndarray:
     if up is not None:
-        return camera_frame(up) @ Rotation.from_rotvec(rng.uniform(0, 2 * np.pi) * up).as_matrix().T
+        return camera_axes(up) @ Rotation.from_rotvec(rng.uniform(0, 2 * np.pi) * up).as_matrix().T
     return Rotation.random(rng=rng).as_matrix()

@@ -1,4 +1,4 @@
-"""What comes in: one reader a format, behind `open_recording`."""
+"""Reads recordings: one reader per format, behind `open_recording`."""
 
 from annotator.recordings.open import detect_format, open_recording
 from annotator.recordings.recording import Recording

@@ -1,6 +1,6 @@
-"""`timestamps.csv`: when each frame of a folder was taken. A file of ours, and optional.
+"""`timestamps.csv`: the capture time of each frame of a folder; optional, a format of annotator.
 
-One line a frame under the header `key,timestamp_ns`; whole nanoseconds on any one clock.
+One line per frame under the header `key,timestamp_ns`; whole nanoseconds of any single clock.
 """
 
 from __future__ import annotations
@@ -12,25 +12,26 @@ from annotator.types.errors import RecordingError
 
 FILE_NAME = "timestamps.csv"
 HEADER = "key,timestamp_ns"
-REMEDY = "correct the line, or remove the file, and the frames have no times"
-# As many as a column of the store holds.
+REMEDY = "correct the line, or remove the file to use the frames without times"
+# Largest integer in a column of the database.
 MOST_NS = 2**63 - 1
+LONGEST_TIME = 40
 
 Times = tuple[int | None, ...]
 
 
 def line(key: str, timestamp_ns: int) -> str:
-    """One line of the file."""
+    """Returns one line of the file."""
     return f"{key},{timestamp_ns}\n"
 
 
 def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
-    """The times of a folder's frames, in their order, None for those that the file does not name; None without a file.
+    """Returns the times of a folder's frames in order, None for frames without a line; None without the file.
 
-    Lines of frames that are not there (any more) mean nothing.
+    Lines of missing frames are ignored.
 
     Raises:
-        RecordingError: another header, a line that is no key and whole number, or a key that comes twice.
+        RecordingError: another header, a line that is not a key and a whole number, or a key that occurs twice.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -44,9 +45,12 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
     times: dict[str, int] = {}
     for number, text in enumerate(lines[1:], 2):
         key, _, time = text.rpartition(",")
-        if not key or not time.strip().isdecimal() or int(time) > MOST_NS:
-            raise RecordingError(f"{path}:{number}: is no key and time in nanoseconds: {text[:80]!r}; {REMEDY}")
+        # int() raises for thousands of digits
+        if not key or not time.strip().isdecimal() or len(time) > LONGEST_TIME or int(time) > MOST_NS:
+            raise RecordingError(
+                f"{path}:{number}: must be a key and a time in nanoseconds, not {text[:80]!r}; {REMEDY}"
+            )
         if key in times:
-            raise RecordingError(f"{path}:{number}: frame {key} is there already; {REMEDY}")
+            raise RecordingError(f"{path}:{number}: frame {key} has a line already; {REMEDY}")
         times[key] = int(time)
     return tuple(times.get(key) for key in keys)

@@ -1,10 +1,10 @@
-"""Frames into a folder that `open_recording` reads, one at a time; the folder is a recording after every frame.
+"""Writes frames one at a time to a folder that `open_recording` reads; it is a valid recording after every frame.
 
 Frames with registered depth become an RGB-D folder, colour as JPEG and depth in whole millimetres:
 
     color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json  timestamps.csv
 
-All others become a folder of clouds in the camera's frame, each as it is:
+All others become a folder of clouds in the camera's frame:
 
     color/KEY.jpg  clouds/KEY.npz  camera_intrinsic.json  gravity.json  timestamps.csv
 """
@@ -25,22 +25,22 @@ from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import RecordingError
 
 JPEG_QUALITY = 95
-# Fast; the files are some percent larger.
+# Fast compression; files are some percent larger.
 PNG_COMPRESSION = 1
 MM_PER_M, MOST_MM = 1000.0, 2**16 - 1
 COLOR, DEPTH, CLOUDS, GRAVITY = "color", "depth", "clouds", "gravity.json"
-# What is still being written; no reader looks at such names.
+# Suffix of files that are being written; readers ignore it.
 UNFINISHED = ".part"
-# A folder has one direction of gravity: frames that differ by more have none in common.
+# A folder has a single direction of gravity; if frames differ by more, gravity.json is removed.
 SAME_UP_RAD = np.deg2rad(2.0)
 
 
 class FrameWriter:
-    """Writes the frames of one camera into a folder. A frame's picture comes last: without it there is no frame.
+    """Writes the frames of one camera to a folder. A frame's image is written last and makes the frame valid.
 
     Attributes:
-        folder: into which it writes; exists.
-        frames: that were written.
+        folder: the output folder, which exists.
+        frames: number of frames written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -51,10 +51,10 @@ class FrameWriter:
         self._up: Float64[np.ndarray, "3"] | None = None
 
     def add(self, frame: Frame, timestamp_ns: int) -> str:
-        """Writes a frame; its key.
+        """Writes a frame and returns its key.
 
         Raises:
-            RecordingError: the camera is another one than that of the first frame, or nothing can be written.
+            RecordingError: the camera differs from that of the first frame, or writing fails.
         """
         key = f"{self.frames:06d}"
         try:
@@ -63,7 +63,7 @@ class FrameWriter:
             self._require_same(frame)
             self._follow_gravity(frame.up)
             if self._has_depth:
-                assert frame.depth_m is not None  # as the first
+                assert frame.depth_m is not None  # checked by `_require_same`
                 _put(self.folder / DEPTH / f"{key}.png", _png(frame.depth_m))
             else:
                 _put(self.folder / CLOUDS / f"{key}.npz", _npz(frame.cloud))
@@ -82,13 +82,13 @@ class FrameWriter:
         self._camera, self._has_depth, self._up = frame.camera, frame.depth_m is not None, frame.up
         for name in (COLOR, DEPTH if self._has_depth else CLOUDS):
             (self.folder / name).mkdir()
-        described = {
+        intrinsics = {
             "width": frame.camera.width_px,
             "height": frame.camera.height_px,
             "intrinsic_matrix": frame.camera.matrix.T.ravel().tolist(),
             "distortion": list(frame.camera.distortion),
         }
-        (self.folder / CAMERA_FILE).write_text(json.dumps(described) + "\n", encoding="utf-8")
+        (self.folder / CAMERA_FILE).write_text(json.dumps(intrinsics) + "\n", encoding="utf-8")
         (self.folder / frame_times.FILE_NAME).write_text(frame_times.HEADER + "\n", encoding="utf-8")
         if frame.up is not None:
             (self.folder / GRAVITY).write_text(json.dumps({"up": frame.up.tolist()}) + "\n", encoding="utf-8")
@@ -97,12 +97,12 @@ class FrameWriter:
         assert self._camera is not None
         if camera_key(frame.camera) != camera_key(self._camera) or (frame.depth_m is not None) != self._has_depth:
             raise RecordingError(
-                f"{self.folder}: frame {frame.key} is of another camera than the first one, and a folder has one; "
-                "record without it, or stop where the camera changes"
+                f"{self.folder}: frame {frame.key} has another camera than the first frame, but a folder has only one; "
+                "record without it, or stop before the camera changes"
             )
 
     def _follow_gravity(self, up: Float64[np.ndarray, "3"] | None) -> None:
-        """Takes the folder's gravity away once a frame has another, or none."""
+        """Removes the folder's gravity.json once a frame has another direction of gravity, or none."""
         if self._up is None:
             return
         if up is None or float(up @ self._up) < np.cos(SAME_UP_RAD):
@@ -111,26 +111,26 @@ class FrameWriter:
 
 
 def trim(folder: Path) -> int:
-    """Takes away what a killed writer has left of its last frame, so that the folder is a recording; its frames.
+    """Removes the incomplete last frame of a killed writer and returns the number of complete frames.
 
     Raises:
-        OSError: it cannot be read or changed.
+        OSError: the folder cannot be read or changed.
     """
-    pictures = {path.stem for path in (folder / COLOR).glob("*.jpg")} if (folder / COLOR).is_dir() else set()
+    complete = {path.stem for path in (folder / COLOR).glob("*.jpg")} if (folder / COLOR).is_dir() else set()
     parts = [*folder.glob(f"{DEPTH}/*"), *folder.glob(f"{CLOUDS}/*"), *folder.glob(f"{COLOR}/*")]
     for path in parts:
-        if path.stem not in pictures or path.suffix == UNFINISHED:
+        if path.stem not in complete or path.suffix == UNFINISHED:
             path.unlink()
     times = folder / frame_times.FILE_NAME
     if times.is_file():
         lines = times.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
-        kept = [text for text in lines[1:] if text.endswith("\n") and text.rpartition(",")[0] in pictures]
-        times.write_text("".join([frame_times.HEADER + "\n", *kept]), encoding="utf-8")
-    return len(pictures)
+        valid = [text for text in lines[1:] if text.endswith("\n") and text.rpartition(",")[0] in complete]
+        times.write_text("".join([frame_times.HEADER + "\n", *valid]), encoding="utf-8")
+    return len(complete)
 
 
 def _put(path: Path, content: bytes) -> None:
-    """All of it or nothing: a killed process leaves no half file under its name."""
+    """Writes a file by renaming a temporary one, so that a killed process leaves no partial file."""
     unfinished = path.with_suffix(UNFINISHED)
     unfinished.write_bytes(content)
     unfinished.replace(path)
@@ -145,7 +145,7 @@ def _jpeg(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 def _png(depth_m: np.ndarray) -> bytes:
-    """Whole millimetres; what is further away than they reach is none."""
+    """Encodes depth in whole millimetres; values beyond 16 bits become 0 (no depth)."""
     import cv2
 
     depth_mm = np.rint(depth_m * np.float32(MM_PER_M))

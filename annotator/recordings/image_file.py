@@ -1,4 +1,4 @@
-"""Image files of recordings: colour and depth."""
+"""Reads the colour and depth images of recordings."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from annotator.pictures import decode_picture
+from annotator.image_bytes import decode_image
 from annotator.types.errors import FrameError
 
 REMEDY = "copy the file again from its source, or remove the frame"
 
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """A colour image, RGB order, as it lies in the file (a camera's orientation tag is not applied).
+    """Reads a colour image, RGB order; the EXIF orientation is not applied.
 
     Raises:
         FrameError: the file is missing, truncated or not an image.
@@ -27,7 +27,7 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
-    """A depth image in its raw units.
+    """Reads a depth image in its raw units.
 
     Raises:
         FrameError: the file is missing, truncated, not an image, or not 16-bit with one channel.
@@ -39,7 +39,7 @@ def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         raise FrameError(
             path,
-            f"a depth image must be 16-bit with one channel, this one is {8 * raw.itemsize}-bit with {channels}",
+            f"a depth image must be 16-bit with one channel, not {8 * raw.itemsize}-bit with {channels}",
             "save the sensor's depth as a 16-bit grey PNG, millimetres",
         )
     return raw
@@ -47,7 +47,7 @@ def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
 
 def _decode(path: Path, flags: int) -> np.ndarray:
     try:
-        return decode_picture(path.read_bytes(), flags)
+        return decode_image(path.read_bytes(), flags)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
     except ValueError as error:

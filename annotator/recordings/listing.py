@@ -1,4 +1,4 @@
-"""Frame names from folders: files that belong together share their stem."""
+"""Lists the frames of folders: files of one frame share their stem."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ REMEDIES = {
 
 @contextmanager
 def looking_at(path: Path) -> Iterator[None]:
-    """What the system refuses while `path` is looked at becomes an error for the user.
+    """Turns an OSError while `path` is inspected into a RecordingError.
 
     Raises:
-        RecordingError: it refused.
+        RecordingError: the path cannot be read.
     """
     try:
         yield
@@ -38,57 +38,56 @@ def looking_at(path: Path) -> Iterator[None]:
 
 
 def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """The stems of all files in `folder` with one of `suffixes` (lower case; files may have upper case).
+    """Returns the stems of all files in `folder` with one of `suffixes` (given in lower case; any case matches).
 
     Raises:
         RecordingError: the folder cannot be read.
     """
-    # a data set has ten thousand frames: what the folder itself says of its files is not asked of each
+    # scandir instead of a stat per file: data sets have ten thousand frames
     with looking_at(folder), os.scandir(folder) as entries:
         files = (entry.name for entry in entries if entry.name[0] != "." and entry.is_file())
         named = map(os.path.splitext, files)
         return {stem for stem, suffix in named if suffix.lower() in suffixes}
 
 
-def sorted_keys(path: Path, keys: set[str], wanted: str) -> tuple[str, ...]:
-    """The keys in natural order ("2" before "10").
+def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:
+    """Returns the keys in natural order ("2" before "10").
 
     Raises:
-        RecordingError: there is none; `wanted` says what was expected in `path`.
+        RecordingError: there is none; the message names what was `expected` in `path`.
     """
     if not keys:
-        raise RecordingError(f"{path}: no frames; expected {wanted}")
+        raise RecordingError(f"{path}: no frames; expected {expected}")
     return tuple(sorted(sorted(keys), key=_natural))
 
 
 def _natural(key: str) -> str:
-    """Sorts by its numbers: each is led by how long it is without zeros, behind what is less than any letter."""
-    return NUMBER.sub(_measured, key)
+    """Returns a sort key: each number is prefixed by its length without leading zeros, after a NUL character."""
+    return NUMBER.sub(_with_length, key)
 
 
-def _measured(number: re.Match[str]) -> str:
+def _with_length(number: re.Match[str]) -> str:
     digits = number[0].lstrip("0")
     return f"\0{chr(len(digits))}{digits}"
 
 
 def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) -> Path:
-    """The one file of frame `key` in `folder`.
+    """Returns the file of frame `key` in `folder`; `partner` names the file it belongs to, for the message.
 
     Raises:
-        FrameError: there is none, or more than one, or the folder cannot be read; `partner` names what it should be
-            paired with.
+        FrameError: there is none or more than one, or the folder cannot be read.
     """
     candidates = [folder / (key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
-    # a case-insensitive file system answers for both spellings of one file
+    # by inode: on a case-insensitive file system both spellings are the same file
     try:
-        found = {path.stat().st_ino: path for path in reversed(candidates) if path.is_file()}
+        files = {path.stat().st_ino: path for path in reversed(candidates) if path.is_file()}
     except OSError as error:
         remedy = REMEDIES.get(error.errno or 0, "check the path and its disk")
         raise FrameError(folder / (key + suffixes[0]), f"cannot be read: {error.strerror or error}", remedy) from error
-    if not found:
+    if not files:
         names = " or ".join(key + suffix for suffix in suffixes)
         raise FrameError(folder / (key + suffixes[0]), "missing", f"put {names} beside {partner}, or remove the frame")
-    if len(found) > 1:
-        names = ", ".join(sorted(path.name for path in found.values()))
-        raise FrameError(folder / (key + suffixes[0]), f"ambiguous, the folder holds {names}", "keep one of them")
-    return next(iter(found.values()))
+    if len(files) > 1:
+        names = ", ".join(sorted(path.name for path in files.values()))
+        raise FrameError(folder / (key + suffixes[0]), f"ambiguous: the folder has {names}", "keep one of them")
+    return next(iter(files.values()))

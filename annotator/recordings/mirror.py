@@ -1,11 +1,11 @@
-"""Recordings in a storage that fsspec reads (`s3://`, `gs://`, `https://`, `file://`, ...), copied file by file.
+"""Recordings in storage that fsspec reads (`s3://`, `gs://`, `https://`, `file://`, ...), copied file by file.
 
-A reader lists a recording's folder when it opens it, and reads the files of one frame when it is asked for that. So the
-copy has every file's name at once, but nothing in it; the files of a frame, and those that belong to no frame alone
-(calibrations, times), are filled before they are read. What was filled longest ago is emptied again, so that the
-copy needs no more of the disk than it was allowed. A recording that is one file (`.mkv`) is copied whole.
+A reader lists a recording's folder when it opens it, and reads the files of one frame when that is requested. So the
+local copy has all file names from the start, as empty files. Files of a frame, and shared files (calibrations, times),
+are downloaded before they are read. The least recently used frames are emptied again, so that the copy stays within its
+limit. A recording that is a single file (`.mkv`) is copied whole.
 
-Names of files decide which frame they belong to: `KEY.suffix` anywhere, or a scene's folder whose path makes the key.
+A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key.
 """
 
 from __future__ import annotations
@@ -23,47 +23,46 @@ from typing import Any
 
 from annotator.recordings.open import open_recording
 from annotator.recordings.recording import Recording
-from annotator.recordings.sunrgbd_scenes import BETWEEN
+from annotator.recordings.sunrgbd.scenes import BETWEEN
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
-# What readers look into when they open a recording: small files beside its folders.
+# Small files beside a recording's folders, which readers need when they open it.
 DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml")
 LARGEST_DESCRIPTION_BYTES = 10**6
 
 
 def open_mirror(url: str, folder: Path, limit_bytes: int) -> Mirror:
-    """The recording at a URL.
+    """Opens the recording at a URL.
 
     Args:
-        folder: copies are made below it, each in a folder that goes with the recording, or with the next copy that is
-            made after its process was killed.
-        limit_bytes: so much of the recording may be there at a time.
+        folder: parent folder of the local copies. A copy is removed with its recording; copies of killed processes are
+            removed when the next one is made.
+        limit_bytes: most bytes of the recording on disk at a time.
 
     Raises:
-        RecordingError: the storage cannot be reached, holds nothing there, or the whole of a recording that is one
-            file does not fit.
-        UnknownFormatError: no reader recognises what is there.
+        RecordingError: the storage cannot be reached, has no files there, or a single-file recording does not fit.
+        UnknownFormatError: no reader recognises the recording.
     """
-    with _told(url):
+    with _storage_errors(url):
         from fsspec.core import url_to_fs
 
         system, root = url_to_fs(url)
-        found = {path: _size(info) for path, info in system.find(root, detail=True).items()}
+        sizes = {path: _size(info) for path, info in system.find(root, detail=True).items()}
     name = PurePosixPath(root).name or "recording"
-    is_file = list(found) == [root]
-    files = {name: (root, found[root])} if is_file else dict(_below(url, root, found))
+    is_file = list(sizes) == [root]
+    files = {name: (root, sizes[root])} if is_file else dict(_below(url, root, sizes))
     if not files:
-        raise RecordingError(f"{url}: holds no files; give the URL of a recording")
-    place = _own_folder(folder)
+        raise RecordingError(f"{url}: has no files; give the URL of a recording")
+    place = _process_folder(folder)
     store = _Store(url, system, place if is_file else place / name, files, limit_bytes)
     try:
         for path, (_, size) in files.items():
             store.empty(path)
-            described = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
-            if is_file or described:
+            is_small = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
+            if is_file or is_small:
                 store.keep(path)
-        with store.in_words():
+        with store.url_in_errors():
             opened = open_recording(place / name)
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
@@ -72,7 +71,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int) -> Mirror:
 
 
 class Mirror:
-    """A `Recording` in a storage; its files are copied as frames are asked for."""
+    """A `Recording` in remote storage; its files are downloaded when frames are read."""
 
     def __init__(self, opened: Recording, store: _Store, removed: weakref.finalize[Any, Any]) -> None:
         self._opened, self._store, self._removed = opened, store, removed
@@ -85,12 +84,12 @@ class Mirror:
 
     @property
     def path(self) -> Path:
-        """The copy."""
+        """The local copy."""
         return self._opened.path
 
     @property
     def root(self) -> Path:
-        """As of the copy."""
+        """The root of the local copy."""
         return self._opened.root
 
     @property
@@ -110,18 +109,18 @@ class Mirror:
 
     @property
     def is_sequence(self) -> bool:
-        """True where the order of the frames is the order of time."""
+        """True if the frames are in time order."""
         return self._opened.is_sequence
 
     def __len__(self) -> int:
         return len(self._opened)
 
     def frame(self, i: int) -> Frame:
-        """Frame number `i`, 0-based.
+        """Reads frame number `i`, 0-based.
 
         Raises:
             FrameError: this frame cannot be read.
-            RecordingError: its files cannot be copied.
+            RecordingError: its files cannot be downloaded.
             IndexError: there is no such frame.
         """
         if not 0 <= i < len(self):
@@ -129,24 +128,27 @@ class Mirror:
         for path in self._shared:
             self._store.keep(path)
         self._store.fill(self.keys[i], self._of_key.get(self.keys[i], []))
-        with self._store.in_words():
+        with self._store.url_in_errors():
             return self._opened.frame(i)
 
     def close(self) -> None:
-        """Removes the copy; nothing can be read afterwards. It also goes with the object."""
+        """Removes the copy; nothing can be read afterwards. Garbage collection removes it, too."""
         self._removed()
 
 
 @dataclass(eq=False)
 class _Store:
-    """The files of a copy, full or empty.
+    """The files of a local copy, downloaded or empty.
 
     Attributes:
-        url: of the recording.
+        url: the recording's URL.
         system: fsspec's file system.
-        folder: of the copy.
-        files: path below the folder -> path in the storage, and size, bytes.
-        limit_bytes: so much may be full.
+        folder: the copy's folder.
+        files: path relative to the folder -> path in the storage, and size in bytes.
+        limit_bytes: most bytes downloaded at a time.
+        kept: files that stay downloaded.
+        filled: downloaded files by frame key, least recently used first.
+        used_bytes: bytes downloaded.
     """
 
     url: str
@@ -159,28 +161,28 @@ class _Store:
     used_bytes: int = 0
 
     def empty(self, path: str) -> None:
-        """Leaves nothing of a file but its name."""
+        """Makes a file empty."""
         place = self.folder / path
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_bytes(b"")
 
     def keep(self, path: str) -> None:
-        """Fills a file for good."""
+        """Downloads a file permanently."""
         if path not in self.kept:
             self._copy([path])
             self.kept.add(path)
 
     def fill(self, key: str, paths: list[str]) -> None:
-        """Fills the files of a frame; empties those of frames that were not asked for lately."""
+        """Downloads the files of a frame; empties those of the least recently used frames if there is no room."""
         if key not in self.filled:
-            wanted = [path for path in paths if path not in self.kept]
-            self._copy(wanted)
-            self.filled[key] = wanted
+            missing = [path for path in paths if path not in self.kept]
+            self._copy(missing)
+            self.filled[key] = missing
         self.filled.move_to_end(key)
 
     @contextmanager
-    def in_words(self) -> Iterator[None]:
-        """What is said of the copy is said of the storage."""
+    def url_in_errors(self) -> Iterator[None]:
+        """Replaces the copy's path by the URL in error messages."""
         try:
             yield
         except RecordingError as error:
@@ -195,15 +197,15 @@ class _Store:
                 self.empty(path)
         if self.used_bytes + needed > self.limit_bytes:
             raise RecordingError(
-                f"{self.url}: {', '.join(paths[:3])} of {needed / 1e6:.1f} MB does not fit into the copy, which may "
-                f"have {self.limit_bytes / 1e6:.1f} MB and keeps {self.used_bytes / 1e6:.1f}; raise --cache-mb"
+                f"{self.url}: {', '.join(paths[:3])} ({needed / 1e6:.1f} MB) does not fit into the local copy (limit "
+                f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
             )
         copied: list[str] = []
         try:
             for path in paths:
                 self._download(path)
                 copied.append(path)
-        except BaseException:  # all or nothing: what no frame answers for would never be emptied
+        except BaseException:  # files that belong to no entry of `filled` would never be emptied
             for path in copied:
                 self.used_bytes -= self.files[path][1]
                 self.empty(path)
@@ -213,9 +215,9 @@ class _Store:
         remote, _ = self.files[path]
         part = self.folder / f"{path}.part"
         try:
-            with _told(f"{self.url}/{path}"):
+            with _storage_errors(f"{self.url}/{path}"):
                 self.system.get_file(remote, str(part))
-                size = part.stat().st_size  # a web server may not have told it before
+                size = part.stat().st_size  # some web servers do not report it in listings
                 part.replace(self.folder / path)
         finally:
             part.unlink(missing_ok=True)
@@ -224,13 +226,16 @@ class _Store:
 
 
 @contextmanager
-def _told(url: str) -> Iterator[None]:
-    """What fsspec and the libraries behind it raise becomes an error for the user."""
+def _storage_errors(url: str) -> Iterator[None]:
+    """Turns any error of fsspec and its storage libraries into a RecordingError."""
     try:
         yield
-    except Exception as error:  # each storage's library has kinds of its own
+    except Exception as error:  # each storage library has its own exception types
         reason = str(error) or type(error).__name__
-        problem = f"{url}: cannot be reached: {reason}; check the address, the rights, and what is installed here"
+        problem = (
+            f"{url}: cannot be reached: {reason}; check the URL, your permissions, and that fsspec's package for this "
+            "storage is installed"
+        )
         raise RecordingError(problem) from error
 
 
@@ -238,18 +243,18 @@ def _size(info: dict[str, Any]) -> int:
     return int(info.get("size") or 0)
 
 
-def _below(url: str, root: str, found: dict[str, int]) -> Iterator[tuple[str, tuple[str, int]]]:
-    """Path below the root -> where it is, and size. Storages take any name: one that leads out of it is refused."""
-    for path, size in found.items():
+def _below(url: str, root: str, sizes: dict[str, int]) -> Iterator[tuple[str, tuple[str, int]]]:
+    """Yields path relative to the root, path in the storage and size; refuses names that lead out of the folder."""
+    for path, size in sizes.items():
         relative = PurePosixPath(path).relative_to(root)
         if ".." in relative.parts or relative.is_absolute():
-            raise RecordingError(f"{url}: holds a file of the name {path!r}, which leads out of its folder; rename it")
+            raise RecordingError(f"{url}: has a file called {path!r}, which leads out of its folder; rename it")
         if relative.parts:
             yield str(relative), (path, size)
 
 
 def _owner(path: str, keys: set[str]) -> str | None:
-    """The frame that a file belongs to alone, or None."""
+    """Returns the key of the frame that a file belongs to; None for shared files."""
     pure = PurePosixPath(path)
     if pure.stem in keys:
         return pure.stem
@@ -258,8 +263,8 @@ def _owner(path: str, keys: set[str]) -> str | None:
     return next((key for key in joined if key in keys), None)
 
 
-def _own_folder(folder: Path) -> Path:
-    """A new folder of this process; those of processes that have been killed are removed."""
+def _process_folder(folder: Path) -> Path:
+    """Creates a folder for this process and removes those of processes that no longer run."""
     folder.mkdir(parents=True, exist_ok=True)
     for other in folder.iterdir():
         pid = other.name.partition("-")[0]
@@ -269,7 +274,7 @@ def _own_folder(folder: Path) -> Path:
 
 
 def _is_alive(pid: int) -> bool:
-    if os.name == "nt":  # there, asking so would end it
+    if os.name == "nt":  # on Windows, os.kill would terminate the process
         return True
     try:
         os.kill(pid, 0)

@@ -1,4 +1,4 @@
-"""From a path to a recording, whatever its format."""
+"""Opens the recording at a path, in any supported format."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from annotator.recordings.table import LOOKS, READERS
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 MOST_HINTS = 5
-# Of files that are recordings by themselves.
+# Suffixes of single files that are recordings.
 FILE_SUFFIXES = (".mkv",)
 
 
 def open_recording(path: Path) -> Recording:
-    """The recording at `path`; its frames are listed, none is read.
+    """Opens the recording at `path`; its frames are listed, none is read.
 
     Raises:
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
-        RecordingError: the format is clear, but the recording has no frames; or the path cannot be read.
+        RecordingError: the recording has no frames, or the path cannot be read.
     """
-    found = _ask_all(path)
-    if isinstance(found, list):
+    result = _try_readers(path)
+    if isinstance(result, list):
         with looking_at(path):
-            message = _explain(path, found)
+            message = _explain(path, result)
         raise UnknownFormatError(message)
-    return found
+    return result
 
 
 def detect_format(path: Path) -> str | None:
-    """The name of the format at `path`, or None where no reader recognises it.
+    """Returns the name of the format at `path`; None if no reader recognises it.
 
     Raises:
-        RecordingError: the format is clear, but the recording has no frames; or the path cannot be read.
+        RecordingError: the recording has no frames, or the path cannot be read.
     """
     for name, target in READERS.items():
-        ask: Callable[[Path], Recording | NotFound | bool] = _load(LOOKS.get(name, target))
+        look: Callable[[Path], Recording | NotFound | bool] = _load(LOOKS.get(name, target))
         with looking_at(path):
-            answer = ask(path)
+            answer = look(path)
         if answer is not False and not isinstance(answer, NotFound):
             return name
     return None
 
 
-def _ask_all(path: Path) -> Recording | list[str]:
-    """What the first reader that recognises `path` opens, or one line a reader of what it looked for."""
+def _try_readers(path: Path) -> Recording | list[str]:
+    """Opens `path` with the first reader that recognises it; else returns what each reader looked for."""
     looked_for = []
     for name, target in READERS.items():
         reader: Callable[[Path], Recording | NotFound] = _load(target)
@@ -78,14 +78,14 @@ def _explain(path: Path, looked_for: list[str]) -> str:
 
 
 def _openable_children(path: Path) -> list[str]:
-    """The first few sub-folders and files that some reader recognises."""
+    """Returns the first few subfolders and files that a reader recognises."""
     if not path.is_dir():
         return []
     names: list[str] = []
     for child in sorted(child for child in path.iterdir() if child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
         try:
             is_known = detect_format(child) is not None
-        except RecordingError:  # no frames, or not to be read: no hint worth giving
+        except RecordingError:  # without frames or unreadable: not suggested
             continue
         if is_known:
             names.append(child.name)

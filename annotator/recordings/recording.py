@@ -1,4 +1,4 @@
-"""What every reader gives: a list of frames that load one at a time."""
+"""The interface of recordings: a list of frames that are read one at a time."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from annotator.types import Frame
 
 @runtime_checkable
 class Recording(Protocol):
-    """A folder or file of frames. Opening it lists the frames; `frame` reads one, and nothing is kept."""
+    """A folder or file of frames. Opening it lists the frames; `frame` reads one without caching it."""
 
     @property
     def path(self) -> Path:
-        """What was opened, as it was given."""
+        """The path that was opened, as given."""
 
     @property
     def root(self) -> Path:
-        """The folder that holds the frames (and labels): `path`, or its `training` sub-folder."""
+        """The folder of the frames (and labels): `path`, or its `training` subfolder."""
 
     @property
     def format(self) -> str:
@@ -27,7 +27,7 @@ class Recording(Protocol):
 
     @property
     def name(self) -> str:
-        """A short name for people: the folder's."""
+        """A short name to display: the folder's."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -35,26 +35,26 @@ class Recording(Protocol):
 
     @property
     def is_sequence(self) -> bool:
-        """True where the order of the frames is the order of time."""
+        """True if the frames are in time order."""
 
     def __len__(self) -> int:
-        """How many frames there are, broken ones included."""
+        """The number of frames, including broken ones."""
 
     def frame(self, i: int) -> Frame:
-        """Frame number `i`, 0-based.
+        """Reads frame number `i`, 0-based.
 
         Raises:
-            FrameError: this frame cannot be read; the others may be fine.
+            FrameError: this frame cannot be read; others may be readable.
             IndexError: there is no such frame.
         """
 
 
 @dataclass(frozen=True)
 class NotFound:
-    """A reader's answer to a path that it does not recognise.
+    """A reader's result for a path that it does not recognise.
 
     Attributes:
-        looked_for: what it would have recognised, in words for a user.
+        looked_for: what the reader recognises, for the error message.
     """
 
     looked_for: str
@@ -62,10 +62,10 @@ class NotFound:
 
 @dataclass(frozen=True, eq=False)
 class KeyedFrames:
-    """What the readers' recordings have in common; each adds its `format`, `is_sequence` and `frame`.
+    """The common base of the readers' recordings; each adds its `format`, `is_sequence` and `frame`.
 
     Attributes:
-        path: what was opened.
+        path: the path that was opened.
         keys: the frames' names, in order.
     """
 
@@ -86,7 +86,7 @@ class KeyedFrames:
         return len(self.keys)
 
     def key(self, i: int) -> str:
-        """The key of frame `i`; unlike `keys[i]`, a negative index is an error too.
+        """Returns the key of frame `i`; unlike `keys[i]`, it refuses negative indices.
 
         Raises:
             IndexError: there is no such frame.

@@ -21,16 +21,16 @@ Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
 
 
 class IntrinsicFile(BaseModel):
-    """`camera_intrinsic.json`: Open3D's PinholeCameraIntrinsic, and two keys of ours.
+    """`camera_intrinsic.json`: Open3D's PinholeCameraIntrinsic, with two optional keys of annotator.
 
     Attributes:
         width, height: image size, pixels.
         intrinsic_matrix: the nine numbers of K, column by column.
-        depth_scale: depth units a metre; 1000 (millimetres) where it is left out.
-        distortion: OpenCV's coefficients, see `Camera`; none where it is left out.
+        depth_scale: depth units per metre; default 1000 (millimetres).
+        distortion: OpenCV's coefficients, see `Camera`; default none.
     """
 
-    # Open3D and its users add keys of their own (class_name, version_major ...), which mean nothing here.
+    # Other keys of Open3D (class_name, version_major, ...) are ignored.
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     width: Side
@@ -55,7 +55,7 @@ class RgbdCamera:
     Attributes:
         path: the file.
         camera: the colour camera, to which the depth is registered.
-        depth_scale: depth units a metre.
+        depth_scale: depth units per metre.
     """
 
     path: Path
@@ -64,32 +64,35 @@ class RgbdCamera:
 
 
 def camera_file(folder: Path) -> Path:
-    """The camera file of a folder: `camera_intrinsic.json`; else the only other `camera_*.json` with an
-    intrinsic matrix, in the folder or, for several recordings of one camera, one level above.
+    """Returns the camera file of a folder: `camera_intrinsic.json`, else the only `camera_*.json` with a matrix.
+
+    The latter is looked up in the folder and then, for several recordings of one camera, one level above.
 
     Raises:
-        FrameError: there is none, or the choice is not clear.
+        FrameError: there is none, or several fit.
     """
     expected = folder / FILE_NAME
     if expected.is_file():
         return expected
     for place in (folder, folder.resolve().parent):
-        found = [path for path in sorted(place.glob("camera_*.json")) if b'"intrinsic_matrix"' in path.read_bytes()]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            names = ", ".join(path.name for path in found)
-            raise FrameError(expected, f"missing, and {place} holds several cameras ({names})", "copy the right one")
+        files = [path for path in sorted(place.glob("camera_*.json")) if b'"intrinsic_matrix"' in path.read_bytes()]
+        if len(files) == 1:
+            return files[0]
+        if files:
+            names = ", ".join(path.name for path in files)
+            raise FrameError(
+                expected, f"missing, and {place} has several cameras ({names})", f"copy the right one to {FILE_NAME}"
+            )
     raise FrameError(
         expected, "missing", "write width, height and intrinsic_matrix (column-major) of the colour camera"
     )
 
 
 def read_camera(path: Path) -> RgbdCamera:
-    """The camera in a file.
+    """Reads a camera file.
 
     Raises:
-        FrameError: not JSON, a missing key, or numbers that make no pinhole camera.
+        FrameError: not JSON, a missing key, or numbers that are not a pinhole camera's.
     """
     try:
         content = IntrinsicFile.model_validate_json(path.read_bytes())
@@ -99,7 +102,7 @@ def read_camera(path: Path) -> RgbdCamera:
     if not is_pinhole(K):
         raise FrameError(
             path,
-            "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, with focal lengths of a camera",
+            "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, or a focal length is implausible",
             "write it column by column",
         )
     fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -111,10 +114,10 @@ def read_camera(path: Path) -> RgbdCamera:
 
 
 def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
-    """The unit vector against gravity, or None where there is no such file.
+    """Returns the unit vector against gravity; None if there is no such file.
 
     Raises:
-        FrameError: the file is there but not usable.
+        FrameError: the file is invalid.
     """
     if not path.exists():
         return None
@@ -124,12 +127,12 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
         raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
     length = np.linalg.norm(up)
     if length < 1 / LARGEST:
-        raise FrameError(path, "up has no length", "write the direction against gravity in the camera frame")
+        raise FrameError(path, "up has length 0", "write the direction against gravity in the camera frame")
     return up / length
 
 
 def _brief(error: OSError | ValidationError) -> str:
-    """The first complaint in one line."""
+    """Returns the first problem in one line."""
     if isinstance(error, OSError):
         return str(error.strerror)
     first = error.errors()[0]

@@ -1,10 +1,10 @@
 """The Open3D RGB-D folder: colour images, registered 16-bit depth images and one pinhole camera.
 
-color/KEY.jpg|png   (or image/, where a camera file lies in the folder itself)
-depth/KEY.png       uint16, millimetres, or `depth_scale` units a metre
+color/KEY.jpg|png   (or image/, if a camera file is in the folder itself)
+depth/KEY.png       uint16, millimetres, or `depth_scale` units per metre
 camera_intrinsic.json
 gravity.json        optional: {"up": [x, y, z]} in the camera frame
-timestamps.csv      optional: when each frame was taken (`frame_times`)
+timestamps.csv      optional: capture time of each frame (`frame_times`)
 mask/, boxes.json   optional labels; read by annotator.formats, not here
 """
 
@@ -32,11 +32,11 @@ LOOKED_FOR = "folders color/ (or image/ and a camera_*.json) and depth/"
 class RgbdFolder(KeyedFrames):
     """A `Recording` of an Open3D RGB-D folder.
 
-    A folder's frames are taken to be in time order, as the convention has it.
+    The frames are assumed to be in time order, as is the convention.
 
     Attributes:
         color: the folder of the colour images.
-        times_ns: when each frame was taken, where `timestamps.csv` says so.
+        times_ns: capture times from `timestamps.csv`; None without that file.
     """
 
     color: Path
@@ -45,10 +45,10 @@ class RgbdFolder(KeyedFrames):
     is_sequence: ClassVar[bool] = True
 
     def frame(self, i: int) -> Frame:
-        """Frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
+        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
 
         Raises:
-            FrameError: a missing or broken file, sizes that disagree, or no depth at all.
+            FrameError: a missing or broken file, different sizes, or no depth at all.
             IndexError: there is no such frame.
         """
         key = self.key(i)
@@ -72,13 +72,13 @@ class RgbdFolder(KeyedFrames):
 
 
 def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
-    """The RGB-D folder at `path`, where it is one.
+    """Opens the RGB-D folder at `path`; `NotFound` if it is not one.
 
-    `image/` counts as the colour folder only beside a camera file: SUN RGB-D's raw folders look the same but
-    for their depth, which is encoded otherwise.
+    `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
+    another encoding of depth.
 
     Raises:
-        RecordingError: the folders are there, but hold no image; or the times cannot be used.
+        RecordingError: the folders exist but have no image, or `timestamps.csv` is invalid.
     """
     depth = path / "depth"
     color = path / "color"
@@ -100,7 +100,7 @@ def _depth_m(path: Path, described: RgbdCamera) -> np.ndarray:
 def _cloud(path: Path, camera: Camera, depth_m: np.ndarray, rgb: np.ndarray) -> PointCloud:
     xyz_m, pixel_index = unproject_depth(camera, depth_m)
     if len(xyz_m) == 0:
-        raise FrameError(path, "no pixel has a depth, the cloud is empty", "record the frame again, or remove it")
+        raise FrameError(path, "no pixel has a depth, so the cloud is empty", "record the frame again, or remove it")
     return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel_index, axis=0), pixel_index=pixel_index)
 
 
@@ -109,6 +109,6 @@ def _check_size(path: Path, image: np.ndarray, camera: Camera, other: str) -> No
     if (width, height) != (camera.width_px, camera.height_px):
         raise FrameError(
             path,
-            f"the image is {width} x {height}, {other} {camera.width_px} x {camera.height_px}",
-            "images, registered depth and camera must have one size",
+            f"the image is {width} x {height} pixels, but {other} has {camera.width_px} x {camera.height_px}",
+            "make images, registered depth and camera the same size",
         )

@@ -1,22 +1,22 @@
-"""The readers: name -> "module:function". A new format is one file and one line here."""
+"""The table of readers: name -> "module:function". A new format needs one module and one line here."""
 
 from __future__ import annotations
 
-# In the order of asking; the first reader that recognises a path gets it. A function takes the path and
-# returns a Recording, or NotFound with what it had looked for.
+# Tried in this order; the first reader that recognises a path opens it. A reader takes the path and returns a
+# Recording, or NotFound with what it looked for.
 READERS: dict[str, str] = {
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
-    "kitti_object": "annotator.recordings.kitti_object:open_kitti_object",
-    "kitti_tracking": "annotator.recordings.kitti_tracking:open_kitti_tracking",
-    "kitti_raw": "annotator.recordings.kitti_raw:open_kitti_raw",
-    "azure_kinect": "annotator.recordings.azure_kinect:open_azure_kinect",
-    "sunrgbd_extracted": "annotator.recordings.sunrgbd_extracted:open_sunrgbd_extracted",
-    "sunrgbd_scenes": "annotator.recordings.sunrgbd_scenes:open_sunrgbd_scenes",
-    # after all that have clouds among other things
-    "cloud_folder": "annotator.recordings.cloud_folder:open_cloud_folder",
+    "kitti_object": "annotator.recordings.kitti.object_folder:open_kitti_object",
+    "kitti_tracking": "annotator.recordings.kitti.tracking_folder:open_kitti_tracking",
+    "kitti_raw": "annotator.recordings.kitti.raw_drive:open_kitti_raw",
+    "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
+    "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
+    "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
+    # last, because other formats contain cloud files, too
+    "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
 }
 
-# Where opening takes long: says whether the reader would recognise a path.
+# Faster checks whether a reader recognises a path, for formats that take long to open.
 LOOKS: dict[str, str] = {
-    "azure_kinect": "annotator.recordings.azure_kinect:is_azure_kinect",
+    "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
 }

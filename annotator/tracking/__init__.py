@@ -1,4 +1,4 @@
-"""Objects over a recording: which boxes of its frames are one object, and what follows for their size and heading.
+"""Tracks: linking of the boxes of one object over the frames of a recording, smoothing and interpolation.
 
-Pure functions on boxes and times; they know no file, no project and no detector.
+Pure functions of boxes and times, independent of files, projects and detectors.
 """

@@ -1,4 +1,4 @@
-"""How boxes are linked and smoothed."""
+"""The settings of linking and smoothing."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class TrackingConfig(BaseModel):
-    """Lengths are shares of an object's longest side, times are frames (`frame_times`).
+    """Settings; lengths are shares of an object's longest side, times are in frames (`frame_times`).
 
     Attributes:
-        reach: how far from where its motion leads an object may be found, a frame.
-        reach_new: the same of an object that was seen once and whose motion is not known.
-        most_frames: of an object that was not found for a while, `reach` grows for so many frames.
-        max_gap: frames after which an object that was not found is another one.
-        max_size_ratio: by how much two boxes of one object may differ along a side.
-        motion_boxes: the last boxes of an object that its motion follows from.
-        window: boxes so many frames before and after one smooth its rotation.
-        change_ratio: a side changes in time where its lengths' successive differences, squared, are on average below so
-            many variances (2 for independent values); it then has no single length.
-        least_for_change: boxes that it takes to say so.
-        reviewed_weight: how many proposals a reviewed box counts for.
-        least_motion: path of an object, in longest sides, from which on its motion says where its front is.
-        least_along: mean cosine between motion and length axis from which on an object moves forward or backward.
+        reach: maximum distance from the predicted position, per frame.
+        reach_new: the same for an object with a single box, whose motion is unknown.
+        most_frames: maximum number of missed frames over which `reach` grows.
+        max_gap: a track ends after this many missed frames.
+        max_size_ratio: maximum ratio between a side of two boxes of one object.
+        motion_boxes: number of last boxes from which the motion is estimated.
+        window: boxes within this many frames before and after a box smooth its rotation.
+        change_ratio: a side varies in time, and gets no common length, if the mean squared successive difference of its
+            lengths is below this multiple of their variance (2 for independent values).
+        least_for_change: minimum number of boxes for this test.
+        reviewed_weight: weight of a reviewed box; a proposal has 1.
+        least_motion: minimum distance travelled, in longest sides, for the motion to determine the front.
+        least_along: minimum mean cosine between motion and length axis to count as moving forward or backward.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

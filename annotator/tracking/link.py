@@ -1,8 +1,7 @@
-"""Which boxes of a recording are one object: frame by frame, the assignment of least cost (Kuhn-Munkres).
+"""Linking of boxes to tracks: frame by frame, by the assignment of least cost (Kuhn-Munkres).
 
-A box costs less for an object the nearer it is to where the object's motion leads, the more it overlaps the box there,
-and the more alike the sizes are. What is out of reach is never assigned. Ids that somebody has given decide before any
-cost does.
+The cost of a box for a track depends on its distance from the track's predicted box, and on their overlap and
+difference in size. Boxes out of reach are never assigned. Ids given by people or files take precedence over costs.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from annotator.tracking.config import TrackingConfig
 from annotator.tracking.motion import predicted
 from annotator.types import OrientedBox
 
-# The cost of what is out of reach; far above all others.
+# The cost of a box out of reach; far above all others.
 NEVER = 1e6
 
 
@@ -29,8 +28,8 @@ class Seen:
 
     Attributes:
         label: class name; only boxes of one class are linked.
-        box: camera frame; the camera is taken to stand still, or to move evenly.
-        given: the id of its object, where somebody has said it.
+        box: camera frame; the camera is assumed to stand still or to move uniformly.
+        given: track id given by a person or a file, or None.
     """
 
     label: str
@@ -40,13 +39,13 @@ class Seen:
 
 @dataclass(eq=False)
 class Track:
-    """One object.
+    """The track of one object.
 
     Attributes:
         label: class name.
-        members: place of the frame, and of the box in the frame, in order.
-        boxes, times: of the members.
-        given: the object's id, where somebody has said it of one of its boxes.
+        members: index of the frame, and of the box within the frame, in order of time.
+        boxes, times: boxes and times of the members.
+        given: track id given by a person or a file to one of the boxes, or None.
     """
 
     label: str
@@ -57,11 +56,11 @@ class Track:
 
 
 def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: TrackingConfig) -> list[Track]:
-    """The objects of a recording, in the order of their first boxes; every box belongs to one.
+    """The tracks of a recording, in the order of their first boxes; every box belongs to one track.
 
     Args:
-        frames: the boxes of each frame, in the order of time.
-        times: of the frames, as `frame_times` gives them.
+        frames: the boxes of each frame, in order of time.
+        times: times of the frames, from `frame_times`.
     """
     tracks: list[Track] = []
     alive: list[Track] = []
@@ -78,7 +77,7 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
         owner |= _assigned(free, boxes, [track for track in alive if id(track) not in held], time, config)
         for number, seen in enumerate(boxes):
             key = None if seen.given is None else (seen.label, seen.given)
-            # an id that stands twice in a frame is one object, as somebody has said
+            # two boxes with the same given id in one frame belong to one track
             track = owner.get(number) or (named.get(key) if key else None)
             if track is None:
                 track = Track(seen.label)
@@ -97,8 +96,8 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
 def _assigned(
     free: Sequence[int], boxes: Sequence[Seen], waiting: Sequence[Track], time: float, config: TrackingConfig
 ) -> dict[int, Track]:
-    """Of boxes that nobody has named the object that each belongs to; boxes of new objects are left out."""
-    found: dict[int, Track] = {}
+    """The tracks of boxes without a given id; boxes of new objects are left out."""
+    assigned: dict[int, Track] = {}
     for label in sorted({boxes[number].label for number in free}):
         numbers = [number for number in free if boxes[number].label == label]
         tracks = [track for track in waiting if track.label == label]
@@ -107,14 +106,14 @@ def _assigned(
         cost = _costs(tracks, [boxes[number] for number in numbers], time, config)
         for row, column in zip(*linear_sum_assignment(cost), strict=True):
             if cost[row, column] < NEVER:
-                found[numbers[column]] = tracks[row]
-    return found
+                assigned[numbers[column]] = tracks[row]
+    return assigned
 
 
 def _costs(
     tracks: Sequence[Track], boxes: Sequence[Seen], time: float, config: TrackingConfig
 ) -> Float64[np.ndarray, "t n"]:
-    """What each box costs for each object: at most 1 for each of distance, overlap and size; `NEVER` out of reach."""
+    """The cost of each box for each track: at most 1 each for distance, overlap and size; `NEVER` out of reach."""
     count = config.motion_boxes
     expected = [predicted(track.boxes[-count:], track.times[-count:], time) for track in tracks]
     sides = np.array([box.size_m.max() for box in expected])
@@ -124,7 +123,7 @@ def _costs(
     far /= (reach * sides * waited)[:, None]
     unlike = _unlike(expected, [seen.box for seen in boxes]) / np.log(config.max_size_ratio)
     cost = far + unlike + 1.0 - iou_3d_matrix(expected, [seen.box for seen in boxes])
-    # two objects that somebody has named are two
+    # two different given ids are two objects
     named = np.array(
         [[t.given is not None and b.given is not None and t.given != b.given for b in boxes] for t in tracks]
     )

@@ -1,4 +1,4 @@
-"""Times of frames, and where an object will be: constant velocity over its last boxes."""
+"""Frame times, and prediction of an object's position with constant velocity."""
 
 from __future__ import annotations
 
@@ -11,27 +11,28 @@ from annotator.types import OrientedBox
 
 
 def frame_times(times_ns: Sequence[int | None]) -> Float64[np.ndarray, "n"]:
-    """The times of a recording's frames, in frames: 1 is the median time from one to the next.
+    """The times of a recording's frames in units of the median interval between frames, from 0.
 
     Args:
-        times_ns: in order; where one is not known, or they do not grow, all frames count as equally far apart.
+        times_ns: in order. If one is unknown, or they do not increase, equal intervals are assumed.
     """
     count = np.arange(len(times_ns), dtype=np.float64)
     if len(times_ns) < 2 or any(time is None for time in times_ns):
         return count
     first = times_ns[0]
-    # differences first: nanoseconds since the epoch do not fit a float
+    # differences first, since float64 cannot represent nanoseconds since the epoch
     passed = np.array([float(time - first) for time in times_ns if time is not None and first is not None])
     steps = np.diff(passed)
     return count if (steps <= 0).any() else passed / np.median(steps)
 
 
 def predicted(boxes: Sequence[OrientedBox], times: Sequence[float], time: float) -> OrientedBox:
-    """The last of an object's boxes, moved to where it will be at `time`.
+    """An object's last box, moved to its predicted position at `time`.
 
     Args:
-        boxes: one or more of the object, in the order of time; the motion is the straight one nearest to all of them.
-        times: of the boxes.
+        boxes: one or more boxes of the object, in order of time; a line is fitted to their centres.
+        times: times of the boxes.
+        time: time of the prediction.
     """
     last = boxes[-1]
     passed = np.asarray(times) - np.mean(times)

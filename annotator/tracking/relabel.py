@@ -1,4 +1,4 @@
-"""The names of a box's axes: a box can be written in 24 ways, and neighbours in time should be written alike."""
+"""Relabelling of box axes: a box can be written in 24 ways, and boxes of a track should be written alike."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from annotator.types import OrientedBox
 
-# What a side that is e times another costs beside a turn by one radian.
+# Cost of a side ratio of e, relative to a rotation by one radian.
 SIZE_COST = 0.5
-# Boxes whose z axes differ by less stand upright on the same ground, radians.
+# Boxes whose z axes differ by less than this, radians, count as upright on the same ground.
 SAME_UP_RAD = float(np.deg2rad(15))
 
 
 @cache
 def relabellings(is_upright: bool) -> Float64[np.ndarray, "k 3 3"]:
-    """The rotations that turn a box into itself with other names: all 24, or the 4 that leave z; first the identity."""
+    """The rotations that relabel a box's axes, the identity first: all 24, or the 4 that keep z."""
     every = np.rint(Rotation.create_group("O").as_matrix())
     chosen = every[every[:, 2, 2] == 1] if is_upright else every
     identity = np.abs(chosen - np.eye(3)).sum(axis=(1, 2))
@@ -27,14 +27,14 @@ def relabellings(is_upright: bool) -> Float64[np.ndarray, "k 3 3"]:
 
 
 def relabelled(box: OrientedBox, change: Float64[np.ndarray, "3 3"]) -> OrientedBox:
-    """The same box with other names for its axes; the columns of `change` are the new axes in the old ones."""
+    """The same box with relabelled axes; the columns of `change` are the new axes in terms of the old ones."""
     return OrientedBox.from_parts(box.center_m, box.rotation @ change, np.abs(change).T @ box.size_m)
 
 
 def nearest_change(
     box: OrientedBox, reference: OrientedBox, changes: Float64[np.ndarray, "k 3 3"]
 ) -> Float64[np.ndarray, "3 3"]:
-    """Of some changes of names the one that makes a box most like a reference, in rotation and in size."""
+    """The relabelling that makes a box most similar to a reference, in rotation and size."""
     rotations = box.rotation @ changes
     cosines = (np.einsum("kij,ij->k", rotations, reference.rotation) - 1) / 2
     sizes = np.abs(changes).transpose(0, 2, 1) @ box.size_m
@@ -44,7 +44,7 @@ def nearest_change(
 
 
 def are_upright(boxes: Sequence[OrientedBox]) -> bool:
-    """True where all boxes point their z axes the same way, as boxes that stand on the ground do."""
+    """True if the z axes of all boxes are nearly parallel, as for boxes that stand on the ground."""
     up = np.array([box.rotation[:, 2] for box in boxes])
     middle = up.sum(axis=0)
     length = float(np.linalg.norm(middle))

@@ -1,9 +1,9 @@
-"""One object's boxes over time: one size, and a heading that does not jump.
+"""Smoothing of one object's boxes over time: a common size, and a rotation without jumps.
 
-Detectors cannot tell a box's front from its back, and free boxes have 24 names for their axes. So the axes of each box
-are first renamed to be like those of its neighbours in time. What the names of the whole track are is then said by the
-boxes that a person has reviewed, else by the motion of upright boxes, which mostly move forward, else by the majority.
-What a camera that moves by itself sees of an object's motion says nothing about the object's front.
+Detectors cannot distinguish a box's front from its back, and the axes of a free box can be labelled in 24 ways. So the
+axes of each box are first relabelled to match its neighbours in time. Then the labelling of the whole track is chosen:
+that of the reviewed boxes, or, without any, that of the majority. In the second case, upright boxes that move backwards
+swap front and back. The motion is only used if the camera stands still.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from annotator.tracking.config import TrackingConfig
 from annotator.tracking.relabel import are_upright, nearest_change, relabelled, relabellings
 from annotator.types import OrientedBox
 
-# A turn by half about z: front and back change places.
+# Half a turn about z: swaps front and back.
 FLIP = np.diag([-1.0, -1.0, 1.0])
-# Logarithms of lengths that differ by less are the same length.
+# Maximum difference of the logarithms of equal lengths.
 SAME_LENGTH = 1e-6
-# Rotations that differ by more have no sensible mean, radians.
+# Maximum difference between rotations that are averaged, radians.
 ANOTHER_RAD = float(np.deg2rad(60))
 
 
@@ -32,10 +32,10 @@ class TrackBox:
     """One box of an object.
 
     Attributes:
-        time: of its frame, as `frame_times` gives it.
+        time: time of its frame, from `frame_times`.
         box: camera frame.
-        weight: how much it counts; above 0.
-        is_fixed: a person has reviewed it: it says how the others are, and stays as it is.
+        weight: above 0.
+        is_fixed: a reviewed box, which is not changed and determines the labelling of the others.
     """
 
     time: float
@@ -45,43 +45,43 @@ class TrackBox:
 
 
 def smoothed(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool = True) -> list[OrientedBox]:
-    """The boxes of one object with the size of all and smooth rotations, their centres as they were.
+    """The boxes of one object with a common size and smooth rotations; the centres stay as they are.
 
     Args:
-        track: in the order of time, at least one.
-        is_still: the camera stands still, so that what moves is the object.
+        track: at least one box, in order of time.
+        is_still: whether the camera stands still, so that motion is that of the object.
 
     Returns:
-        A box for each; fixed ones are the same objects.
+        one box for each of the track; fixed boxes are returned unchanged.
     """
-    named = _named_alike(track, config, is_still)
+    alike = _relabelled_alike(track, config, is_still)
     times = np.array([each.time for each in track])
     weights = np.array([each.weight * (config.reviewed_weight if each.is_fixed else 1.0) for each in track])
-    sizes_m = _smooth_sizes(times, weights, np.array([box.size_m for box in named]), config)
-    rotations = _smooth_rotations(times, weights, named, config)
+    sizes_m = _smooth_sizes(times, weights, np.array([box.size_m for box in alike]), config)
+    rotations = _smooth_rotations(times, weights, alike, config)
     return [
         each.box if each.is_fixed else OrientedBox.from_parts(each.box.center_m, rotation.as_matrix(), size_m)
         for each, rotation, size_m in zip(track, rotations, sizes_m, strict=True)
     ]
 
 
-def _named_alike(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool) -> list[OrientedBox]:
-    """All boxes with axes named as nearly alike as they can be, by the names that the track goes by."""
+def _relabelled_alike(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool) -> list[OrientedBox]:
+    """All boxes with their axes relabelled consistently, by the labelling of the whole track."""
     boxes = [each.box for each in track]
     is_upright = are_upright(boxes)
     changes = relabellings(is_upright)
-    # a reviewed box is named by a person: all others follow from there
+    # start from a reviewed box if there is one, since its labelling is right
     start = max(range(len(track)), key=lambda place: (track[place].is_fixed, -place))
-    own = {start: changes[0]}
+    applied = {start: changes[0]}
     for order in (range(start + 1, len(track)), range(start - 1, -1, -1)):
         reference = boxes[start]
         for place in order:
-            own[place] = changes[0] if track[place].is_fixed else nearest_change(boxes[place], reference, changes)
-            reference = relabelled(boxes[place], own[place])
-    alike = [relabelled(box, own[place]) for place, box in enumerate(boxes)]
+            applied[place] = changes[0] if track[place].is_fixed else nearest_change(boxes[place], reference, changes)
+            reference = relabelled(boxes[place], applied[place])
+    alike = [relabelled(box, applied[place]) for place, box in enumerate(boxes)]
     if track[start].is_fixed:
         return alike
-    common = _common_change(track, [own[place] for place in range(len(track))], changes)
+    common = _common_change(track, [applied[place] for place in range(len(track))], changes)
     alike = [relabelled(box, common) for box in alike]
     if is_upright and is_still and _moves_backward(alike, config):
         alike = [relabelled(box, FLIP) for box in alike]
@@ -89,23 +89,27 @@ def _named_alike(track: Sequence[TrackBox], config: TrackingConfig, is_still: bo
 
 
 def _common_change(
-    track: Sequence[TrackBox], own: Sequence[Float64[np.ndarray, "3 3"]], changes: Float64[np.ndarray, "k 3 3"]
+    track: Sequence[TrackBox], applied: Sequence[Float64[np.ndarray, "3 3"]], changes: Float64[np.ndarray, "k 3 3"]
 ) -> Float64[np.ndarray, "3 3"]:
-    """What gives most boxes, by weight, their own names back after each was renamed by its change in `own`."""
-    kept = [
-        sum(each.weight for each, change in zip(track, own, strict=True) if np.array_equal(change @ common, np.eye(3)))
+    """The relabelling that restores the original labelling of most boxes, by weight, after the changes in `applied`."""
+    restored = [
+        sum(
+            each.weight
+            for each, change in zip(track, applied, strict=True)
+            if np.array_equal(change @ common, np.eye(3))
+        )
         for common in changes
     ]
-    best: Float64[np.ndarray, "3 3"] = changes[int(np.argmax(kept))]
+    best: Float64[np.ndarray, "3 3"] = changes[int(np.argmax(restored))]
     return best
 
 
 def _moves_backward(boxes: Sequence[OrientedBox], config: TrackingConfig) -> bool:
-    """True where upright boxes move along their length, and against it."""
+    """True if upright boxes move along their length axis, backwards."""
     steps = np.diff([box.center_m for box in boxes], axis=0)
     path = np.linalg.norm(steps, axis=1)
-    way = float(np.linalg.norm(boxes[-1].center_m - boxes[0].center_m))
-    if way < config.least_motion * max(box.size_m.max() for box in boxes):
+    distance = float(np.linalg.norm(boxes[-1].center_m - boxes[0].center_m))
+    if distance < config.least_motion * max(box.size_m.max() for box in boxes):
         return False
     headings = np.array([box.rotation[:, 0] for box in boxes])
     along = np.einsum("ij,ij->", steps, (headings[:-1] + headings[1:]) / 2) / path.sum()
@@ -118,7 +122,7 @@ def _smooth_sizes(
     sizes_m: Float64[np.ndarray, "n 3"],
     config: TrackingConfig,
 ) -> Float64[np.ndarray, "n 3"]:
-    """The weighted median of each side: over the track, or (a side that changes in time) over the boxes around each."""
+    """The weighted median of each side over the track, or over a window if the side varies in time."""
     smooth = np.tile(_median(sizes_m, weights), (len(sizes_m), 1))
     for side in range(3):
         if _changes_in_time(sizes_m[:, side], config):
@@ -132,10 +136,10 @@ def _median(values: Float64[np.ndarray, "n *more"], weights: Float64[np.ndarray,
 
 
 def _changes_in_time(lengths_m: Float64[np.ndarray, "n"], config: TrackingConfig) -> bool:
-    """True for a side that grows and shrinks, as that of a walking person, and false for one that is measured anew.
+    """True for a side that really varies, such as that of a walking person; False for measurement noise.
 
-    Measured lengths differ from one to the next as much as any two do; lengths that change over time differ less (the
-    ratio of von Neumann: mean squared successive difference to variance, 2 for independent values).
+    Noise differs between successive lengths as much as between any two. Real variation differs less between successive
+    lengths (von Neumann ratio: mean squared successive difference over variance, 2 for independent values).
     """
     logs = np.log(lengths_m)
     if len(logs) < config.least_for_change or np.ptp(logs) < SAME_LENGTH:
@@ -146,22 +150,22 @@ def _changes_in_time(lengths_m: Float64[np.ndarray, "n"], config: TrackingConfig
 def _smooth_rotations(
     times: Float64[np.ndarray, "n"],
     weights: Float64[np.ndarray, "n"],
-    named: Sequence[OrientedBox],
+    boxes: Sequence[OrientedBox],
     config: TrackingConfig,
 ) -> list[Rotation]:
-    """Of each box the mean rotation of those around it in time, the near ones counting most."""
-    rotations = Rotation.from_matrix(np.array([box.rotation for box in named]))
-    found = []
+    """The mean rotation over a window around each box, with Gaussian weights."""
+    rotations = Rotation.from_matrix(np.array([box.rotation for box in boxes]))
+    smooth = []
     for place, time in enumerate(times):
         near = _around(times, place, config)
-        # between boxes that people have named differently there is no middle
+        # boxes that people have labelled differently cannot be averaged
         near = near[(rotations[near] * rotations[place].inv()).magnitude() < ANOTHER_RAD]
         fading = np.exp(-0.5 * (2 * (times[near] - time) / max(config.window, 1e-9)) ** 2)
-        found.append(rotations[near].mean(weights[near] * fading) if len(near) > 1 else rotations[place])
-    return found
+        smooth.append(rotations[near].mean(weights[near] * fading) if len(near) > 1 else rotations[place])
+    return smooth
 
 
 def _around(times: Float64[np.ndarray, "n"], place: int, config: TrackingConfig) -> Int[np.ndarray, "k"]:
-    """The boxes around one in time: as far before as behind, so that an even change stays as it is, at the ends too."""
+    """The indices of a symmetric window around a box; symmetric so that a uniform change is preserved at the ends."""
     reach = min(config.window, times[place] - times[0], times[-1] - times[place])
     return np.flatnonzero(np.abs(times - times[place]) <= reach + 1e-9)

@@ -1,8 +1,8 @@
-"""The shared words: frozen value types that check themselves once, and the error tree."""
+"""The shared value types: frozen, checked on construction."""
 
 from annotator.types.boxes import Box2D, OrientedBox
 from annotator.types.camera import Camera
-from annotator.types.detector import Detector, Image, Region
+from annotator.types.detector import Detector, DetectorKind, Image, Region
 from annotator.types.frame import Frame
 from annotator.types.label import BoxKind, Label, ReviewState, Source, Truth
 from annotator.types.point_cloud import PointCloud
@@ -23,6 +23,7 @@ __all__ = [
     "BoxTrace",
     "Camera",
     "Detector",
+    "DetectorKind",
     "Frame",
     "Image",
     "Label",

@@ -11,16 +11,16 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.types.checks import as_array, require_finite
 
-# What is larger or further away is no object, and its volume no number.
+# Upper limit of sizes and distances; beyond it, volumes overflow.
 FARTHEST_M = 1e9
-# A matrix this near to a rotation is taken as it is.
+# A matrix this close to a rotation is not normalised.
 ORTHONORMAL = 1e-12
 
 
 def _distance_from_rotation(columns: list[list[float]]) -> float:
-    """The largest error of the axes' lengths (squared) and right angles; infinite for a mirror, or what is no number.
+    """The largest error of the axes' squared lengths and right angles; infinite for a reflection or a NaN.
 
-    In plain numbers, since matrices of three rows take ten times as long.
+    Computed with plain numbers, because numpy takes ten times as long for matrices this small.
     """
     (a, b, c), (d, e, f), (g, h, i) = columns
     if not all(abs(value) < 2 for value in (a, b, c, d, e, f, g, h, i)):
@@ -39,7 +39,7 @@ class Box2D:
     Attributes:
         label: class name.
         x_min, y_min, x_max, y_max: edges, pixels, x right, y down.
-        score: detector confidence in 0..1; 1 for a box that a person drew.
+        score: detector confidence in 0..1; 1 for a drawn box.
     """
 
     label: str
@@ -50,7 +50,7 @@ class Box2D:
     score: float = 1.0
 
     def __post_init__(self) -> None:
-        # plain numbers: arrays of so few take ten times as long
+        # plain numbers, because numpy takes ten times as long for so few values
         if not all(map(math.isfinite, self.xyxy)):
             raise ValueError(f"box edges must be finite, not {self.xyxy}")
         if self.x_max <= self.x_min or self.y_max <= self.y_min:
@@ -69,7 +69,7 @@ class Box2D:
         return (self.x_min, self.y_min, self.x_max, self.y_max)
 
     def shifted(self, x_px: int, y_px: int) -> Box2D:
-        """The same box so many whole pixels further to the right and down, as a part of a picture lies in the whole."""
+        """The box moved right and down by whole pixels, such as from a region's pixels to those of the whole image."""
         edges = (self.x_min + x_px, self.y_min + y_px, self.x_max + x_px, self.y_max + y_px)
         return Box2D(self.label, *edges, self.score)
 
@@ -83,7 +83,8 @@ class OrientedBox:
             camera frame, metres.
         size_m: full (length, width, height) along the box's own x, y, z; all positive.
 
-    Raises ValueError for a size that is not positive, and for anything that is not finite or beyond `FARTHEST_M`.
+    Raises:
+        ValueError: a size that is not positive, or a value that is not finite or beyond `FARTHEST_M`.
     """
 
     T_camera_box: RigidTransform
@@ -99,7 +100,7 @@ class OrientedBox:
             raise ValueError("T_camera_box must be one transform, not a stack")
         require_finite("T_camera_box", self.T_camera_box.as_matrix())
         if max(*lengths, *map(abs, self.T_camera_box.translation.tolist())) > FARTHEST_M:
-            raise ValueError(f"a box must be within {FARTHEST_M:g} m, in metres")
+            raise ValueError(f"a box must be within {FARTHEST_M:g} m; give metres")
         object.__setattr__(self, "size_m", size)
 
     @classmethod
@@ -116,7 +117,7 @@ class OrientedBox:
             raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, center
-        # what is orthonormal but for rounding need not be made so: that costs three times the rest
+        # normalising takes three times as long as the rest, so it is skipped if only rounding errors are left
         transform = RigidTransform(pose, normalize=bool(error > ORTHONORMAL), copy=False)
         return cls(transform, np.asarray(size_m, np.float64))
 
@@ -128,7 +129,7 @@ class OrientedBox:
     @property
     def rotation(self) -> Float64[np.ndarray, "3 3"]:
         """Columns are the box axes in the camera frame."""
-        # the matrix as it is stored: a `Rotation` made of it would be checked for being one, each time
+        # not `.rotation.as_matrix()`, which would validate the matrix on every access
         return self.T_camera_box.as_matrix()[:3, :3]
 
     @property

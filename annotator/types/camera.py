@@ -12,7 +12,7 @@ DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics of one camera; the frame is OpenCV's: x right, y down, z forward.
+    """Intrinsics of one camera; its axes are OpenCV's: x right, y down, z forward.
 
     Pixel coordinates are continuous and the centre of the first pixel is (0, 0), so that the image
     covers [-0.5, width_px - 0.5] x [-0.5, height_px - 0.5].
@@ -49,5 +49,5 @@ class Camera:
 
     @property
     def is_ideal(self) -> bool:
-        """True where no distortion has to be undone."""
+        """True if the camera has no distortion."""
         return not any(self.distortion)

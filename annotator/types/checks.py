@@ -1,4 +1,4 @@
-"""Shape, dtype and finiteness checks that the value types run once, on construction."""
+"""Checks of shape, dtype and finiteness that the value types run on construction."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 
 def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | None, ...]) -> np.ndarray:
-    """`value` as a read-only array of `dtype` whose shape matches; None in `shape` is any length.
+    """`value` as a read-only array of the given dtype and shape; None in `shape` is any length.
 
     Raises:
-        ValueError: another shape, naming `name`.
+        ValueError: another shape; the message contains `name`.
     """
     array = np.asarray(value, dtype=dtype)
     matches = array.shape == shape or (
@@ -19,8 +19,8 @@ def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | 
         and all(want is None or want == have for want, have in zip(shape, array.shape, strict=True))
     )
     if not matches:
-        wanted = tuple("any" if n is None else n for n in shape)
-        raise ValueError(f"{name} must have shape {wanted}, not {array.shape}")
+        expected = tuple("any" if n is None else n for n in shape)
+        raise ValueError(f"{name} must have shape {expected}, not {array.shape}")
     if array.flags.writeable:
         array = array.view()
         array.flags.writeable = False
@@ -28,6 +28,6 @@ def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | 
 
 
 def require_finite(name: str, array: np.ndarray) -> None:
-    """Raises ValueError, naming `name`, where a value is NaN or infinite."""
+    """Raises ValueError with `name` if a value is NaN or infinite."""
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")

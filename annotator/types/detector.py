@@ -1,9 +1,10 @@
-"""The one thing that Recursive Cross-View needs of a 2D detector."""
+"""The interface of 2D detectors that Recursive Cross-View uses."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -13,7 +14,7 @@ from annotator.types.boxes import Box2D
 
 @runtime_checkable
 class Image(Protocol):
-    """Anything with a picture: a `Frame` or a `PseudoView`."""
+    """Anything with an RGB image, such as a `Frame` or a `PseudoView`."""
 
     @property
     def rgb(self) -> np.ndarray:
@@ -22,12 +23,12 @@ class Image(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A part of an image, for a detector to look at as if the rest were there: no larger and no smaller.
+    """A rectangular part of an image, which a detector processes at the same scale as the whole image.
 
     Attributes:
         of: the whole image.
-        x_px, y_px: its first column and row there.
-        width_px, height_px: its size; all of it lies within the image.
+        x_px, y_px: first column and row within the whole image.
+        width_px, height_px: size; the region lies completely within the image.
     """
 
     of: Image
@@ -38,26 +39,33 @@ class Region:
 
     @property
     def rgb(self) -> np.ndarray:
-        """(height, width, 3) uint8, a view of the image's."""
+        """(height, width, 3) uint8; shares memory with the whole image."""
         return self.of.rgb[self.y_px : self.y_px + self.height_px, self.x_px : self.x_px + self.width_px]
 
     @property
     def share(self) -> float:
-        """Its longer side as a share of the image's."""
+        """The region's longer side as a share of the image's longer side."""
         return max(self.width_px, self.height_px) / max(self.of.rgb.shape[:2])
+
+
+class DetectorKind(StrEnum):
+    """The two detectors of a project: one for camera images, one for pseudo-views."""
+
+    IMAGE = "image"
+    VIEW = "view"
 
 
 @runtime_checkable
 class Detector(Protocol):
-    """A 2D detector: images in, boxes out, many images a call."""
+    """A 2D detector that processes many images per call."""
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The class names it can find."""
+        """The class names that it can detect."""
 
     @property
     def fingerprint(self) -> str:
-        """Changes whenever the answers may: a hash of the weights and settings."""
+        """A hash of everything that affects the results, such as weights and settings."""
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One list of boxes an image, in the order given, best score first, in that image's pixels."""
+        """One list of boxes per image, in the order given; best score first, in pixels of that image."""

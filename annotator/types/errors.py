@@ -1,22 +1,23 @@
-"""Everything that annotator raises on purpose.
+"""The errors that annotator raises on purpose.
 
     AnnotatorError
-    ├── InputError            something that a user gave cannot be used
+    ├── InputError            unusable input from the user
     │   ├── RecordingError        a recording or one of its frames
-    │   │   ├── UnknownFormatError    no reader knows the folder
-    │   │   ├── FrameError            one frame is broken; the others may be fine
-    │   │   └── DeviceError           a camera that is not there, not usable, or gone
+    │   │   ├── UnknownFormatError    no reader recognises the path
+    │   │   ├── FrameError            one frame cannot be read; the others may be fine
+    │   │   └── DeviceError           a camera is missing, not usable or disconnected
     │   ├── FormatError           a label or dataset file
-    │   └── ConfigError           a setting or a command-line value
+    │   ├── ConfigError           a setting or a command-line value
+    │   └── ArgumentError         an argument of the Python API; a ValueError too
     ├── GeometryError         a computation that has no answer for this input
     ├── DetectionError        training or running a 2D detector
     ├── ProjectError          the project store
     │   ├── NotFoundError         there is no such project, recording, frame, label, view, model or job
-    │   ├── StaleRevisionError    somebody else changed the frame first
-    │   ├── HistoryError          there is nothing to undo or redo, or somebody else has changed it since
-    │   └── FinalisedFrameError   an automatic pass wanted to change a finalised frame
-    ├── ComputeError          the device that draws and clusters points is not there, or fails
-    ├── WorkerError           the processes that do a batch's work cannot be started, or go on dying
+    │   ├── StaleRevisionError    the frame was changed by someone else first
+    │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
+    │   └── FinalisedFrameError   an automatic pass cannot change a finalised frame
+    ├── ComputeError          the device that draws and clusters points is missing or fails
+    ├── WorkerError           a batch's worker processes cannot be started, or crash repeatedly
     └── MissingExtraError     an optional package is not installed
 
 A message says what is wrong, where (path, frame) and what to do next. These errors are caught in three
@@ -33,7 +34,7 @@ class AnnotatorError(Exception):
 
 
 class InputError(AnnotatorError):
-    """Something that a user gave cannot be used."""
+    """Input from the user is not usable."""
 
 
 class RecordingError(InputError):
@@ -41,7 +42,7 @@ class RecordingError(InputError):
 
 
 class UnknownFormatError(RecordingError):
-    """No reader recognises the path; the message lists what each looked for."""
+    """No reader recognises the path; the message lists what each reader expects."""
 
 
 class FrameError(RecordingError):
@@ -57,7 +58,7 @@ class FrameError(RecordingError):
 
 
 class DeviceError(RecordingError):
-    """A camera cannot be opened, or gives no frames any more."""
+    """A camera cannot be opened, or has stopped delivering frames."""
 
 
 class FormatError(InputError):
@@ -65,7 +66,7 @@ class FormatError(InputError):
 
     Attributes:
         path: the offending file.
-        line: 1-based line number, or None where lines mean nothing.
+        line: 1-based line number; None for formats without lines.
     """
 
     def __init__(self, path: Path, problem: str, line: int | None = None) -> None:
@@ -79,6 +80,10 @@ class ConfigError(InputError):
     """A setting or a command-line value is not usable."""
 
 
+class ArgumentError(InputError, ValueError):
+    """An argument of the Python API cannot be used: a wrong shape, unit, type or camera."""
+
+
 class GeometryError(AnnotatorError):
     """A computation has no answer for this input, such as a box around no points."""
 
@@ -88,15 +93,15 @@ class DetectionError(AnnotatorError):
 
 
 class ComputeError(AnnotatorError):
-    """The device that draws pseudo-views and clusters normals is not there, or fails."""
+    """The device that draws pseudo-views and clusters normals is missing or fails."""
 
 
 class ProjectError(AnnotatorError):
-    """The project store refuses, or cannot be opened."""
+    """The project store cannot be opened, or refuses an operation."""
 
 
 class NotFoundError(ProjectError):
-    """What a name, id or path stands for does not exist."""
+    """Nothing exists under a given name, id or path."""
 
 
 class StaleRevisionError(ProjectError):
@@ -117,10 +122,10 @@ class StaleRevisionError(ProjectError):
 
 
 class HistoryError(ProjectError):
-    """There is nothing to undo or redo, or somebody else has changed it since.
+    """There is nothing to undo or redo, or someone else has changed it since.
 
     Attributes:
-        frame_id: of the frame whose state is in the way, if that is why.
+        frame_id: the frame whose state prevents it, if there is one.
     """
 
     def __init__(self, message: str, frame_id: int | None = None) -> None:
@@ -129,11 +134,11 @@ class HistoryError(ProjectError):
 
 
 class FinalisedFrameError(ProjectError):
-    """An automatic pass wanted to change a frame that an operator has finalised."""
+    """An automatic pass cannot change a frame that an operator has finalised."""
 
 
 class WorkerError(AnnotatorError):
-    """The processes that do a batch's work cannot be started, or go on dying."""
+    """A batch's worker processes cannot be started, or crash repeatedly."""
 
 
 class MissingExtraError(AnnotatorError):
@@ -142,5 +147,5 @@ class MissingExtraError(AnnotatorError):
     def __init__(self, package: str, extra: str) -> None:
         self.extra = extra
         super().__init__(
-            f"{package} is not installed; run in your clone: scripts/setup {extra} (or pip install '.[{extra}]')"
+            f'{package} is not installed; run pip install "rcv-annotator[{extra}]" (scripts/setup {extra} in a clone)'
         )

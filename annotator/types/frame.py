@@ -15,7 +15,7 @@ from annotator.types.point_cloud import PointCloud
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a recording gives for one index.
+    """One frame of a recording.
 
     Attributes:
         key: the frame's name within its recording, such as "000012"; unique and stable.
@@ -24,10 +24,10 @@ class Frame:
         rgb: (H, W, 3) uint8 image of the colour camera, RGB order.
         cloud: all valid points, in the camera frame.
         depth_m: (H, W) float32 depth registered to the image, 0 = none; None for a LiDAR.
-        up: unit vector against gravity in the camera frame, where the recording knows it.
+        up: unit vector against gravity in the camera frame; None if unknown.
         T_camera_label: from the frame in which the recording's own label files are written to the camera
-            frame (KITTI: rectified camera 0; SUN RGB-D: upright depth); identity where they are the same.
-        timestamp_ns: capture time, where known.
+            frame (KITTI: rectified camera 0; SUN RGB-D: upright depth); None if they are the same.
+        timestamp_ns: capture time; None if unknown.
     """
 
     key: str

@@ -1,4 +1,4 @@
-"""What a person or an automatic pass says about a frame."""
+"""3D labels of a frame, from people, automatic passes and files."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from enum import StrEnum
 
 from annotator.types.boxes import OrientedBox
 
+# Track ids range from -MOST_TRACK to MOST_TRACK, the integers that JSON and SQLite represent exactly.
+MOST_TRACK = 2**53
+
 
 class Source(StrEnum):
-    """Who made a label."""
+    """The origin of a label."""
 
     MANUAL = "manual"
     AUTO = "auto"
@@ -17,7 +20,7 @@ class Source(StrEnum):
 
 
 class ReviewState(StrEnum):
-    """Where a 3D box stands in the review."""
+    """The review state of a 3D box."""
 
     PROPOSED = "proposed"
     ACCEPTED = "accepted"
@@ -29,7 +32,7 @@ class BoxKind(StrEnum):
     """What a 2D box on a view measures.
 
     BOX: the projection of the object's 3D box, hidden parts included (imported or accepted 3D labels).
-    SILHOUETTE: the visible points of the object, as a person draws it.
+    SILHOUETTE: the visible points of the object (drawn boxes).
     """
 
     BOX = "box"
@@ -44,12 +47,12 @@ class Label:
         uid: unique within a project and stable over edits.
         label: class name.
         box: the oriented box, camera frame.
-        score: detector confidence in 0..1, or None for a box that no detector saw.
-        source: who made the box first.
-        state: where it stands in the review.
-        author: who changed it last.
-        time_ns: when, nanoseconds since the epoch.
-        track_id: the object's id over the recording, where known.
+        score: detector confidence in 0..1; None for a box that does not come from a detector.
+        source: origin of the box.
+        state: review state.
+        author: author of the last change.
+        time_ns: time of the last change, nanoseconds since the epoch.
+        track_id: the object's id within the recording; None if unknown.
     """
 
     uid: str
@@ -65,13 +68,13 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """One labelled object that came with a recording, or from elsewhere.
+    """One labelled object from the files of a recording, or from another source.
 
     Attributes:
         label: class name.
         box: the oriented box, camera frame.
-        track_id: the object's id over the recording, where known.
-        score: as its file says it, where it does: a confidence in 0..1, or a detector's raw figure of any size.
+        track_id: the object's id within the recording; None if unknown.
+        score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if the file has none.
     """
 
     label: str

@@ -12,15 +12,15 @@ from annotator.types.checks import as_array
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """N points in the camera frame, with what the sensor knows of each.
+    """N points in the camera frame, with the sensor's attributes of each.
 
     Attributes:
         xyz_m: (N, 3) float32, metres; finite (readers drop invalid points).
         rgb: (N, 3) uint8 colours, or None.
         reflectance: (N,) float32 in 0..1, or None.
-        pixel_index: (N,) int32, `v * width + u` of the depth pixel each point came from, where the cloud
-            is registered to the camera image (RGB-D); None for a LiDAR.
-        normals: (N, 3) float32 unit normals towards the sensor, zero where unknown; None until estimated.
+        pixel_index: (N,) int32, `v * width + u` of the depth pixel of each point, if the cloud is registered
+            to the camera image (RGB-D); None for a LiDAR.
+        normals: (N, 3) float32 unit normals towards the sensor, zero if unknown; None until estimated.
     """
 
     xyz_m: Float32[np.ndarray, "n 3"]
@@ -46,9 +46,8 @@ class PointCloud:
         return len(self.xyz_m)
 
     def select(self, keep: np.ndarray) -> PointCloud:
-        """The points that a boolean mask (N,) or an index array keeps, with all that is known of them."""
-
-        # rows by their numbers are gathered several times as fast as rows by a mask
+        """The points selected by a boolean mask (N,) or an index array, with all their attributes."""
+        # gathering by index is several times as fast as by mask
         index = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
 
         def pick(values: np.ndarray | None) -> np.ndarray | None:

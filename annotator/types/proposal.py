@@ -1,4 +1,4 @@
-"""What Recursive Cross-View proposes, and how it got there."""
+"""Proposals of Recursive Cross-View, and the trace of their recursions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[fl
 
 
 class StopReason(StrEnum):
-    """Why a recursion ended, or that it goes on."""
+    """Why a recursion ended, or that it continues."""
 
     AXES_CONVERGED = "axes converged"
     BOX_CONVERGED = "box converged"
@@ -28,8 +28,8 @@ class ViewTrace:
     Attributes:
         axes: rows = the view's x, y, z axes in the camera frame.
         metres_per_px, origin_m, width_px, height_px: as in `PseudoView`.
-        boxes: what the detector found on it, of the frustum's class, best first.
-        used: index into `boxes` of the one that the 3D box was made from, or None.
+        boxes: detections of the frustum's class, best first.
+        used: index into `boxes` of the detection that the 3D box was made from, or None.
     """
 
     axes: Matrix3
@@ -56,9 +56,9 @@ class StepTrace:
 
     Attributes:
         strategy: the projection axes that were used.
-        fallback: strategies that were tried first and could not be used, each with its reason.
+        fallback: notes: strategies that were tried first and failed, with the reason, and use of a warm start.
         views: all pseudo-views of the step, front and side of each hypothesis in turn.
-        box: the step's box, or None where the object was lost.
+        box: the step's box, or None if the object was lost.
         points_in, points_kept: points before and after the step's box cut the cloud.
         stop: why the recursion ended here, or that it continues.
     """
@@ -74,16 +74,16 @@ class StepTrace:
 
 @dataclass(frozen=True)
 class Quality:
-    """Signals that sort proposals for review, worst first.
+    """Quality signals by which proposals are sorted for review.
 
     Attributes:
         view_disagreement: difference of the intervals that the views measured on shared directions (front and
             side for the paper's strategies, residual of the fit for consensus), as a share of the box's size.
-        kept_share: share of the points of the last step's view that its box kept.
-        last_change: 1 - IoU of the last two steps' boxes.
-        image_agreement: IoU of what the result spans on the camera image (the box's outline, or for silhouettes the
-            kept points) with the image box it came from; low where an object is hidden in part, or is a neighbour of
-            the one that was meant. None where it was not measured, as before there was this signal.
+        kept_share: share of the points of the last step's views that lie inside its box.
+        last_change: 1 - IoU of the boxes of the last two steps.
+        image_agreement: IoU on the camera image between the result (the projected box, or for silhouettes the kept
+            points) and its image box. Low if the object is partly hidden, or if the result is a neighbour of the
+            detected object. None for results stored before this signal existed.
     """
 
     view_disagreement: float
@@ -100,7 +100,7 @@ class Proposal:
         label: class name, from the image detector.
         score: 0..1, from both detectors.
         box: camera frame.
-        image_box: the box on the camera image whose frustum led here.
+        image_box: the box on the camera image whose frustum was processed.
         trace: every step.
         quality: signals for the review.
     """
@@ -115,7 +115,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class LostObject:
-    """A frustum that led to no box, with the trace that says at which step and why."""
+    """An object on the image for which no 3D box was found; the trace shows at which step and why."""
 
     label: str
     image_box: Box2D

@@ -1,4 +1,4 @@
-"""A pseudo-view: an orthographic picture of a point cloud."""
+"""A pseudo-view: an orthographic image of a point cloud."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from annotator.types.checks import as_array
 
 @dataclass(frozen=True, eq=False)
 class PseudoView:
-    """An orthographic RGB picture of points, and the way back from its pixels to metres.
+    """An orthographic RGB image of points, and the conversion from its pixels to metres.
 
-    The view frame is x right, y down, z into the page. It shares its origin with the camera frame (a pure
-    rotation lies between them), so a view pixel (u, v) stands for the view coordinates
+    The view's axes are x right, y down, z into the image. Its origin is that of the camera frame, so the two differ by
+    a rotation only, and a view pixel (u, v) stands for the view coordinates
     `x = origin_m[0] + u * metres_per_px`, `y = origin_m[1] + v * metres_per_px`.
 
     Attributes:
-        rgb: (H, W, 3) uint8 picture.
+        rgb: (H, W, 3) uint8 image.
         axes: (3, 3) rows = the view's x, y, z axes as unit vectors in the camera frame (= R_view_camera).
         metres_per_px: one uniform scale.
         origin_m: (2,) view coordinates, metres, of the centre of pixel (0, 0).
-        xyz_m: (N, 3) the points that it shows, in the camera frame; of a dense cloud not each was drawn.
-        look_px: longer side, pixels, that a detector should at least look at it with; 0: with its own. For pictures in
-            which objects are small.
+        xyz_m: (N, 3) the points in the view, in the camera frame; of a dense cloud only some are drawn.
+        look_px: minimum longer side, pixels, to which a detector scales the image; used for views in which objects
+            are small. 0 means the detector's own size.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]
@@ -46,7 +46,7 @@ class PseudoView:
 
     @property
     def extent_m(self) -> Float64[np.ndarray, "2"]:
-        """Width and height of what the picture shows, metres."""
+        """Width and height of the shown area, metres."""
         height_px, width_px = self.rgb.shape[:2]
         return np.array([width_px, height_px]) * self.metres_per_px
 
@@ -57,6 +57,6 @@ class PseudoView:
         return np.stack([low, high], axis=1)
 
     def box_px(self, interval_m: np.ndarray, label: str, score: float = 1.0) -> Box2D:
-        """The 2D box (not clipped to the picture) that spans view coordinates (2, 2) as `interval_m` gives them."""
+        """The 2D box that spans view coordinates (2, 2), as returned by `interval_m`; not clipped to the image."""
         spans = (np.asarray(interval_m, np.float64) - self.origin_m[:, None]) / self.metres_per_px
         return Box2D(label, spans[0, 0], spans[1, 0], spans[0, 1], spans[1, 1], score)

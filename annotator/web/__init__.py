@@ -1,1 +1,1 @@
-"""The browser workbench: a FastAPI application with a JSON API, an event socket, jobs and the page's files."""
+"""The browser workbench: a FastAPI application with a JSON API, an event socket, jobs and the page's static files."""

@@ -1,4 +1,4 @@
-"""The application: all routes, their errors, and the page's files."""
+"""The FastAPI application: routes, error handlers and static files."""
 
 from __future__ import annotations
 
@@ -16,34 +16,30 @@ from annotator.web.settings import ServerSettings
 from annotator.web.static import add_static
 from annotator.web.watch import Watch
 
-# Modules of `annotator.web.routes`; each has a `router`.
+# Modules of `annotator.web.routes`; each defines `router`.
 ROUTES: tuple[str, ...] = (
     "session",
-    "folders",
     "projects",
     "recordings",
     "frames",
     "label",
     "review",
     "tracks",
-    "history",
     "queue",
-    "checks",
-    "statistics",
-    "pictures",
+    "reports",
+    "images",
     "jobs",
     "models",
-    "exports",
     "events",
-    "workbench",
+    "viewport",
 )
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
-    """The application of one server; nothing is shared between two.
+    """The application of one server.
 
     Raises:
-        ConfigError: the page's files are missing, or anybody could come in.
+        ConfigError: the page's files are missing, or the server would be open to the network without a token.
     """
     check_settings(settings)
     context = Context(settings)
@@ -63,7 +59,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
         openapi_url="/api/openapi.json",
         docs_url=None,
         redoc_url=None,
-        responses={"4XX": {"model": ErrorAnswer, "description": "What is wrong, and what to do."}},
+        responses={"4XX": {"model": ErrorAnswer, "description": "The problem, and what to do."}},
         lifespan=lifespan,
     )
     app.state.context = context

@@ -1,4 +1,4 @@
-"""What all routes share: the settings, the open projects, the hub, the jobs; and who asks."""
+"""State shared by all routes (settings, open projects, hub, jobs), and the operator of a request."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from annotator.project import Project, open_project
 from annotator.project.config import check_name
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError
-from annotator.web.annotation import Annotation
-from annotator.web.errors import NotSignedInError, without_places
+from annotator.web.caches import Caches
+from annotator.web.errors import NotSignedInError, hide_paths
 from annotator.web.folders import Folders
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
@@ -25,91 +25,91 @@ from annotator.web.jobs.runner import JobRunner
 from annotator.web.settings import ServerSettings
 
 OPERATOR_COOKIE = "annotator_operator"
-# Beside the projects; hidden, so that it is none.
+# A hidden folder within the projects folder, thus not a project.
 JOBS_FOLDER = ".jobs"
 
 
 class Context:
-    """One for each application, in `app.state.context`; threads share it.
+    """The state of one application, in `app.state.context`. Thread-safe.
 
     Attributes:
-        settings: what the server was told.
-        folders: where recordings may be added from.
-        hub: events to the open pages.
-        jobs: long work.
-        annotation: open frames and pictures.
+        settings: of the server.
+        folders: folders that recordings may be added from.
+        hub: sends events to the open pages.
+        jobs: runs the jobs.
+        caches: open frames, images of pseudo-views, detectors.
     """
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
-        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._tell_job, self.told)
-        self.annotation = Annotation()
+        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._send_job, self.public_message)
+        self.caches = Caches()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
 
     def project(self, name: str) -> Project:
-        """The project of that name, opened once and kept open.
+        """The project of that name; it stays open after the first call.
 
         Raises:
-            NotFoundError: there is none.
+            NotFoundError: no such project.
             ProjectError: it cannot be opened.
         """
         with self._lock:
-            known = self._projects.get(name)
-            if known is not None and known.path.is_dir():
-                return known
+            project = self._projects.get(name)
+            if project is not None and project.path.is_dir():
+                return project
             folder = self._folder(name)
-            if known is not None:
+            if project is not None:
                 self._projects.pop(name).close()
                 self.hub.forget(name)
             if not folder.is_dir():
-                raise NotFoundError(f"there is no project {name!r}; the start page lists those there are")
+                raise NotFoundError(f"there is no project {name!r}; the start page lists the existing ones")
             self._projects[name] = open_project(folder)
             return self._projects[name]
 
     def frame(self, project: Project, frame_id: int) -> Frame:
-        """A frame with its image and cloud; the last few are kept.
+        """A frame with its image and cloud, from the cache if possible.
 
         Raises:
             NotFoundError: no such frame.
             FrameError: it cannot be read.
         """
-        return self.annotation.frames.read(project, frame_id)
+        return self.caches.frames.read(project, frame_id)
 
     def open_projects(self, names: Iterable[str]) -> list[tuple[str, Project]]:
-        """Those of these projects that are open already."""
+        """The named projects that are open, with their names."""
         with self._lock:
             return [(name, self._projects[name]) for name in names if name in self._projects]
 
-    def told(self, text: str) -> str:
-        """A message as a browser may read it: files are named, but not where on this computer they are."""
-        return without_places(text, self._places())
+    def public_message(self, text: str) -> str:
+        """A message for browsers: absolute paths are replaced, so that it names files but not their folders."""
+        return hide_paths(text, self._path_names())
 
-    def _places(self) -> Iterator[tuple[Path, str]]:
-        yield from self.folders.places()
+    def _path_names(self) -> Iterator[tuple[Path, str]]:
+        yield from self.folders.roots()
         root = self.settings.projects_root.absolute()
         yield from ((path, root.name) for path in (root, root.resolve()))
         with self._lock:
             projects = list(self._projects.values())
         for project in projects:
-            # a project whose recordings cannot be read has told so already
+            # an unreadable project must not hide the original message
             with suppress(AnnotatorError):
                 yield from [(recording.path, recording.name) for recording in project.recordings.all()]
 
     def close(self) -> None:
-        """Ends everything that runs on behalf of the application."""
+        """Ends all threads and processes of the application, and closes its projects."""
         self.jobs.close()
         self.hub.close()
-        self.annotation.close()
+        self.caches.close()
         with self._lock:
             for project in self._projects.values():
                 project.close()
             self._projects.clear()
 
-    def _tell_job(self, job: Job) -> None:
-        # the indicator of jobs is on every page, whatever project it shows
+    def _send_job(self, job: Job) -> None:
+        # no "project" key: the job indicator is on every page
         self.hub.send({"type": "job", "job": job.model_dump(mode="json")})
 
     def _folder(self, name: str) -> Path:
@@ -122,19 +122,19 @@ class Context:
 
 def context(connection: HTTPConnection) -> Context:
     """The application's context, for `Depends`."""
-    found: Context = connection.app.state.context
-    return found
+    shared: Context = connection.app.state.context
+    return shared
 
 
 def operator(connection: HTTPConnection) -> str:
     """The signed-in operator's name, for `Depends`.
 
     Raises:
-        NotSignedInError: nobody has signed in on this browser.
+        NotSignedInError: the browser has not signed in.
     """
     name = operator_or_none(connection)
     if name is None:
-        raise NotSignedInError("nobody is signed in; say your name first")
+        raise NotSignedInError("no operator is signed in; sign in with your name first")
     return name
 
 

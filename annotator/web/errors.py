@@ -1,4 +1,4 @@
-"""What goes wrong in a request, as JSON: {"error": {"kind": class name, "message": text}} and a status code."""
+"""Errors of requests as JSON: {"error": {"kind": class name, "message": text}} with a status code."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ INTERNAL = "internal error, see the server's log"
 
 
 class NotSignedInError(AnnotatorError):
-    """The request needs an operator's name, or the server's token."""
+    """The request lacks an operator's name, or the server's token."""
 
 
 class ForbiddenError(AnnotatorError):
-    """The request comes from another page, or asks another host."""
+    """The request comes from a foreign page, or names a foreign host."""
 
 
 class TooLargeError(AnnotatorError):
-    """The request's body is larger than any that the server takes."""
+    """The request's body exceeds the limit."""
 
 
 class ErrorBody(BaseModel):
-    """The kind of an error, for programs, and what it says, for people."""
+    """The kind of an error, for programs, and its message, for people."""
 
     kind: str
     message: str
 
 
 class ErrorAnswer(BaseModel):
-    """The answer to a request that failed; some say more beside `error`."""
+    """The answer to a failed request; some have further fields beside `error`."""
 
     error: ErrorBody
 
 
-# The first row that an error is an instance of decides; a row for a new kind goes above its bases.
+# The first matching row applies, so subclasses precede their base classes.
 STATUS: list[tuple[type[AnnotatorError], int]] = [
     (NotFoundError, 404),
     (StaleRevisionError, 409),
@@ -58,62 +58,62 @@ STATUS: list[tuple[type[AnnotatorError], int]] = [
     (AnnotatorError, 400),
 ]
 
-# An absolute path, as far as its first blank, and its last name.
+# An absolute path up to its first blank; the group is its last component.
 _ABSOLUTE = re.compile(r"""(?<![\w./:…\-])(?:/[^/\s:;,'"()\[\]]+)*/([^/\s:;,'"()\[\]]+)""")
 
 
-def without_places(text: str, places: Iterable[tuple[Path, str]]) -> str:
-    """A message without absolute paths: it still names the file, but not where on this computer it is.
+def hide_paths(text: str, path_names: Iterable[tuple[Path, str]]) -> str:
+    """Replaces absolute paths in a message, so that it names files but not their folders on this computer.
 
     Args:
-        places: folders, and what stands for each; the first that fits is taken. Of a path in none of them only the last
-            name is left.
+        path_names: folders with their replacements; the first match applies. Of a path in none of them, only the last
+            component stays.
     """
-    for folder, name in places:
-        if not holds_absolute(text):
+    for folder, name in path_names:
+        if not has_absolute_path(text):
             return text
         if folder.is_absolute() and folder != Path(folder.anchor):
             text = name.join(re.split(rf"(?<![\w.\-]){re.escape(str(folder))}(?![\w\-])", text))
     return _ABSOLUTE.sub(r"…/\1", text)
 
 
-def holds_absolute(text: str) -> bool:
-    """True where a message names a place on this computer."""
+def has_absolute_path(text: str) -> bool:
+    """True if a message contains an absolute path."""
     return _ABSOLUTE.search(text) is not None
 
 
 def status_of(error: AnnotatorError) -> int:
-    """The status code of an error."""
+    """The HTTP status code of an error."""
     return next(status for kind, status in STATUS if isinstance(error, kind))
 
 
 def error_response(kind: str, message: str, status: int, **more: object) -> JSONResponse:
-    """The answer to a request that failed; `more` stands beside "error"."""
-    # half a surrogate pair, quoted from a request, cannot be sent
+    """The answer to a failed request; `more` are further fields beside "error"."""
+    # a lone surrogate quoted from a request cannot be encoded
     readable = message.encode("utf-8", "replace").decode()
     return JSONResponse({"error": {"kind": kind, "message": readable}, **more}, status)
 
 
 def internal_error(connection: HTTPConnection, error: Exception) -> JSONResponse:
-    """The answer to a fault of the program, which only the log explains."""
+    """The answer to an unexpected exception; its details go to the log only."""
     LOG.error("%s failed", connection.url.path, exc_info=error)
     return error_response("InternalError", INTERNAL, 500)
 
 
 def add_error_handlers(app: FastAPI) -> None:
-    """Every failure of a route becomes such an answer."""
-    app.add_exception_handler(AnnotatorError, _told)
+    """Registers handlers that answer every error of a route in this form."""
+    app.add_exception_handler(AnnotatorError, _annotator_error)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
 
 
-async def _told(connection: HTTPConnection, error: Exception) -> Response:
+async def _annotator_error(connection: HTTPConnection, error: Exception) -> Response:
     assert isinstance(error, AnnotatorError)
-    status, message = status_of(error), connection.app.state.context.told(str(error))
+    status, message = status_of(error), connection.app.state.context.public_message(str(error))
     if isinstance(connection, WebSocket):
-        # a reason has at most 123 bytes
+        # a close reason has at most 123 bytes
         await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))
-        return Response()  # nobody reads it
+        return Response()  # required by Starlette, not sent
     return error_response(type(error).__name__, message, status)
 
 
@@ -124,7 +124,7 @@ async def _invalid(connection: HTTPConnection, error: Exception) -> JSONResponse
 
 
 def _field(location: tuple[int | str, ...]) -> str:
-    """`body.changes.0.kind` without its first word, which only says where the value stood."""
+    """The path of a field, such as `changes.0.kind`, without its first part ("body" or "query")."""
     return ".".join(map(str, location[1:])) or str(location[0])
 
 

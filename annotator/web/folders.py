@@ -1,4 +1,4 @@
-"""The folders that recordings may be picked from, under names that say nothing of where they are."""
+"""The folders that recordings may be added from, under names that do not reveal their paths."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from pathlib import Path
 from annotator.recordings import detect_format
 from annotator.types.errors import NotFoundError, RecordingError
 
-# More of a folder is not shown: nobody clicks through it, and it would take long to look into each.
+# Maximum number of listed entries per folder: detecting the format of each takes time.
 MOST_ENTRIES = 1000
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One thing in a folder.
+    """One entry of a folder.
 
     Attributes:
-        path: `ROOT/sub/...`, as a browser names it.
-        recording: the format where it is a recording, else None.
-        is_folder: there may be more in it, also where it is a recording.
+        path: `ROOT/sub/...`, the path for browsers.
+        recording: its format if it is a recording, else None.
+        is_folder: True for a folder that can be listed; a recording may be one, too.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Listing:
-    """What is in a folder; `parent` is None at the top, where the roots are listed."""
+    """The content of a folder; `parent` is None for the list of roots."""
 
     path: str
     parent: str | None
@@ -39,13 +39,13 @@ class Listing:
 
 
 class Folders:
-    """Turns the paths of browsers into paths of this computer, and never leaves the registered folders."""
+    """Maps paths of browsers to paths on this computer; paths outside the registered folders are refused."""
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._roots = dict(_named(folders))
 
     def list(self, path: str) -> Listing:
-        """What is in a folder: sub-folders, and files that are recordings; "" lists the roots.
+        """Lists the sub-folders and recordings of a folder; "" lists the roots.
 
         Raises:
             NotFoundError: no such folder.
@@ -59,30 +59,30 @@ class Folders:
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
         return Listing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
 
-    def places(self) -> tuple[tuple[Path, str], ...]:
-        """The roots with their names, inner ones first."""
-        inner_first = sorted(self._roots.items(), key=lambda entry: -len(entry[1].parts))
-        return tuple((root, name) for name, root in inner_first)
+    def roots(self) -> tuple[tuple[Path, str], ...]:
+        """The roots with their names, nested ones first."""
+        nested_first = sorted(self._roots.items(), key=lambda entry: -len(entry[1].parts))
+        return tuple((root, name) for name, root in nested_first)
 
     def find(self, path: str) -> Path:
         """The real path of something below a root.
 
         Raises:
-            NotFoundError: no such thing, or it lies outside, also by way of a link.
+            NotFoundError: no such path, or it leads outside the roots, such as through a link.
         """
         name, *parts = path.split("/")
         root = self._roots.get(name)
-        # a backslash and a colon separate nothing here, but they do on other systems
-        if root is None or any(part in ("", ".", "..") or part.startswith(".") or _odd(part) for part in parts):
+        # a backslash separates components on other systems
+        if root is None or any(part in ("", ".", "..") or part.startswith(".") or _is_unsafe(part) for part in parts):
             raise _missing(path)
         try:
             top = root.resolve(strict=True)
-            found = root.joinpath(*parts).resolve(strict=True)
+            resolved = root.joinpath(*parts).resolve(strict=True)
         except (OSError, RuntimeError, ValueError) as error:
             raise _missing(path) from error
-        if not found.is_relative_to(top):
+        if not resolved.is_relative_to(top):
             raise _missing(path)
-        return found
+        return resolved
 
     def _children(self, path: str, folder: Path) -> Iterator[tuple[str, Path]]:
         try:
@@ -92,19 +92,19 @@ class Folders:
         for name in names[:MOST_ENTRIES]:
             try:
                 yield name, self.find(f"{path}/{name}")
-            except NotFoundError:  # a link that leads out of the root, or nowhere
+            except NotFoundError:  # a link that is broken or leads out of the root
                 continue
 
 
 def _entry(name: str, path: str, place: Path) -> Entry:
     try:
         recording = detect_format(place)
-    except RecordingError:  # of a clear format but without frames, or not to be read
+    except RecordingError:  # a known format, but without frames or unreadable
         recording = None
     return Entry(name, path, recording, place.is_dir())
 
 
-def _odd(part: str) -> bool:
+def _is_unsafe(part: str) -> bool:
     return not part.isprintable() or "\\" in part or "\0" in part
 
 
@@ -113,7 +113,7 @@ def _missing(path: str) -> NotFoundError:
 
 
 def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """Each root by its last name; where two have the same, "-2", "-3" ... is appended."""
+    """Names each root by its last path component; "-2", "-3" ... is appended to duplicates."""
     taken: set[str] = set()
     for folder in dict.fromkeys(path.resolve() for path in folders):
         base = name = folder.name or "root"

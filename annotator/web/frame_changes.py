@@ -1,4 +1,4 @@
-"""Changes to a frame as JSON, and the events that they are."""
+"""Changes of a frame as JSON, and their events."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from annotator.project import Change, Origin
-from annotator.project.payloads import (
+from annotator.project import Origin, WriteContext
+from annotator.project.event_types import (
     FrameFinalised,
     FrameReopened,
     ImageBoxesSet,
@@ -22,14 +22,14 @@ from annotator.project.payloads import (
 )
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind
-from annotator.types.tracks import MOST_TRACK
-from annotator.web.wire import MOST_BOXES, Box2DJson, Box3DJson, ClassName, Effort, RowId, Uid, Wire
+from annotator.types.label import MOST_TRACK
+from annotator.web.schemas import MOST_BOXES, Box2DJson, Box3DJson, ClassName, Effort, RowId, Schema, Uid
 
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
-class Accept(Wire):
-    """The label is right as it stands."""
+class Accept(Schema):
+    """Accepts a label unchanged."""
 
     kind: Literal["accept"]
     uid: Uid
@@ -38,8 +38,8 @@ class Accept(Wire):
         return LabelAccepted(uid=self.uid)
 
 
-class Reject(Wire):
-    """There is no such object."""
+class Reject(Schema):
+    """Rejects a label: the object does not exist."""
 
     kind: Literal["reject"]
     uid: Uid
@@ -48,8 +48,8 @@ class Reject(Wire):
         return LabelRejected(uid=self.uid)
 
 
-class Delete(Wire):
-    """The label goes; the object may be proposed again."""
+class Delete(Schema):
+    """Removes a label; the object may be proposed again."""
 
     kind: Literal["delete"]
     uid: Uid
@@ -58,8 +58,8 @@ class Delete(Wire):
         return LabelDeleted(uid=self.uid)
 
 
-class Edit(Wire):
-    """The label's new class, box and track."""
+class Edit(Schema):
+    """Changes a label's class, box and track."""
 
     kind: Literal["edit"]
     uid: Uid
@@ -71,8 +71,8 @@ class Edit(Wire):
         return LabelEdited(uid=self.uid, label=self.label, box=BoxRecord.of(self.box.box()), track_id=self.track_id)
 
 
-class Track(Wire):
-    """The label belongs to another track, or to none; its review stays as it is."""
+class Track(Schema):
+    """Changes a label's track, or removes it from its track; its review state stays."""
 
     kind: Literal["track"]
     uid: Uid
@@ -82,8 +82,8 @@ class Track(Wire):
         return LabelTracked(uid=self.uid, track_id=self.track_id)
 
 
-class Create(Wire):
-    """A new label, accepted; `image_box` where it was fitted to a box that was drawn on the image."""
+class Create(Schema):
+    """Creates an accepted label; `image_box` is the box on the image that it was fitted to, if any."""
 
     kind: Literal["create"]
     label: ClassName
@@ -102,8 +102,8 @@ class Create(Wire):
         )
 
 
-class ImageBoxesIn(Wire):
-    """All boxes on the camera image, in place of those before."""
+class ImageBoxesIn(Schema):
+    """Replaces all boxes on the camera image."""
 
     kind: Literal["image_boxes"]
     boxes: Annotated[list[Box2DJson], Field(max_length=MOST_BOXES)]
@@ -113,8 +113,8 @@ class ImageBoxesIn(Wire):
         return ImageBoxesSet(boxes=tuple(box.box() for box in self.boxes), box_kind=self.box_kind)
 
 
-class Finalise(Wire):
-    """The operator is done with the frame."""
+class Finalise(Schema):
+    """Finalises the frame."""
 
     kind: Literal["finalise"]
 
@@ -122,8 +122,8 @@ class Finalise(Wire):
         return FrameFinalised()
 
 
-class Reopen(Wire):
-    """The frame may change again."""
+class Reopen(Schema):
+    """Reopens the frame."""
 
     kind: Literal["reopen"]
 
@@ -136,8 +136,8 @@ ChangeIn = Annotated[
 ]
 
 
-class ChangesIn(Wire):
-    """Changes to one frame, based on one revision of it."""
+class ChangesIn(Schema):
+    """Changes of one frame, based on one revision of it."""
 
     revision: RowId
     changes: Annotated[list[ChangeIn], Field(min_length=1, max_length=MOST_BOXES)]
@@ -147,6 +147,6 @@ class ChangesIn(Wire):
     def payloads(self) -> list[Payload]:
         return [entry.payload() for entry in self.changes]
 
-    def change(self, author: str) -> Change:
+    def context(self, author: str) -> WriteContext:
         effort = None if self.effort is None else self.effort.stored()
-        return Change(self.revision, author, effort=effort, subject=self.subject)
+        return WriteContext(self.revision, author, effort=effort, effort_target=self.subject)

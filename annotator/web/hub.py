@@ -1,17 +1,17 @@
-"""Events to all open pages. `Hub.send` may be called from any thread."""
+"""Events to all open pages. `Hub.send` is thread-safe."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 Message = Mapping[str, Any]
-"""One event as JSON; its "type" says what else is in it (docs/architecture.md lists them)."""
+"""One event as JSON; "type" determines its further fields (docs/architecture.md lists them)."""
 
-# A page that is so far behind has gone, or its line is too slow: it is dropped and will connect again.
+# Maximum number of unsent events per page; a page that exceeds it is disconnected, and connects again.
 QUEUE = 256
 
 
@@ -20,81 +20,78 @@ class Client:
     """One open page.
 
     Attributes:
-        project: events of other projects do not concern it.
-        operator: who looks at it.
-        frame: the frame that it has open.
-        workbenches: ids of the workbenches that it shows.
-        queue: events that wait to be sent; None = the end.
+        project: it receives no events of other projects.
+        operator: name of its operator.
+        frame: id of the frame that it shows.
+        viewports: ids of the 3D viewports that it shows.
+        queue: unsent events; None = the end.
+        dropped: True once it has been disconnected for exceeding the queue.
     """
 
     project: str | None
     operator: str
     queue: asyncio.Queue[Message | None] = field(default_factory=lambda: asyncio.Queue(QUEUE + 1))
     frame: int | None = None
-    workbenches: set[str] = field(default_factory=set)
+    viewports: set[str] = field(default_factory=set)
     dropped: bool = False
 
 
 class Hub:
-    """Knows the open pages and what each has open; carries events to them in order."""
+    """Keeps track of the open pages and their frames, and sends events to them in order."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
         self._announced: dict[tuple[str, int], int] = {}
 
-    # --- pages come and go (from the event loop) -------------------------------------------------------------------
+    # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
     def join(self, client: Client) -> None:
-        """Adds a page, and tells it who has what open; must be called where its socket is served."""
+        """Adds a page, and sends it the presence event; must be called in the event loop of its socket."""
         with self._lock:
             self._clients[client] = asyncio.get_running_loop()
         if client.project is not None:
             _put(client, self._presence_event(client.project))
 
     def leave(self, client: Client) -> None:
-        """Forgets a page."""
+        """Removes a page."""
         with self._lock:
             self._clients.pop(client, None)
         if client.frame is not None:
-            self._tell_presence(client.project)
+            self._send_presence(client.project)
 
-    def opened(self, client: Client, project: str | None, frame: int | None) -> None:
-        """A page has opened a frame (None: closed it)."""
+    def set_frame(self, client: Client, project: str | None, frame: int | None) -> None:
+        """Records the frame that a page shows; None = no frame."""
         before = client.project
         with self._lock:
             client.project, client.frame = project or before, frame
         for name in {before, client.project}:
-            self._tell_presence(name)
+            self._send_presence(name)
 
-    def shows(self, client: Client, workbench: str) -> None:
-        """A page shows a workbench's viewport: events of that workbench go to it alone."""
+    def add_viewport(self, client: Client, viewport: str) -> None:
+        """Records that a page shows a viewport, so that it receives the viewport's events."""
         with self._lock:
-            client.workbenches.add(workbench)
+            client.viewports.add(viewport)
 
-    # --- what is known (any thread) --------------------------------------------------------------------------------
+    # --- the state of the pages (any thread) --------------------------------------------------------------------------
 
     def presence(self, project: str | None) -> dict[str, list[str]]:
-        """Who has which frame of a project open: frame id -> names."""
-        found: dict[str, list[str]] = {}
+        """Frame id -> names of the operators who have this frame of the project open."""
+        by_frame: dict[str, list[str]] = {}
         for client in self.clients():
             if client.project == project and client.frame is not None:
-                names = found.setdefault(str(client.frame), [])
+                names = by_frame.setdefault(str(client.frame), [])
                 if client.operator not in names:
                     names.append(client.operator)
-        return {frame: sorted(names) for frame, names in found.items()}
+        return {frame: sorted(names) for frame, names in by_frame.items()}
 
     def open_by(self, project: str, frame: int, besides: str) -> list[str]:
-        """The names of others who have a frame open."""
+        """The names of the operators other than `besides` who have a frame open."""
         return [name for name in self.presence(project).get(str(frame), []) if name != besides]
 
     def projects(self) -> set[str]:
-        """Projects that some page has open."""
+        """Projects that at least one page has open."""
         return {client.project for client in self.clients() if client.project is not None}
-
-    def workbenches(self) -> set[str]:
-        """Workbenches that some page shows."""
-        return {workbench for client in self.clients() for workbench in client.workbenches}
 
     def clients(self) -> list[Client]:
         """The open pages."""
@@ -104,7 +101,7 @@ class Hub:
     # --- events (any thread) ---------------------------------------------------------------------------------------
 
     def frame_changed(self, project: str, frame_id: int, revision: int, operator: str) -> None:
-        """Says that a frame has a new revision; once, whoever else noticed it."""
+        """Sends the event for a new revision of a frame, unless it was sent before."""
         with self._lock:
             if self._announced.get((project, frame_id), -1) >= revision:
                 return
@@ -112,28 +109,28 @@ class Hub:
         self.send({"type": "frame", "project": project, "frame": frame_id, "revision": revision, "operator": operator})
 
     def forget(self, project: str) -> None:
-        """A project has been replaced by another of the same name: its frames begin anew."""
+        """Forgets the revisions of a project that was replaced by another one of the same name."""
         with self._lock:
-            self._announced = {place: revision for place, revision in self._announced.items() if place[0] != project}
+            self._announced = {key: revision for key, revision in self._announced.items() if key[0] != project}
 
     def send(self, message: Message) -> None:
-        """Sends an event to those whom it concerns: the pages of its "project" or "workbench", else all of them.
+        """Sends an event to the pages of its "project" or "workbench" (the viewport's id), or else to all pages.
 
-        Never waits, and calls from one thread arrive in their order.
+        Never blocks; keeps the order of calls.
         """
         with self._lock:
-            chosen = [(client, loop) for client, loop in self._clients.items() if _concerns(client, message)]
-            # within the lock, so that two threads' events reach all pages in the same order
-            for client, loop in chosen:
-                _hand_over(client, loop, message)
+            # within the lock, so that concurrent events reach all pages in the same order
+            for client, loop in self._clients.items():
+                if _concerns(client, message):
+                    _call(loop, _put, client, message)
 
     def close(self) -> None:
-        """Ends every page's socket."""
+        """Closes every page's socket."""
         with self._lock:
             for client, loop in self._clients.items():
                 _call(loop, _end, client)
 
-    def _tell_presence(self, project: str | None) -> None:
+    def _send_presence(self, project: str | None) -> None:
         if project is not None:
             self.send(self._presence_event(project))
 
@@ -142,16 +139,12 @@ class Hub:
 
 
 def _concerns(client: Client, message: Message) -> bool:
-    project, workbench = message.get("project"), message.get("workbench")
-    return (project is None or project == client.project) and (workbench is None or workbench in client.workbenches)
-
-
-def _hand_over(client: Client, loop: asyncio.AbstractEventLoop, message: Message) -> None:
-    _call(loop, _put, client, message)
+    project, viewport = message.get("project"), message.get("workbench")
+    return (project is None or project == client.project) and (viewport is None or viewport in client.viewports)
 
 
 def _call(loop: asyncio.AbstractEventLoop, function: Any, *arguments: Any) -> None:
-    # a loop that has ended has no pages any more
+    # the pages of a closed loop are gone
     if not loop.is_closed():
         loop.call_soon_threadsafe(function, *arguments)
 
@@ -166,13 +159,8 @@ def _put(client: Client, message: Message) -> None:
 
 
 def _end(client: Client) -> None:
-    """Lets the socket end at once: what still waits is not sent."""
+    """Discards unsent events and ends the socket."""
     client.dropped = True
-    for _ in _drained(client.queue):
-        pass
+    while not client.queue.empty():
+        client.queue.get_nowait()
     client.queue.put_nowait(None)
-
-
-def _drained(queue: asyncio.Queue[Message | None]) -> Iterable[Message | None]:
-    while not queue.empty():
-        yield queue.get_nowait()

@@ -1,4 +1,4 @@
-"""Projects as the page shows them."""
+"""JSON of projects, recordings and models."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from annotator.files import why_missing
-from annotator.project import ListedProject, Project, Role, StoredModel, StoredRecording
+from annotator.project import ListedProject, Project, StoredModel, StoredRecording
+from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
 
 
 class MissingRecording(BaseModel):
-    """A recording that is not where it was."""
+    """A recording whose path does not exist."""
 
     id: int
     name: str
 
 
 class ProjectSummary(BaseModel):
-    """One project in a list; `problem` says why it cannot be opened, `missing` which recordings are to be located."""
+    """One project in a list; `problem` is why it cannot be opened, `missing` are recordings whose path is gone."""
 
     name: str
     classes: list[str]
@@ -32,7 +33,7 @@ class ProjectSummary(BaseModel):
 
 
 class RecordingInfo(BaseModel):
-    """A recording of a project; it is missing where its folder has gone."""
+    """A recording of a project; `missing` is True if its path does not exist."""
 
     id: int
     name: str
@@ -48,7 +49,7 @@ class ModelInfo(BaseModel):
     model_config = ConfigDict(ser_json_inf_nan="null")
 
     id: int
-    role: Role
+    role: DetectorKind
     name: str
     created_ns: int
     active: bool
@@ -56,7 +57,7 @@ class ModelInfo(BaseModel):
 
 
 class ActiveDetectors(BaseModel):
-    """The two detectors that propose."""
+    """The active detectors."""
 
     image: ModelInfo | None
     view: ModelInfo | None
@@ -75,19 +76,19 @@ class ProjectInfo(BaseModel):
 
 
 def summary(ctx: Context, listed: ListedProject) -> ProjectSummary:
-    """A project in a list; one that cannot be opened says why."""
+    """The summary of a project in a projects folder; for one that cannot be opened, with its problem."""
     name = listed.path.name
     classes = [] if listed.config is None else list(listed.config.classes)
     try:
         if listed.problem is not None:
-            return _broken(name, classes, ctx.told(listed.problem))
+            return _broken(name, classes, ctx.public_message(listed.problem))
         return summary_of(name, ctx.project(name))
     except AnnotatorError as error:
-        return _broken(name, classes, ctx.told(str(error)))
+        return _broken(name, classes, ctx.public_message(str(error)))
 
 
 def summary_of(name: str, project: Project) -> ProjectSummary:
-    """An open project in a list."""
+    """The summary of an open project."""
     counts = project.statistics()
     return ProjectSummary(
         name=name,
@@ -114,8 +115,8 @@ def project_info(name: str, project: Project) -> ProjectInfo:
         labels_by_state=short.labels_by_state,
         frames=short.frames,
         detectors=ActiveDetectors(
-            image=_detector(project, Role.IMAGE),
-            view=_detector(project, Role.VIEW),
+            image=_detector(project, DetectorKind.IMAGE),
+            view=_detector(project, DetectorKind.VIEW),
         ),
     )
 
@@ -144,7 +145,7 @@ def model_info(model: StoredModel) -> ModelInfo:
     )
 
 
-def _detector(project: Project, role: Role) -> ModelInfo | None:
+def _detector(project: Project, role: DetectorKind) -> ModelInfo | None:
     model = project.models.active(role)
     return None if model is None else model_info(model)
 

@@ -1,10 +1,10 @@
-"""What stands before every route: whom the server answers, how much it reads, what browsers may do with its answers.
+"""The checks before every route: host, token, origin and size of a request; and the security headers of its answer.
 
-- On this computer's own address nobody needs to show anything, but a request must name this computer as its host:
-  a foreign page whose name was made to point here (DNS rebinding) does not.
-- On any other address a browser must show the token: once in a link, afterwards in a cookie that no script can read
-  and that no other site's request carries.
-- A WebSocket, and every request that may change something, must come from a page of this server (its `Origin`).
+- On a loopback address no token is needed, but a request's `Host` must be a name of this computer. This refuses a
+  foreign page whose name resolves to this computer (DNS rebinding).
+- On any other address a browser must present the token: first in a link, then in a cookie that scripts cannot read and
+  that requests from other sites do not carry.
+- WebSockets, and requests that may change something, must come from a page of this server, as stated by `Origin`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ READ_ON = 8 * BODY_LIMIT
 TOKEN_LENGTH = 16
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
-# plotly draws with style attributes; scripts come from files only
+# inline styles are needed by plotly; scripts come from files only
 POLICY = (
     "default-src 'self'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
@@ -50,7 +50,7 @@ HEADERS: Mapping[str, str] = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-# The page goes on by itself: the browser would not send a strict cookie along a redirect that began on another site.
+# A page with a refresh instead of a redirect: a browser sends no strict cookie along a redirect that began elsewhere.
 PLACE = re.compile(r"[a-z0-9_-]{1,64}/(label|review)")
 WELCOME = (
     '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={url}"><title>annotator</title>'
@@ -62,7 +62,7 @@ LOCKED = (
 
 
 def is_loopback(host: str) -> bool:
-    """True for an address that only this computer can reach."""
+    """True for a loopback address, which only this computer can reach."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -70,15 +70,15 @@ def is_loopback(host: str) -> bool:
 
 
 def check_settings(settings: ServerSettings) -> None:
-    """Refuses settings with which anybody could come in.
+    """Refuses settings that would open the server to the network.
 
     Raises:
-        ConfigError: another address than this computer's own without a token, or a token that could be guessed.
+        ConfigError: an address that is not loopback without a token, or a weak token.
     """
     if settings.token is None and not is_loopback(settings.host):
-        raise ConfigError(f"{settings.host} can be reached from elsewhere: serving there needs a token")
+        raise ConfigError(f"{settings.host} can be reached from other computers: set a token to serve there")
     if settings.token is not None and (len(settings.token) < TOKEN_LENGTH or not settings.token.isascii()):
-        raise ConfigError(f"a token has {TOKEN_LENGTH} ASCII characters or more; leave it out to get a good one")
+        raise ConfigError(f"a token has {TOKEN_LENGTH} ASCII characters or more; leave it out to generate one")
 
 
 class Guard:
@@ -89,7 +89,7 @@ class Guard:
         self.local = is_loopback(settings.host)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes on what may pass, and refuses the rest."""
+        """Checks a request; passes it on or refuses it."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
@@ -107,10 +107,10 @@ class Guard:
         except AnnotatorError as error:
             await _refuse(error, scope, receive, send)
             return
-        await self._pass_on(connection, receive if body is None else _again(body, receive), send)
+        await self._pass_on(connection, receive if body is None else _replay(body, receive), send)
 
     async def _pass_on(self, connection: HTTPConnection, receive: Receive, send: Send) -> None:
-        """To the routes; a fault there is told without its details."""
+        """Passes a request on to the routes; an unexpected exception there is answered without its details."""
         begun = False
 
         async def noticing(message: Message) -> None:
@@ -126,24 +126,26 @@ class Guard:
             await internal_error(connection, error)(connection.scope, receive, send)
 
     def _check_host(self, connection: HTTPConnection) -> None:
-        """A server on this computer's own address answers to its names only; elsewhere the token decides."""
+        """On a loopback address, `Host` must be a name of this computer; elsewhere the token is checked instead."""
         if self.local and _host_name(connection.headers.get("host", "")) not in (*LOCAL_NAMES, self.settings.host):
-            raise ForbiddenError("this server answers to the name of its own computer only")
+            raise ForbiddenError("this server answers only to names of this computer, such as localhost")
 
     def _check_token(self, connection: HTTPConnection) -> None:
         token = self.settings.token
         if token is not None and not _same(connection.cookies.get(cookie_name(token), ""), token):
-            raise NotSignedInError("this server opens with the link that it printed when it started")
+            raise NotSignedInError("sign in with the link that the server printed when it started")
 
     def _welcome(self, connection: HTTPConnection) -> Response | None:
-        """The answer to the printed link: the token becomes a cookie, and leaves the address."""
+        """The answer to the printed link: it moves the token from the URL to a cookie."""
         token, scope = self.settings.token, connection.scope
         query = parse_qsl(connection.url.query, keep_blank_values=True)
-        given = [value for name, value in query if name == "token"]
-        if token is None or scope["type"] != "http" or scope["method"] != "GET" or not given:
+        tokens = [value for name, value in query if name == "token"]
+        if token is None or scope["type"] != "http" or scope["method"] != "GET" or not tokens:
             return None
-        if not _same(given[-1], token):
-            raise NotSignedInError("this is not the token of this server; take the link that it printed last")
+        if not _same(tokens[-1], token):
+            raise NotSignedInError(
+                "this is not the token of this server; open the link that it printed when it started"
+            )
         place = dict(query).get("go", "")
         url = f"/#/{place}" if PLACE.fullmatch(place) else "/"
         answer = HTMLResponse(WELCOME.format(url=url), headers={"Cache-Control": "no-store"})
@@ -152,16 +154,16 @@ class Guard:
 
 
 def cookie_name(token: str) -> str:
-    """Cookies are shared by all ports of a host: servers with different tokens take different names."""
+    """The name of the token's cookie. It depends on the token, since all servers on a host share their cookies."""
     return f"annotator_{hashlib.sha256(token.encode()).hexdigest()[:8]}"
 
 
-def _same(given: str, token: str) -> bool:
-    return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())
+def _same(candidate: str, token: str) -> bool:
+    return hmac.compare_digest(candidate.encode("utf-8", "replace"), token.encode())
 
 
 def _host_name(host: str) -> str | None:
-    """`[::1]:80` -> `::1`; None for what is no host."""
+    """The host of a `Host` header: `[::1]:80` -> `::1`; None for an invalid one."""
     try:
         return urlsplit(f"//{host}").hostname
     except ValueError:
@@ -169,27 +171,27 @@ def _host_name(host: str) -> str | None:
 
 
 def _check_origin(connection: HTTPConnection) -> None:
-    """The page that asks must be one of this server: browsers say which it is, and let no page lie about it."""
+    """Requires that `Origin`, which browsers set and pages cannot forge, is this server."""
     if connection.scope["type"] == "http" and connection.scope["method"] in SAFE_METHODS:
         return
     origin, host = connection.headers.get("origin", ""), connection.headers.get("host", "")
     scheme, _, place = origin.partition("://")
     if scheme not in ("http", "https") or not host or place.lower() != host.lower():
-        raise ForbiddenError("this request does not come from a page of this server (its Origin differs from its Host)")
+        raise ForbiddenError("the request does not come from a page of this server (its Origin differs from its Host)")
 
 
 async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes | None:
-    """The body of a request that may have one; None for all else.
+    """Reads the body of a request; None for requests without one.
 
     Raises:
-        TooLargeError: there is more than the limit, whatever the headers say.
+        TooLargeError: the body exceeds the limit, whatever its declared length.
     """
     if scope["type"] != "http" or scope["method"] in SAFE_METHODS:
         return None
     declared = headers.get("content-length", "0")
     size, parts, more = 0, list[bytes](), True
     too_large = not declared.isdecimal() or int(declared) > BODY_LIMIT
-    # what is too large is read on for a while: a browser that is cut off while it sends never sees the answer
+    # reads on up to READ_ON: a browser does not see the answer if the connection is closed while it sends
     while more and size <= READ_ON:
         message = await receive()
         if message["type"] == "http.disconnect":
@@ -206,8 +208,8 @@ async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes
     return b"".join(parts)
 
 
-def _again(body: bytes, receive: Receive) -> Receive:
-    """Gives the body that was read, and then whatever comes."""
+def _replay(body: bytes, receive: Receive) -> Receive:
+    """Returns the body that was read, and then further messages."""
     pending: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def next_message() -> Message:
@@ -217,15 +219,15 @@ def _again(body: bytes, receive: Receive) -> Receive:
 
 
 def _with_headers(scope: Scope, send: Send) -> Send:
-    """Adds the headers that an answer does not bring itself."""
-    never_kept = scope["path"].startswith("/api/")
+    """Adds the security headers that an answer lacks."""
+    is_api = scope["path"].startswith("/api/")
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in HEADERS.items():
                 headers.setdefault(name, value)
-            if never_kept:
+            if is_api:
                 headers.setdefault("Cache-Control", "no-store")
         await send(message)
 
@@ -235,7 +237,7 @@ def _with_headers(scope: Scope, send: Send) -> Send:
 async def _refuse(error: AnnotatorError, scope: Scope, receive: Receive, send: Send) -> None:
     status = status_of(error)
     if scope["type"] == "websocket":
-        await receive()  # the request to connect
+        await receive()  # the connect message
         if "websocket.http.response" not in scope.get("extensions", {}):
             await send({"type": "websocket.close", "code": 4000 + status, "reason": type(error).__name__})
             return
@@ -245,13 +247,13 @@ async def _refuse(error: AnnotatorError, scope: Scope, receive: Receive, send: S
     else:
         answer = error_response(type(error).__name__, str(error), status)
     answer.headers["Cache-Control"] = "no-store"
-    # the rest of a body that was not read must not be taken for the next request
+    # closes the connection: an unread rest of the body must not be parsed as the next request
     answer.headers["Connection"] = "close"
     await answer(scope, receive, send)
 
 
 def link(address: str, token: str | None, place: str | None = None) -> str:
-    """What to open in a browser, to begin at a place of the page such as `room/review`."""
+    """The URL to open in a browser, optionally at a place of the page such as `room/review`."""
     if token is None:
         return address if place is None else f"{address}#/{place}"
     return f"{address}?{urlencode({'token': token} if place is None else {'token': token, 'go': place})}"

@@ -1,4 +1,4 @@
-"""Runs the application: one server, one port."""
+"""Runs the application on one port."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from fastapi import FastAPI
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
 from annotator.web.security import is_loopback, link
+from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
-from annotator.web.sole import sole_server
 from annotator.web.window import check_window, has_display, in_window
 
 # The largest message that a browser sends, bytes.
@@ -26,15 +26,15 @@ WS_LIMIT = 1 << 22
 
 
 class Running(uvicorn.Server):
-    """A server on a socket that is bound already, so that its port is known before it begins."""
+    """A server on a bound socket, so that its port is known before it starts."""
 
     def __init__(self, settings: ServerSettings, app: FastAPI | None = None) -> None:
         """
         Args:
-            app: what is served; None = the workbench.
+            app: the application to serve; None = the workbench.
 
         Raises:
-            ConfigError: the address cannot be used, or anybody could come in.
+            ConfigError: the address cannot be used, or would be open to the network without a token.
         """
         self.settings = settings
         self.app = create_app(settings) if app is None else app
@@ -47,9 +47,9 @@ class Running(uvicorn.Server):
                 timeout_graceful_shutdown=3,
                 ws="websockets-sansio",
                 ws_max_size=WS_LIMIT,
-                # clouds go to a browser on this computer, or beside it: packing them costs more than it saves
+                # the browser is on this computer or near it: compressing clouds costs more than it saves
                 ws_per_message_deflate=False,
-                # nobody in between is trusted to say who asks
+                # forwarded headers of proxies are not trusted
                 proxy_headers=False,
                 server_header=False,
             )
@@ -57,24 +57,28 @@ class Running(uvicorn.Server):
 
     @property
     def address(self) -> str:
-        """What a browser on this computer opens."""
+        """The URL for a browser on this computer."""
         host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(self.settings.host, self.settings.host)
         return f"http://{host}:{self.port}/"
 
     def serve_until_stopped(self) -> None:
-        """Serves until it is told to stop (`should_exit`) or interrupted."""
+        """Serves until `should_exit` is set, or until interrupted."""
         with closing(self.socket):
             self.run(sockets=[self.socket])
+
+    def stop(self) -> None:
+        """Asks the server to stop."""
+        self.should_exit = True
 
 
 def bind(host: str, port: int) -> socket.socket:
     """A listening socket.
 
     Raises:
-        ConfigError: the address is no address of this computer, or somebody listens there already.
+        ConfigError: the address does not belong to this computer, or is in use.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # named as TCP: asyncio switches Nagle's delay off only there, and it costs every answer some 40 ms
+    # explicitly TCP: otherwise asyncio does not disable Nagle's algorithm, which delays every answer by some 40 ms
     bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -87,39 +91,39 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def with_token(settings: ServerSettings) -> ServerSettings:
-    """The settings, with a new token where another address than this computer's own has none."""
+    """Returns the settings, with a new token if the address is not loopback and has none."""
     if settings.token is None and not is_loopback(settings.host):
         return replace(settings, token=secrets.token_urlsafe(32))
     return settings
 
 
 def serve(settings: ServerSettings, place: str | None = None, *, open_browser: bool, window: bool) -> None:
-    """Serves until interrupted, or until the window is closed; says where on standard output.
+    """Serves until interrupted, or until the window is closed; prints the URL.
 
-    Another address than this computer's own gets a token where the settings have none.
+    An address that is not loopback gets a token if the settings have none.
 
     Args:
-        place: where on the page to begin, such as `room/review`.
+        place: initial place on the page, such as `room/review`.
 
     Raises:
-        ConfigError: the address cannot be used, another server works on these projects, or there is no display for a
+        ConfigError: the address cannot be used, another server uses these projects, or there is no display for a
             window.
         MissingExtraError: a window needs pywebview.
     """
     settings = with_token(settings)
     if window:
         check_window()
-    with sole_server(settings.projects_root):
+    with hold_server_lock(settings.projects_root):
         server = Running(settings)
         address = link(server.address, settings.token, place)
         sys.stdout.write(f"the workbench is at {address}\n")
         if not window:
             sys.stdout.write("stop it with Ctrl-C\n")
         sys.stdout.flush()
-        # the last Ctrl-C is how a server ends, and no accident
+        # Ctrl-C is the regular end of a server
         with suppress(KeyboardInterrupt):
             if window:
-                in_window(server, address)
+                in_window(server.serve_until_stopped, server.stop, address)
                 return
             if open_browser:
                 threading.Thread(target=_open, args=(server, address), daemon=True).start()

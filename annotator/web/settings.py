@@ -1,4 +1,4 @@
-"""What a server is told when it starts."""
+"""Settings of a server."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """How one server works.
+    """Settings of one server.
 
     Attributes:
-        projects_root: the folder of projects.
-        folders: folders that recordings may be picked from; nothing else on the disk is shown or read by path.
+        projects_root: the projects folder.
+        folders: folders that recordings may be added from; browsers cannot list or read anything else.
         host: address to listen on.
-        port: to listen on; 0 = a free one.
-        token: what a browser must show before it gets anything; None only on a loopback address.
+        port: port to listen on; 0 = a free one.
+        token: secret that a browser must present; None is permitted on loopback addresses only.
     """
 
     projects_root: Path

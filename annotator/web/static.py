@@ -1,4 +1,4 @@
-"""The page's own files."""
+"""The page's static files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PLOTLY = "/assets/vendor/plotly.min.js"
 
 
 def web_assets() -> Path:
-    """The folder `web_assets`: in the installed package, or beside it in a clone.
+    """The folder `web_assets`: within the package in a wheel, beside it in a clone.
 
     Raises:
         ConfigError: there is none.
@@ -23,21 +23,21 @@ def web_assets() -> Path:
     for folder in (package / "web_assets", package.parent / "web_assets"):
         if folder.is_dir():
             return folder
-    raise ConfigError(f"{package.parent / 'web_assets'}: the page's files are missing; install annotator again")
+    raise ConfigError(f"{package.parent / 'web_assets'}: the page's files are missing; install rcv-annotator again")
 
 
 def plotly_script() -> Path:
-    """The browser script that plotly's package brings."""
+    """The browser script in plotly's Python package."""
     import importlib.util
 
     found = importlib.util.find_spec("plotly")
     if found is None or found.origin is None:
-        raise ConfigError("plotly is not installed; run `scripts/setup`")
+        raise ConfigError("plotly is not installed; run pip install plotly")
     return Path(found.origin).parent / "package_data" / "plotly.min.js"
 
 
 def add_static(app: FastAPI) -> None:
-    """GET / is the page, /assets/... its files."""
+    """Adds GET / for the page, and /assets/... for its files."""
     assets = web_assets()
     router = APIRouter(include_in_schema=False)
 

@@ -1,4 +1,4 @@
-"""Notices what other processes do to the open projects: the command line, a job."""
+"""Detects changes of the open projects by other processes: the command line, or a job."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ EVERY_S = 0.5
 
 
 class Watch:
-    """Looks at the end of each open project's log, as long as some page has the project open."""
+    """Polls the log of each project that a page has open, and sends an event for each changed frame."""
 
     def __init__(self, context: Context, every_s: float = EVERY_S) -> None:
         self._context, self._every_s = context, every_s
-        self._seen: dict[str, int] = {}
+        self._last_events: dict[str, int] = {}
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
 
     def start(self) -> None:
-        """Begins."""
+        """Starts the thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ends; waits for a look that has begun."""
+        """Ends the thread, and waits for it."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
 
-    def look(self) -> None:
-        """One look at every project that is on somebody's screen."""
-        open_now = self._context.hub.projects()
-        for name in self._seen.keys() - open_now:
-            del self._seen[name]
-        for name, project in self._context.open_projects(open_now):
+    def poll(self) -> None:
+        """Reads new events of every project that a page has open."""
+        names = self._context.hub.projects()
+        for name in self._last_events.keys() - names:
+            del self._last_events[name]
+        for name, project in self._context.open_projects(names):
             try:
-                if name not in self._seen:
-                    self._seen[name] = project.log.last()
+                if name not in self._last_events:
+                    self._last_events[name] = project.log.last()
                     continue
-                self._seen[name], changed = project.log.news(self._seen[name])
+                self._last_events[name], changed = project.log.changed_frames(self._last_events[name])
             except AnnotatorError as error:
                 LOG.warning("%s: its log cannot be read: %s", name, error)
                 continue
-            for news in changed:
-                self._context.hub.frame_changed(name, news.frame_id, news.revision, news.author)
+            for frame in changed:
+                self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
 
     def _run(self) -> None:
         while not self._ended.wait(self._every_s):
             try:
-                self.look()
-            except Exception:  # the next look may find better luck; without this one the server would go deaf
-                LOG.exception("looking for changes failed")
+                self.poll()
+            except Exception:  # a failed poll must not end the thread
+                LOG.exception("polling the projects' logs failed")

@@ -1,4 +1,4 @@
-"""The whole loop on a generated recording: room, drawn boxes, training, proposals, scores, dataset."""
+"""Runs the whole loop on a generated recording: drawn boxes, training, proposals, scores, exported dataset."""
 
 from __future__ import annotations
 
@@ -8,39 +8,40 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from annotator.detection.progress import TrainingProgress
-from annotator.project import BoxRotation, Project, ProjectSettings, Role, create_project
+from annotator.project import BoxRotation, Project, ProjectSettings, create_project
 from annotator.recordings import open_recording
-from annotator.recordings.generated import write_generated
-from annotator.types import BoxKind
+from annotator.synthetic import write_generated
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.annotate import annotate
-from annotator.workflows.batch_book import AnnotateSummary
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
+from annotator.workflows.evaluating.demo_scores import Scores, score_project
 from annotator.workflows.exporting import ExportReport, export_project
-from annotator.workflows.rcv_settings import rcv_config
-from annotator.workflows.recordings import register_recording
-from annotator.workflows.samples import SampleConfig
-from annotator.workflows.score import Scores, score_project
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import Drawn, simulate_recording
-from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
+from annotator.workflows.training.samples import SampleConfig
+from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
 RECORDING, PROJECT = "recording", "demo"
 LABELS = {"people": "person", "hands": "hand"}
-# The room knows gravity, but hands turn as they like.
+# People stand upright; hands may be turned in any way.
 ROTATIONS = {"people": BoxRotation.UPRIGHT, "hands": BoxRotation.FREE}
 
-Tell = Callable[[str, float, float], None]
-"""Told of progress: stage, how much is done, of how much."""
+Progress = Callable[[str, float, float], None]
+"""Called with (stage, amount done, total amount)."""
 
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """What the demo does.
+    """Settings of the demo.
 
     Attributes:
         preset: people or hands.
-        frames: of the recording; every `every`-th is labelled, the others are proposed.
-        image_pictures, view_pictures: lengths of the two trainings, pictures shown.
+        frames: length of the recording.
+        every: every `every`-th frame is labelled; boxes are proposed on the others.
+        image_pictures, view_pictures: lengths of the two trainings, images shown.
     """
 
     preset: str = "people"
@@ -53,7 +54,7 @@ class DemoPlan:
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What came out of it, stage by stage."""
+    """The result of each stage, and its duration by name."""
 
     drawn: Drawn
     trained: list[Trained]
@@ -63,16 +64,16 @@ class DemoResult:
     seconds: dict[str, float]
 
 
-def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
+def run_demo(root: Path, plan: DemoPlan, progress: Progress) -> DemoResult:
     """Runs the loop in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`.
 
     Raises:
-        ConfigError, ProjectError: something of that name is there already.
+        ConfigError, ProjectError: a file or folder of that name exists.
     """
     out = root / f"3D_{LABELS.get(plan.preset, plan.preset).upper()}"
     for path in (root / RECORDING, root / PROJECT, out):  # before minutes of work
         if path.exists():
-            raise ConfigError(f"{path}: is there already; choose another folder for the demo")
+            raise ConfigError(f"{path}: exists already; choose another folder for the demo")
     seconds: dict[str, float] = {}
     begin = time.perf_counter()
 
@@ -82,21 +83,23 @@ def run_demo(root: Path, plan: DemoPlan, tell: Tell) -> DemoResult:
         seconds[name] = now - begin
         begin = now
 
-    write_generated(root / RECORDING, plan.preset, plan.frames, plan.seed, report=_counted(tell, "ray-cast a room"))
+    write_generated(
+        root / RECORDING, plan.preset, plan.frames, plan.seed, report=_stage_progress(progress, "ray-cast a room")
+    )
     stage("generate")
     settings = ProjectSettings(rotation=ROTATIONS[plan.preset])
     with create_project(root, PROJECT, (LABELS[plan.preset],), settings=settings) as project:
         stored = register_recording(project, open_recording(root / RECORDING))
-        report = _counted(tell, "draw 2D boxes")
+        report = _stage_progress(progress, "draw 2D boxes")
         drawn = simulate_recording(project, stored.id, BoxKind.BOX, rcv_config(project), plan.every, report)
         stage("label")
-        trained = train(project, _training(plan), progress=lambda role, step: tell(*_epochs(role, step)))
+        trained = train(project, _training(plan), progress=lambda role, step: progress(*_training_progress(role, step)))
         stage("train")
-        annotated = _propose(project, tell)
+        annotated = _propose(project, progress)
         stage("propose")
         unlabelled = {f.id for n, f in enumerate(project.frames.of([stored.id])) if n % plan.every}
         scores = score_project(project, stored.id, unlabelled)
-        dataset = export_project(project, out, progress=_counted(tell, "write the dataset"))
+        dataset = export_project(project, out, progress=_stage_progress(progress, "write the dataset"))
         stage("score and export")
     return DemoResult(drawn, trained, annotated, scores, dataset, seconds)
 
@@ -109,15 +112,14 @@ def _training(plan: DemoPlan) -> TrainPlan:
     )
 
 
-def _propose(project: Project, tell: Tell) -> AnnotateSummary:
-    detectors = active_detectors(project)
-    config = rcv_config(project).model_copy(update={"box_kind": detectors.box_kind})
-    return annotate(project, detectors, config, progress=_counted(tell, "propose 3D boxes"))
+def _propose(project: Project, progress: Progress) -> AnnotateSummary:
+    report = _stage_progress(progress, "propose 3D boxes")
+    return annotate(project, active_detectors(project), rcv_config(project), progress=report)
 
 
-def _counted(tell: Tell, stage: str) -> Callable[[int, int], None]:
-    return lambda done, total: tell(stage, float(done), float(total))
+def _stage_progress(progress: Progress, stage: str) -> Callable[[int, int], None]:
+    return lambda done, total: progress(stage, float(done), float(total))
 
 
-def _epochs(role: Role, step: TrainingProgress) -> tuple[str, float, float]:
+def _training_progress(role: DetectorKind, step: TrainingProgress) -> tuple[str, float, float]:
     return f"train the {role} detector", float(step.epochs_done), float(step.epochs)

@@ -1,4 +1,4 @@
-"""A project's two detectors, ready to run."""
+"""Loads a project's image and pseudo-view detectors."""
 
 from __future__ import annotations
 
@@ -11,29 +11,34 @@ from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.gpu.compute import torch_compute
-from annotator.project.models import Role, StoredModel
+from annotator.project.models import StoredModel
 from annotator.project.project import Project
 from annotator.rcv.compute import NUMPY, Compute
-from annotator.types import BoxKind, Detector
+from annotator.rcv.config import RcvConfig
+from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
 
 @dataclass(frozen=True, eq=False)
 class Detectors:
-    """One detector for camera images, one for pseudo-views, and what the boxes of the latter measure."""
+    """The image detector, the pseudo-view detector, and what the latter's boxes measure."""
 
     image: Detector
     view: Detector
     box_kind: BoxKind = BoxKind.BOX
 
+    def settings(self, config: RcvConfig) -> RcvConfig:
+        """Adapts the settings `config` to these detectors."""
+        return config.with_box_kind(self.box_kind)
+
     @property
     def backends(self) -> tuple[str, str]:
-        """What runs the image and the view detector, such as ("openvino", "openvino"); "" where one does not say."""
+        """The backends of the image and the view detector, e.g. ("openvino", "openvino"); "" if unknown."""
         return str(getattr(self.image, "backend", "")), str(getattr(self.view, "backend", ""))
 
     @property
     def compute(self) -> Compute:
-        """Where points are drawn and clustered: where the view detector runs, if that is a CUDA device.
+        """The device that draws and clusters points: the view detector's CUDA device, else the processor (numpy).
 
         Raises:
             ComputeError: the device cannot be used.
@@ -45,18 +50,18 @@ class Detectors:
 def load_detector(
     weights: Path, backend: Backend = "auto", image_size_px: int | None = None, threads: int | None = None
 ) -> Detector:
-    """A trained detector from the folder of its training.
+    """Loads a trained detector.
 
     Args:
-        weights: its weights file.
-        backend: what runs it; as of `open_network`.
-        image_size_px: the longer side of a picture in the network; None: the size that it was trained at.
-        threads: of the processor; None: all cores that the process may use.
+        weights: the weights file in the folder of its training.
+        backend: as for `open_network`.
+        image_size_px: longer side of the network's input; None = as trained.
+        threads: processor threads; None = all cores that the process may use.
 
     Raises:
-        ConfigError: the size or the threads are of no use.
-        DetectionError: missing or unreadable weights, or a backend that cannot be used.
-        FormatError: what should lie beside the weights is missing.
+        ConfigError: invalid size or number of threads.
+        DetectionError: missing or unreadable weights, or an unusable backend.
+        FormatError: the files beside the weights are missing or damaged.
     """
     size = read_trained(weights.parent).image_size_px if image_size_px is None else image_size_px
     try:
@@ -70,15 +75,15 @@ def load_detector(
 
 
 def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
-    """The detectors that the project uses now.
+    """Loads the project's active detectors.
 
     Args:
-        backend, threads: as in `load_detector`.
+        backend, threads: as for `load_detector`.
 
     Raises:
         ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
     """
-    image, view = active_model(project, Role.IMAGE), active_model(project, Role.VIEW)
+    image, view = active_model(project, DetectorKind.IMAGE), active_model(project, DetectorKind.VIEW)
     return Detectors(
         load_detector(image.path, backend, threads=threads),
         load_detector(view.path, backend, threads=threads),
@@ -86,11 +91,11 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
     )
 
 
-def active_model(project: Project, role: Role) -> StoredModel:
-    """The model that a project uses now.
+def active_model(project: Project, role: DetectorKind) -> StoredModel:
+    """Returns the project's active model of a role.
 
     Raises:
-        DetectionError: it has not been trained yet.
+        DetectionError: none has been trained yet.
     """
     model = project.models.active(role)
     if model is None:

@@ -1,4 +1,4 @@
-"""What a recording holds, for people who look before they begin."""
+"""A report on the content of a recording."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pydantic import BaseModel, ConfigDict
 from annotator.recordings import Recording, open_recording
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError
-from annotator.workflows.truth import has_truth, load_mask, load_truth
+from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 
 class FrameReport(BaseModel):
-    """What one frame holds; lengths in metres, sizes in pixels."""
+    """The content of one frame; lengths in metres, sizes in pixels."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -39,12 +39,12 @@ class FrameReport(BaseModel):
 
 
 class RecordingReport(BaseModel):
-    """What a recording holds.
+    """The content of a recording.
 
     Attributes:
-        frame: the first frame that can be read.
-        broken: what is wrong with the frames before it, by key.
-        has_labels: it comes with true boxes.
+        has_labels: it has true boxes.
+        frame: the first readable frame.
+        broken: the errors of the frames before it, by key.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,15 +61,15 @@ class RecordingReport(BaseModel):
     broken: dict[str, str]
 
 
-# A recording whose first frames are all unreadable is told so without reading all the others.
+# If this many frames at the beginning are unreadable, the others are not tried.
 FRAMES_TRIED = 5
 
 
 def inspect_recording(path: Path) -> RecordingReport:
-    """What a recording holds, from its list of frames and the first frame that can be read.
+    """Describes a recording by its list of frames and its first readable frame.
 
     Raises:
-        RecordingError: no recording is there.
+        RecordingError: the path holds no recording.
     """
     recording = open_recording(path)
     index, frame, broken = _first_frame(recording)
@@ -88,7 +88,7 @@ def inspect_recording(path: Path) -> RecordingReport:
 
 
 def _first_frame(recording: Recording) -> tuple[int, Frame | None, dict[str, str]]:
-    """The first frame that can be read, its index, and what was wrong with those before."""
+    """Returns the index of the first readable frame, that frame, and the errors of those before by key."""
     broken: dict[str, str] = {}
     for index, key in enumerate(recording.keys[:FRAMES_TRIED]):
         try:
@@ -125,7 +125,7 @@ def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
 
 
 def _labels(recording: Recording, index: int, frame: Frame) -> tuple[dict[str, int] | None, str | None, bool]:
-    """Objects by class (None without labels), what is wrong with the labels, and whether there is a mask."""
+    """Returns the objects by class (None without labels), the error of the labels, and whether there is a mask."""
     counts: dict[str, int] | None = None
     try:
         if has_truth(recording):

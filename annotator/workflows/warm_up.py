@@ -1,7 +1,7 @@
-"""Has the compiled loops compiled before anybody waits for them: `python -m annotator.workflows.warm_up`.
+"""Precompiles the numba kernels: `python -m annotator.workflows.warm_up`.
 
-Numba compiles a function when it is first called, and keeps the code (`annotator.compiled`). All of them together take
-half a minute of one core, which setting up can spend and a first frame should not.
+Numba compiles a function on its first call and caches the code on disk (`annotator.compiled`). Compiling all of them
+takes half a minute on one core, which the first frame would otherwise wait for.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose
-from annotator.rcv.seeds import Seed
+from annotator.rcv.warm_start import WarmStart
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -20,8 +20,7 @@ POINTS = 2000
 
 
 def warm_up() -> list[FrameProposals]:
-    """Proposes boxes on a made-up frame with a detector that knows it: free and upright ones, without and with a box of
-    the moment before."""
+    """Proposes boxes on a synthetic frame with a perfect detector: free and upright, without and with a warm start."""
     rng = np.random.default_rng(0)
     box = OrientedBox.from_parts(np.array([0.05, 0.0, 1.5]), np.eye(3), np.array([0.4, 0.3, 0.2]))
     xyz = rng.uniform(-0.5, 0.5, (POINTS, 3)) * box.size_m + box.center_m
@@ -29,12 +28,12 @@ def warm_up() -> list[FrameProposals]:
     frame = Frame("0", 0, CAMERA, np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8), cloud)
     detector = PerfectDetector.for_frame(frame, [Truth("thing", box)])
     configs = [RcvConfig(orientation=orientation) for orientation in (Orientation.FREE, Orientation.UPRIGHT)]
-    seeds: tuple[list[Seed], ...] = ([], [Seed("thing", box)])
+    seeds: tuple[list[WarmStart], ...] = ([], [WarmStart("thing", box)])
     return [
-        found
+        proposals
         for config in configs
-        for given in seeds
-        for found in propose([frame], detector, detector, config, [given])
+        for frame_seeds in seeds
+        for proposals in propose([frame], detector, detector, config, [frame_seeds])
     ]
 
 

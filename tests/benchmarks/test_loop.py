@@ -1,4 +1,4 @@
-"""The loop benchmark around its trainings, with detectors that know the truth in place of trained ones."""
+"""The loop benchmark with perfect detectors instead of trainings."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from annotator.detection.perfect import PerfectDetector, Scene
-from annotator.project import BoxRotation, Project, Role, open_project
-from annotator.rcv.config import Orientation, RcvConfig
+from annotator.project import BoxRotation, Project, open_project
+from annotator.rcv.config import RcvConfig
 from annotator.rcv.propose import FrameProposals
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, Frame
+from annotator.types import BoxKind, DetectorKind, Frame
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.samples import gather
-from annotator.workflows.truth import load_truth
+from annotator.workflows.proposing.propose_frames import propose_frames
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.training.samples import gather
 from benchmarks import loop
-from benchmarks.loop import Arguments, propose_batch, run
+from benchmarks.loop import Arguments, run
 from benchmarks.loop_scores import Scores
 
 KEYS = {"frames", "share_with_proposal", "mask_recall", "mask_precision", "mean_iou", "ap25", "ap50", "boxes_2d"}
 
 
-class Knowing:
-    """Knows the frames of a recording as it was; trains nothing, but registers models like a training."""
+class TrainingStandIn:
+    """A stand-in for the training that registers models; its detectors are perfect on the original recording."""
 
     def __init__(self, folder: Path, label: str | None = None) -> None:
         self.recording = open_recording(folder)
@@ -45,40 +45,40 @@ class Knowing:
         weights = project.models_folder / "weights.pt"
         weights.write_bytes(b"")
         kind, classes = gather(project).kind, project.config.classes
-        for role in Role:
+        for role in DetectorKind:
             project.models.register(role, weights, labels=classes, box_kind=kind, metrics={}, fingerprint=role)
         return []
 
     def detectors(self, project: Project, backend: str = "auto") -> Detectors:
-        model = project.models.active(Role.VIEW)
+        model = project.models.active(DetectorKind.VIEW)
         assert model is not None
         perfect = PerfectDetector(self.scenes, model.box_kind, min_points=50)
         return Detectors(perfect, perfect, model.box_kind)
 
     @property
     def scenes(self) -> list[Scene]:
-        made = []
+        scenes = []
         for index in range(1, len(self.recording), 2):
             frame = self.recording.frame(index)
             truths = load_truth(self.recording, index, frame)
-            made.append(Scene.of(frame, [replace(t, label=self.label or t.label) for t in truths]))
-        return made
+            scenes.append(Scene.of(frame, [replace(t, label=self.label or t.label) for t in truths]))
+        return scenes
 
 
 @pytest.fixture
-def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Knowing]:
-    """Puts a `Knowing` in place of the trainings."""
+def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., TrainingStandIn]:
+    """Replaces the trainings by a `TrainingStandIn`."""
 
-    def put(label: str | None = None) -> Knowing:
-        knowing = Knowing(generated / "people", label)
-        monkeypatch.setattr(loop, "train", knowing.train)
-        monkeypatch.setattr(loop, "active_detectors", knowing.detectors)
-        return knowing
+    def put(label: str | None = None) -> TrainingStandIn:
+        stand_in = TrainingStandIn(generated / "people", label)
+        monkeypatch.setattr(loop, "train", stand_in.train)
+        monkeypatch.setattr(loop, "active_detectors", stand_in.detectors)
+        return stand_in
 
     return put
 
 
-def test_the_report(generated: Path, untrained: Callable[..., Knowing]) -> None:
+def test_the_report(generated: Path, untrained: Callable[..., TrainingStandIn]) -> None:
     untrained()
     result = run(Arguments(generated / "people"))
     assert set(result) == KEYS | {"operator", "axes", "backend", "seconds"}
@@ -87,8 +87,8 @@ def test_the_report(generated: Path, untrained: Callable[..., Knowing]) -> None:
     assert float(str(result["mean_iou"])) > 0.8
 
 
-def test_masks_alone(own_copy: Callable[[str], Path], untrained: Callable[..., Knowing]) -> None:
-    """Labelled by silhouettes and scored by the masks; nothing can be said about true boxes."""
+def test_masks_alone(own_copy: Callable[[str], Path], untrained: Callable[..., TrainingStandIn]) -> None:
+    """Labelled by silhouettes and scored by the masks; scores that need true boxes are NaN."""
     folder = own_copy("people")
     (folder / "truth" / "boxes.json").unlink()
     untrained("thing")
@@ -96,13 +96,13 @@ def test_masks_alone(own_copy: Callable[[str], Path], untrained: Callable[..., K
     assert (result["frames"], result["operator"]) == (2, "silhouette")
     assert all(math.isnan(float(str(result[key]))) for key in ("mean_iou", "ap25", "ap50"))
     assert float(str(result["mask_recall"])) > 0.8
-    assert float(str(result["mask_precision"])) > 0.5  # a box holds some floor, too
+    assert float(str(result["mask_precision"])) > 0.5  # a box also contains some floor
     with pytest.raises(ConfigError, match="needs true boxes"):
         run(Arguments(folder, operator=BoxKind.BOX))
 
 
-def test_a_broken_test_frame_is_one_without_a_proposal(
-    own_copy: Callable[[str], Path], untrained: Callable[..., Knowing], capsys: pytest.CaptureFixture[str]
+def test_an_unreadable_test_frame_counts_as_one_without_a_proposal(
+    own_copy: Callable[[str], Path], untrained: Callable[..., TrainingStandIn], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = own_copy("people")
     depth = folder / "depth" / "000001.png"
@@ -113,16 +113,16 @@ def test_a_broken_test_frame_is_one_without_a_proposal(
     assert "000001.png" in "".join(capsys.readouterr().err.split())
 
 
-def test_a_kept_project_stays_what_it_is(
-    generated: Path, tmp_path: Path, untrained: Callable[..., Knowing], monkeypatch: pytest.MonkeyPatch
+def test_a_kept_project_is_reused_or_refused(
+    generated: Path, tmp_path: Path, untrained: Callable[..., TrainingStandIn], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run that was ended in training labels no second time; the next ones use what is there, or refuse."""
+    """After an interrupted training, frames are not labelled again; later runs reuse the project or refuse it."""
     folder, kept = generated / "people", tmp_path / "kept"
-    knowing = untrained()
-    knowing.killed = True
+    stand_in = untrained()
+    stand_in.killed = True
     with pytest.raises(KeyboardInterrupt):
         run(Arguments(folder, operator=BoxKind.SILHOUETTE, free=True, project=kept))
-    knowing.killed = False
+    stand_in.killed = False
     with open_project(kept / "loop") as project:
         before = project.statistics()
         assert project.config.settings.rotation is BoxRotation.FREE
@@ -131,22 +131,24 @@ def test_a_kept_project_stays_what_it_is(
         pytest.fail("labelled again")
 
     monkeypatch.setattr(loop, "simulate_recording", fail)
-    asked: list[RcvConfig] = []
+    asked: list[tuple[BoxRotation, BoxKind]] = []
 
-    def nothing(frames: list[Frame], image: Any, view: Any, config: RcvConfig, compute: Any) -> list[FrameProposals]:
-        asked.append(config)
+    def nothing(
+        frames: list[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+    ) -> list[FrameProposals]:
+        asked.append((rotation, detectors.box_kind))
         return [FrameProposals(frame.key, (), ()) for frame in frames]
 
-    monkeypatch.setattr(loop, "propose", nothing)
+    monkeypatch.setattr(loop, "propose_frames", nothing)
     for _ in range(2):
         result = run(Arguments(folder, project=kept))
         assert result["operator"] == "silhouette"
         assert result["boxes_2d"] == before.image_boxes.boxes + before.view_boxes.boxes
-    assert {(c.orientation, c.box_kind) for c in asked} == {(Orientation.FREE, BoxKind.SILHOUETTE)}
-    assert knowing.trainings == 2
+    assert set(asked) == {(BoxRotation.FREE, BoxKind.SILHOUETTE)}
+    assert stand_in.trainings == 2
     for wrong, message in (
         ({"operator": BoxKind.BOX}, "labelled by the operator silhouette, not box"),
-        ({"upright": True}, "keeps the rotation free, not upright"),
+        ({"upright": True}, "has the rotation free, not upright"),
         ({"label": "robot"}, "has the classes person, not 'robot'"),
     ):
         with pytest.raises(ConfigError, match=message):
@@ -157,7 +159,7 @@ def test_a_kept_project_stays_what_it_is(
 def test_arguments_that_exclude_each_other(generated: Path) -> None:
     with pytest.raises(ConfigError, match="exclude each other"):
         run(Arguments(generated / "people", upright=True, free=True))
-    with pytest.raises(ConfigError, match="--label is for masks alone"):
+    with pytest.raises(ConfigError, match="--label is only for recordings with masks"):
         run(Arguments(generated / "people", label="person"))
 
 
@@ -171,28 +173,8 @@ def test_nothing_to_score(generated: Path, own_copy: Callable[[str], Path]) -> N
         run(Arguments(generated / "people", folder))
 
 
-def test_frames_of_one_batch_turn_as_each_may(generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = open_recording(generated / "people").frame(0)
-    asked: dict[Orientation, int] = {}
-
-    def note(frames: list[Frame], image: Any, view: Any, config: RcvConfig, compute: Any) -> list[FrameProposals]:
-        asked[config.orientation] = len(frames)
-        return [FrameProposals(frame.key, (), ()) for frame in frames]
-
-    monkeypatch.setattr(loop, "propose", note)
-    frames = {
-        4: replace(frame, key="a", up=np.array([0.0, -1.0, 0.0])),
-        5: replace(frame, key="b", up=None),
-        7: replace(frame, key="c", up=np.array([0.0, -1.0, 0.0])),
-    }
-    perfect = PerfectDetector([])
-    found = propose_batch(frames, Detectors(perfect, perfect), RcvConfig(), BoxRotation.AUTO)
-    assert asked == {Orientation.UPRIGHT: 2, Orientation.FREE: 1}
-    assert {index: result.key for index, result in found.items()} == {4: "a", 5: "b", 7: "c"}
-
-
-def test_what_is_proposed_where_nothing_is_costs_precision(own_copy: Callable[[str], Path]) -> None:
-    """The same proposals on a frame without truth: average precision falls, the rest is as it was."""
+def test_false_proposals_reduce_average_precision(own_copy: Callable[[str], Path]) -> None:
+    """The same proposals on a frame without objects: average precision falls, the other scores do not change."""
     folder = own_copy("people")
     file = folder / "truth" / "boxes.json"
     content = json.loads(file.read_text())
@@ -200,14 +182,14 @@ def test_what_is_proposed_where_nothing_is_costs_precision(own_copy: Callable[[s
     frame = recording.frame(0)
     scene = Scene.of(frame, load_truth(recording, 0, frame))
     perfect = PerfectDetector([scene], min_points=50)
-    (found,) = propose_batch({0: frame}, Detectors(perfect, perfect), RcvConfig(), BoxRotation.AUTO).values()
-    assert len(found.proposals) == 3
+    (proposed,) = propose_frames([frame], Detectors(perfect, perfect), RcvConfig(), BoxRotation.AUTO)
+    assert len(proposed.proposals) == 3
     file.write_text(json.dumps({**content, recording.keys[1]: []}))
     other = replace(frame, key=recording.keys[1], index=1)
     alone, both = Scores(recording, ["person"]), Scores(recording, ["person"])
-    alone.add(0, frame, found)
-    both.add(1, other, found)
-    both.add(0, frame, found)
+    alone.add(0, frame, proposed)
+    both.add(1, other, proposed)
+    both.add(0, frame, proposed)
     without, with_false = alone.summary(), both.summary()
     assert (without["frames"], without["ap25"]) == (1, 1.0)
     assert with_false["ap25"] == pytest.approx(0.5, abs=0.01)  # equal scores: the three false ones come first

@@ -1,4 +1,4 @@
-"""The paper's protocol from a folder like KITTI's to the figures, with a detector that knows the truth."""
+"""The paper's protocol on a data set in KITTI's layout, with a perfect detector."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import pytest
 
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.detection.trained import TrainingMetrics
-from annotator.project import Change, Project, Role, open_project
+from annotator.project import Project, WriteContext, open_project
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, Source
+from annotator.types import BoxKind, DetectorKind, Source
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.evaluate import Protocol, evaluate_files
-from annotator.workflows.samples import gather
-from annotator.workflows.truth import load_truth
+from annotator.workflows.evaluating.evaluate_files import Protocol, evaluate_files
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.training.samples import gather
 from benchmarks import paper, paper_protocol
 from benchmarks.paper_frames import split_of
 from benchmarks.paper_settings import SUNRGBD_CLASSES, Preset, Trainings
@@ -50,7 +50,7 @@ def write_frame(root: Path, key: str, rng: np.random.Generator) -> None:
         x += across / 2 + 0.8
         face = rng.uniform(-0.5, 0.5, (300, 3))
         face[np.arange(300), rng.integers(3, size=300)] = rng.choice([-0.5, 0.5], 300)
-        # the corners, so that no side is measured short
+        # the corners, so that each side has its full length
         corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T
         points.append(np.concatenate([face, corners]) * size * 0.999 + center)
         px = FOCAL * (corners * size + center)[:, :2] / (corners * size + center)[:, 2:]
@@ -73,7 +73,7 @@ def write_frame(root: Path, key: str, rng: np.random.Generator) -> None:
 
 @pytest.fixture(scope="module")
 def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight frames: 0 to 3 to learn from, 4 and 5 to try, 6 and 7 in neither list."""
+    """Eight frames: 0 to 3 for training, 4 and 5 for testing, 6 and 7 in neither list."""
     root = tmp_path_factory.mktemp("kitti")
     for folder in ("image_2", "velodyne", "calib", "label_2"):
         (root / "training" / folder).mkdir(parents=True)
@@ -87,28 +87,28 @@ def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @dataclass
-class Knowing:
-    """Stands in for training and for what it gives: a detector that knows the frames to try."""
+class TrainingStandIn:
+    """A stand-in for the training, and a perfect detector for the test frames."""
 
     trainings: int = 0
 
-    def train(self, project: Project, plan: object, *, roles: tuple[Role, ...], progress: object) -> list[Any]:
+    def train(self, project: Project, plan: object, *, roles: tuple[DetectorKind, ...], progress: object) -> list[Any]:
         self.trainings += 1
         material = gather(project, roles)
-        assert material.kind is BoxKind.BOX and not material.labels, "2D boxes alone teach"
+        assert material.kind is BoxKind.BOX and not material.labels, "trained on other labels than 2D boxes"
         weights = project.models_folder / f"perfect-{roles[0]}.pt"
         weights.write_bytes(b"perfect")
         model = project.models.register(
             roles[0], weights, labels=project.config.classes, box_kind=BoxKind.BOX, metrics={}, fingerprint="perfect"
         )
-        pictures = len(material.images) if roles[0] is Role.IMAGE else len(material.views)
+        pictures = len(material.images) if roles[0] is DetectorKind.IMAGE else len(material.views)
         metrics = TrainingMetrics(map50=1.0, map50_95=1.0, precision=1.0, recall=1.0, measured_on="train")
-        result = SimpleNamespace(epochs=1, seconds=0.5, metrics=metrics, note="knows it all")
+        result = SimpleNamespace(epochs=1, seconds=0.5, metrics=metrics, note="perfect")
         manifest = SimpleNamespace(images={"train": pictures, "val": 0})
         return [SimpleNamespace(model=model, manifest=manifest, result=result, left_out=())]
 
     def detectors(self, project: Project) -> Detectors:
-        assert {model.role for model in project.models.all()} == set(Role)
+        assert {model.role for model in project.models.all()} == set(DetectorKind)
         recording = open_recording(project.recordings.find("val").path)
         frames = [recording.frame(index) for index in range(len(recording))]
         scenes = [
@@ -120,28 +120,32 @@ class Knowing:
 
 
 @pytest.fixture
-def knowing(monkeypatch: pytest.MonkeyPatch) -> Knowing:
-    found = Knowing()
-    monkeypatch.setattr(paper_protocol, "train", found.train)
-    monkeypatch.setattr(paper_protocol, "active_detectors", found.detectors)
-    return found
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> TrainingStandIn:
+    training = TrainingStandIn()
+    monkeypatch.setattr(paper_protocol, "train", training.train)
+    monkeypatch.setattr(paper_protocol, "active_detectors", training.detectors)
+    return training
 
 
 def of_truth(kitti: Path, folder: Path, numbers: range) -> dict[str, Any]:
-    """What the protocol gives for the true rows themselves."""
-    truth, found = folder / "truth", folder / "found"
-    for path in (truth, found):
+    """The result of the protocol for the true rows themselves."""
+    truth, detections = folder / "truth", folder / "found"
+    for path in (truth, detections):
         path.mkdir(parents=True)
     for number in numbers:
         rows = (kitti / "training" / "label_2" / f"{number:06d}.txt").read_text()
         (truth / f"{number:06d}.txt").write_text(rows)
-        (found / f"{number:06d}.txt").write_text(rows.replace("\n", " 1.0\n"))
-    content: dict[str, Any] = evaluate_files(found, truth, Protocol.KITTI).content.model_dump(mode="json")
+        (detections / f"{number:06d}.txt").write_text(rows.replace("\n", " 1.0\n"))
+    content: dict[str, Any] = evaluate_files(detections, truth, Protocol.KITTI).content.model_dump(mode="json")
     return content
 
 
-def test_kitti_from_frames_to_figures_and_again(
-    kitti: Path, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_kitti_protocol_and_a_repeated_run(
+    kitti: Path,
+    stand_in: TrainingStandIn,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def run(*words: str) -> tuple[dict[str, Any], list[str]]:
         arguments = ["kitti", "--root", kitti, "--work", tmp_path / "work", "--axes", "camera", *words, "--json"]
@@ -157,7 +161,7 @@ def test_kitti_from_frames_to_figures_and_again(
         "train": 4,
         "val": 2,
         "divided": str(kitti / "ImageSets" / "train.txt"),
-        "lists": "6 of 6 listed frames are there",
+        "lists": "6 of 6 listed frames are present",
     }
     boxes = first["stages"]["boxes"]
     assert (boxes["frames"], boxes["objects"]) == (2, {"Pedestrian": 2, "Cyclist": 2, "Car": 2})
@@ -183,20 +187,20 @@ def test_kitti_from_frames_to_figures_and_again(
     again, _ = run("--fraction", "0.5")
     assert again["skipped"] == STAGES
     assert again == {**first, "skipped": STAGES}
-    assert knowing.trainings == 2
+    assert stand_in.trainings == 2
     other, _ = run("--fraction", "0.5", "--axes", "eigenvectors")
     assert other["skipped"] == STAGES[:4]
     back, _ = run("--fraction", "0.5")
-    # the frames show the other axes' proposals: they are made anew
+    # the frames have the proposals of the other axes, so RCV runs again
     assert back["skipped"] == STAGES[:4]
     assert back["ours"] == first["ours"]
     little, _ = run("--fraction", "0.5", "--limit", "1")
     assert little["stages"]["import"]["train"] == little["stages"]["import"]["val"] == 1
-    assert knowing.trainings == 4
+    assert stand_in.trainings == 4
 
 
-def test_frames_that_cannot_be_tried_stop_it_and_a_repaired_one_goes_on(
-    kitti: Path, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_failed_test_frames_are_an_error_and_a_repaired_run_continues(
+    kitti: Path, stand_in: TrainingStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = Path(shutil.copytree(kitti, tmp_path / "kitti"))
     scan = root / "training" / "velodyne" / "000005.bin"
@@ -205,12 +209,12 @@ def test_frames_that_cannot_be_tried_stop_it_and_a_repaired_one_goes_on(
     known: list[Detectors] = []
 
     def damaging(project: Project) -> Detectors:
-        known.append(knowing.detectors(project))
+        known.append(stand_in.detectors(project))
         scan.write_bytes(whole[:-3])
         return known[0]
 
     monkeypatch.setattr(paper_protocol, "active_detectors", damaging)
-    with pytest.raises(ConfigError, match="1 frames could not be tried, such as 000005"):
+    with pytest.raises(ConfigError, match="1 test frames failed, such as 000005"):
         paper.run(args)
     scan.write_bytes(whole)
     monkeypatch.setattr(paper_protocol, "active_detectors", lambda _: known[0])
@@ -219,10 +223,10 @@ def test_frames_that_cannot_be_tried_stop_it_and_a_repaired_one_goes_on(
     assert result["stages"]["propose"]["proposals"] == 6
 
 
-def test_a_finalised_frame_stops_it_and_shared_views_count_once(
-    kitti: Path, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_finalised_frame_is_an_error_and_shared_views_count_once(
+    kitti: Path, stand_in: TrainingStandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two boxes that are the same but for their names have the same first views; of one class nothing true is there."""
+    """Two boxes that differ only in class share the views of the first step; one class has no true objects."""
     root = Path(shutil.copytree(kitti, tmp_path / "kitti"))
     for number in range(6):
         labels = root / "training" / "label_2" / f"{number:06d}.txt"
@@ -232,22 +236,22 @@ def test_a_finalised_frame_stops_it_and_shared_views_count_once(
         labels.write_text("\n".join(rows) + "\n")
     (root / "ImageSets" / "val.txt").write_text("000004\n000005\n000010\n")
     args = paper.Arguments(paper.Dataset.KITTI, root, tmp_path / "work", axes=paper.Strategy.CAMERA)
-    told: list[object] = []
-    monkeypatch.setattr(paper.QUIET, "print", told.append)
-    detectors = knowing.detectors
+    printed: list[object] = []
+    monkeypatch.setattr(paper.QUIET, "print", printed.append)
+    detectors = stand_in.detectors
 
     def finalising(project: Project) -> Detectors:
         frame = project.frames.find(project.recordings.find("val").id, "000005")
-        project.frames.finalise(frame.id, Change(frame.revision, "somebody", Source.MANUAL))
+        project.frames.finalise(frame.id, WriteContext(frame.revision, "somebody", Source.MANUAL))
         return detectors(project)
 
     monkeypatch.setattr(paper_protocol, "active_detectors", finalising)
-    with pytest.raises(ConfigError, match="1 frames were not tried, such as 000005: they are finalised"):
+    with pytest.raises(ConfigError, match="1 test frames were skipped, such as 000005: they are finalised"):
         paper.run(args)
-    assert any("train.txt: 6 of 7 listed frames are there" in str(line) for line in told)
+    assert any("train.txt: 6 of 7 listed frames are present" in str(line) for line in printed)
     with open_project(next((tmp_path / "work" / "projects").iterdir())) as project:
         frame = project.frames.find(project.recordings.find("val").id, "000005")
-        project.frames.reopen(frame.id, Change(frame.revision, "somebody", Source.MANUAL))
+        project.frames.reopen(frame.id, WriteContext(frame.revision, "somebody", Source.MANUAL))
     monkeypatch.setattr(paper_protocol, "active_detectors", detectors)
     result: Any = paper.run(args)
     assert result["ours"]["Cyclist"] is None
@@ -259,14 +263,14 @@ def test_a_finalised_frame_stops_it_and_shared_views_count_once(
 
 
 @pytest.mark.shared
-def test_sun_rgbd_on_a_real_frame(shared: Path, knowing: Knowing, tmp_path: Path) -> None:
+def test_sun_rgbd_on_a_real_frame(shared: Path, stand_in: TrainingStandIn, tmp_path: Path) -> None:
     root = shared / "data" / "sunrgbd" / "sunrgbd_trainval"
     args = paper.Arguments(paper.Dataset.SUNRGBD, root, tmp_path)
     result: Any = paper.run(args)
     assert result["stages"]["import"] == {
         "train": 1,
         "val": 1,
-        "divided": "one frame alone, learnt from and tried",
+        "divided": "a single frame, for training and testing",
         "lists": "",
     }
     assert result["stages"]["boxes"]["image_boxes"] == {"bed": 1, "night_stand": 1, "dresser": 1, "lamp": 1}
@@ -285,20 +289,20 @@ def test_the_papers_tables_add_up() -> None:
     assert {len(names) for names in SUNRGBD_CLASSES.values()} == {len(SUNRGBD_ROW)} == {10}
 
 
-def test_a_class_that_was_never_detected_counts_as_nothing_and_stands_beside_the_papers(
+def test_a_class_without_detections_has_an_ap_of_0(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     car = {"3d": {"R11": [1.0, 2.0, 3.0], "R40": [4.0, 5.0, 6.0]}}
-    found: Any = kitti_ap({"Car": car, "Van": car}, ("Car", "Cyclist", "Van"), {"Car", "Cyclist"})
-    assert found["Car"] == car
-    assert set(found["Cyclist"]) == {"bbox", "bev", "3d", "aos"}
-    assert all(ap == {"R11": [0.0] * 3, "R40": [0.0] * 3} for ap in found["Cyclist"].values())
-    assert found["Van"] is None, "nothing true is of this class: it was not missed"
-    kitti_table(found, 0.5).show()
+    aps: Any = kitti_ap({"Car": car, "Van": car}, ("Car", "Cyclist", "Van"), {"Car", "Cyclist"})
+    assert aps["Car"] == car
+    assert set(aps["Cyclist"]) == {"bbox", "bev", "3d", "aos"}
+    assert all(ap == {"R11": [0.0] * 3, "R40": [0.0] * 3} for ap in aps["Cyclist"].values())
+    assert aps["Van"] is None, "nothing true is of this class: it was not missed"
+    kitti_table(aps, 0.5).show()
     assert "no truth" in capsys.readouterr().out
 
 
-def test_the_papers_trainings() -> None:
+def test_the_settings_of_the_paper() -> None:
     trainings = Trainings(Preset.PAPER, image_size=1280)
     assert (trainings.view.model, trainings.view.image_size_px, trainings.view_px) == ("yolov5x6", 640, 640)
     assert (trainings.image.image_size_px, trainings.image.epochs) == (1280, 300)
@@ -318,14 +322,16 @@ def test_without_lists_every_frame_is_on_one_side(kitti: Path, tmp_path: Path) -
     (tmp_path / "ImageSets").mkdir()
     for side in ("train", "val"):
         (tmp_path / "ImageSets" / f"{side}.txt").write_text("000000\n" if side == "train" else "999999\n")
-    with pytest.raises(ConfigError, match=r"train\.txt: names no frame of .* to try"):
+    with pytest.raises(ConfigError, match=r"train\.txt: lists no test frame of "):
         split_of(recording, 0)
     (tmp_path / "ImageSets" / "val.txt").write_text("000001\n000000\n")
-    with pytest.raises(ConfigError, match=r"train\.txt: 1 frames are to be learnt from and tried, such as 000000"):
+    with pytest.raises(
+        ConfigError, match=r"train\.txt: 1 frames are in the training list and in the test list, such as 000000"
+    ):
         split_of(recording, 0)
 
 
-def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
+def test_the_lists_of_sun_rgbd_are_used(tmp_path: Path) -> None:
     from scipy.io import savemat
 
     for folder, suffix in (("image", "jpg"), ("calib", "txt"), ("depth", "mat")):
@@ -336,7 +342,7 @@ def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
     (tmp_path / "extracted" / "val_data_idx.txt").write_text("1\n2\n")
     split = split_of(open_recording(tmp_path / "extracted"), 0)
     assert (split.train, split.val) == (("005051",), ("000001", "000002"))
-    assert split.found() == "3 of 4 listed frames are there"
+    assert split.found() == "3 of 4 listed frames are present"
 
     raw = tmp_path / "SUNRGBD"
     names = ["kv1/NYUdata/NYU0001", "kv2/kinect2data/000002_2014", "xtion/a/b"]
@@ -355,7 +361,7 @@ def test_sun_rgbds_own_lists_are_followed(tmp_path: Path) -> None:
         split_of(open_recording(raw), 0)
 
 
-def test_a_stage_is_done_again_where_its_settings_or_its_outcome_are_gone(tmp_path: Path) -> None:
+def test_a_stage_runs_again_if_its_settings_changed_or_its_result_is_missing(tmp_path: Path) -> None:
     def through(number: int, kept: bool = True) -> tuple[list[str], object]:
         stages = Stages(tmp_path, lambda _: None)
         stages.run("one", {"number": number}, lambda: {"made": number}, lambda _: kept)
@@ -379,5 +385,5 @@ def test_a_stage_is_done_again_where_its_settings_or_its_outcome_are_gone(tmp_pa
     assert stages.run("three", {}, lambda: {"now": True}) == {"now": True}
     (record,) = tmp_path.glob("three-*.json")
     record.write_text("{")
-    with pytest.raises(FormatError, match="remove it, and the stage is done again"):
+    with pytest.raises(FormatError, match="delete it to run the stage again"):
         Stages(tmp_path, lambda _: None).run("three", {}, dict)

@@ -1,4 +1,4 @@
-"""The check of ratios: what is slower than its bound allows is told, and ends with 1. Nothing here is timed."""
+"""The benchmark of ratios: a ratio above its bound is reported with exit code 1. The times here are simulated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks.ratios import Arguments, Outcome, Ratio, measured, run
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], Callable[[], None]]]:
-    """Work that takes as long as it says, on a clock that only such work moves."""
+    """Simulated work of given durations, on a simulated clock."""
     now = [0.0]
     monkeypatch.setattr(ratios.time, "perf_counter", lambda: now[0])
 
@@ -30,26 +30,24 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], Callabl
 
 
 def test_a_ratio_is_that_of_medians(clock: Callable[..., Callable[[], None]]) -> None:
-    # the first of each is not counted, and one slow moment says nothing
+    # the first run of each does not count, and the median ignores one slow run
     work, yardstick = clock(99.0, 3.0, 3.0, 30.0, 3.0), clock(99.0, 2.0)
     assert measured(Ratio("a / b", work, yardstick, most=2.0, repeats=3), 1) == Outcome("a / b", 1.5, 2.0)
 
 
-def test_the_best_round_counts_and_is_the_last_where_it_is_good_enough(
+def test_the_best_round_counts_and_a_good_one_is_the_last(
     clock: Callable[..., Callable[[], None]],
 ) -> None:
     slow_first = clock(1.0, *[6.0] * 3, 1.0, *[3.0] * 3, 1.0, *[1.0] * 3)
-    found = measured(Ratio("a / b", slow_first, clock(2.0), most=2.0, repeats=3), 5)
-    assert found.ratio == 1.5
-    assert not found.is_worse
+    outcome = measured(Ratio("a / b", slow_first, clock(2.0), most=2.0, repeats=3), 5)
+    assert outcome.ratio == 1.5
+    assert not outcome.is_worse
     never = measured(Ratio("a / b", clock(6.0), clock(2.0), most=2.0, repeats=3), 5)
     assert never.ratio == 3.0
     assert never.is_worse
 
 
-def test_what_is_measured_here_and_its_report(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(ratios, "measured", lambda ratio, _: (ratio.work(), Outcome(ratio.name, 1e9, ratio.most))[1])
     result = run(Arguments())
     names = [row["name"] for row in result["ratios"]]  # type: ignore[attr-defined]

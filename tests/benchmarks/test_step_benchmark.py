@@ -1,4 +1,4 @@
-"""`benchmarks.step` and its stopwatch: the stages are those of real steps, and each second counts once."""
+"""`benchmarks.step` and its stopwatch: all stages occur, and each second counts once."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_step(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize("wrong", [{"points": 1}, {"size_px": 8}, {"repeats": 0}])
-def test_a_number_out_of_its_range_is_told(wrong: dict[str, int]) -> None:
+def test_a_number_out_of_its_range_is_an_error(wrong: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match=next(iter(wrong)).replace("_", "-")):
         step.run(step.Arguments(**wrong))
 
@@ -39,11 +39,11 @@ def test_a_number_out_of_its_range_is_told(wrong: dict[str, int]) -> None:
 def test_each_second_counts_for_the_innermost_stage() -> None:
     now = [0.0]
 
-    def works(seconds: float) -> None:
+    def pass_time(seconds: float) -> None:
         now[0] += seconds
 
-    program = SimpleNamespace(inner=lambda: works(2.0), once=lambda: works(5.0))
-    program.outer = lambda: (works(1.0), program.inner(), works(0.5))
+    program = SimpleNamespace(inner=lambda: pass_time(2.0), once=lambda: pass_time(5.0))
+    program.outer = lambda: (pass_time(1.0), program.inner(), pass_time(0.5))
     before = program.inner
     watch = Stopwatch(["once"], clock=lambda: now[0])
     with watch.over((program, "outer", "outer", True), (program, "inner", "inner"), (program, "once", "once")):
@@ -53,5 +53,5 @@ def test_each_second_counts_for_the_innermost_stage() -> None:
     assert program.inner is before
     assert watch.runs == [[{"inner": 2.0, "outer": 1.5}] * 2]
     assert watch.median_ms("once") == 5000
-    watch.forget()
+    watch.reset()
     assert watch.runs == []

@@ -1,4 +1,4 @@
-"""The benchmark of linking measures what it says, and linking is right on a real drive."""
+"""The benchmark of linking: its measures, and linking on a real drive."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from annotator.formats.kitti import read_tracking_labels
+from annotator.formats.kitti.label_files import read_tracking_labels
 from benchmarks.tracks import idf1, measure, switches
 
 
 def test_idf1_and_switches() -> None:
-    # one object cut in two after 4 of 6 boxes, one found whole
+    # one track split after 4 of 6 boxes, one found completely
     true, found = [1] * 6 + [2] * 4, [7] * 4 + [8] * 2 + [9] * 4
     assert idf1(true, found) == pytest.approx(2 * 8 / 20)
     members = [(n, 0) for n in range(6)] + [(n, 1) for n in range(6, 10)]

@@ -1,4 +1,4 @@
-"""The workbench's benchmark, small: the parts that need no browser, and what it refuses."""
+"""The benchmark of the workbench, at a small size: the parts without a browser, and errors."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from benchmarks.workbench_server import LABEL, make_project, percentile, serving
         ([2.0, 1.0], 95, 2.0),
     ],
 )
-def test_percentiles_are_values_that_were_measured(values: list[float], percent: float, expected: float) -> None:
+def test_percentiles_by_the_nearest_rank_method(values: list[float], percent: float, expected: float) -> None:
     assert percentile(values, percent) == expected
 
 
-def test_a_part_that_there_is_not_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_part_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["workbench", "--only", "kill,colour"])
     with pytest.raises(ConfigError, match="colour"):
         workbench.main()
 
 
-def test_every_acknowledged_edit_outlives_kill_9(generated: Path, tmp_path: Path) -> None:
+def test_acknowledged_edits_survive_kill_9(generated: Path, tmp_path: Path) -> None:
     make_project(tmp_path, "people", (LABEL,), [generated / "people"])
     result = kill(tmp_path, "people", frames_of(tmp_path, "people")[0], 2)
     assert result["kills"] == 2
@@ -41,7 +41,7 @@ def test_every_acknowledged_edit_outlives_kill_9(generated: Path, tmp_path: Path
     assert result["kills_that_lost_an_edit"] == 0
 
 
-def test_edits_of_several_clients_on_one_frame_are_all_there(generated: Path, tmp_path: Path) -> None:
+def test_no_edit_of_several_clients_on_one_frame_is_lost(generated: Path, tmp_path: Path) -> None:
     make_project(tmp_path, "people", (LABEL,), [generated / "people"])
     with serving(tmp_path) as server:
         result = clients(None, server, "people", frames_of(tmp_path, "people")[0], 4, 2)

@@ -1,4 +1,4 @@
-"""The loop by command line, with real (if hardly trained) detectors, as a user types it."""
+"""The whole loop on the command line, with briefly trained detectors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_from_a_recording_to_a_dataset(generated: Path, tmp_path: Path) -> None:
 
     def annotator(*words: str | Path, code: int = 0) -> str:
         done = subprocess.run(
-            [sys.executable, "-m", "annotator.cli.main", *map(str, words)],
+            [sys.executable, "-m", "annotator", *map(str, words)],
             cwd=tmp_path,
             env=environment,
             capture_output=True,
@@ -38,8 +38,8 @@ def test_from_a_recording_to_a_dataset(generated: Path, tmp_path: Path) -> None:
         *("train", "room", "--epochs", "1", "--image-epochs", "1"),
         *("--size", "64", "--image-size", "64", "--views", "16", "--weights", "never"),
     )
-    assert "image detector: learnt from" in said
-    assert "view detector: learnt from" in said
+    assert "image detector: trained on" in said
+    assert "view detector: trained on" in said
     assert said.count("random weights") == 2
     assert "next: annotator annotate room" in said
 
@@ -57,11 +57,11 @@ def test_from_a_recording_to_a_dataset(generated: Path, tmp_path: Path) -> None:
     dataset = read_rcv(tmp_path / "out" / "3D_ROOM")
     assert len(dataset) == 5
     assert dataset.manifest.counts.objects == counts["labels"]["total"]
-    # named are the detectors that made boxes; what hardly trained ones propose, if anything, is left to chance
+    # only backends that ran are listed; briefly trained detectors may propose nothing
     proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
     assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
 
-    # the manifest of each model says which labels it learnt from
+    # the manifest of each model lists its training labels
     for manifest in (tmp_path / "projects" / "room" / "models").glob("*/*-*/manifest.json"):
         entries = json.loads(manifest.read_text())["entries"]
         assert {uid for entry in entries for uid in entry["label_uids"]} == {

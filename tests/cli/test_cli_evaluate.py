@@ -1,4 +1,4 @@
-"""`annotator evaluate` as a command: its table, its JSON, its pictures, and how it refuses."""
+"""`annotator evaluate`: table, JSON, curve images, and errors."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def test_kitti_with_curves(tmp_path: Path, capsys: Capture) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "000000.txt").write_text(CAR + score)
     words = [tmp_path / "found", tmp_path / "label_2", "--protocol", "kitti", "--curves", tmp_path / "a" / "curves"]
-    assert f"{tmp_path / 'a' / 'curves'}: 4 pictures" in said(capsys, *words)
+    assert f"{tmp_path / 'a' / 'curves'}: 4 images" in said(capsys, *words)
     files = sorted((tmp_path / "a" / "curves").iterdir())
     assert [file.name for file in files] == [f"Car_{metric}.png" for metric in ("3d", "aos", "bbox", "bev")]
     assert all(file.read_bytes().startswith(PNG) for file in files)
     assert list(json.loads(said(capsys, *words, "--json"))) == ["Car"]
 
 
-def test_pictures_have_names_that_are_fit_for_files(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
+def test_curve_file_names_are_valid(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
     said(capsys, *rooms, "--protocol", "sunrgbd", "--curves", tmp_path / "curves")
     assert sorted(file.name for file in (tmp_path / "curves").iterdir()) == [
         "iou_0.15.png",
@@ -62,24 +62,24 @@ def test_pictures_have_names_that_are_fit_for_files(rooms: list[str], tmp_path: 
     )
 
 
-def test_a_project_in_place_of_files(generated: Path, tmp_path: Path, capsys: Capture) -> None:
-    root = ["--root", str(tmp_path / "projects")]
+def test_a_project_instead_of_files(generated: Path, tmp_path: Path, capsys: Capture) -> None:
+    root = ["--projects", str(tmp_path / "projects")]
     assert main(["new", "room", "--classes", "person", *root]) == 0
     assert main(["add", "room", str(generated / "people"), *root]) == 0
     words = ["--project", "room", *root, "--protocol", "oriented"]
     found = json.loads(said(capsys, *words, "--recordings", "people", "--json"))
     assert found["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
     assert found["classes"]["person"]["objects"] == 15
-    assert "note: 15 of the 15 labels are the recordings' own" in said(capsys, *words)
+    assert "note: 15 of the 15 labels were imported from the recordings themselves" in said(capsys, *words)
     assert "no true box" in said(capsys, *words, "--measured", "proposals", code=2)
     assert "measure proposals" in said(capsys, *words, "--against", "reviewed", code=2)
 
 
-def test_unusable_words_are_said(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
-    assert "name what was detected and the truth" in said(capsys, rooms[0], "--protocol", "sunrgbd", code=2)
-    assert "one or the other" in said(capsys, *rooms, "--protocol", "sunrgbd", "--project", "x", code=2)
-    assert "say what of a --project" in said(capsys, *rooms, "--protocol", "sunrgbd", "--measured", "proposals", code=2)
-    assert "--relaxed belongs to" in said(capsys, *rooms, "--protocol", "sunrgbd", "--relaxed", code=2)
+def test_unusable_arguments_are_errors(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
+    assert "name the detections and the ground truth" in said(capsys, rooms[0], "--protocol", "sunrgbd", code=2)
+    assert "not both" in said(capsys, *rooms, "--protocol", "sunrgbd", "--project", "x", code=2)
+    assert "need --project" in said(capsys, *rooms, "--protocol", "sunrgbd", "--measured", "proposals", code=2)
+    assert "--relaxed is for the kitti protocol" in said(capsys, *rooms, "--protocol", "sunrgbd", "--relaxed", code=2)
     assert "no such folder" in said(capsys, tmp_path / "a", tmp_path / "b", "--protocol", "kitti", code=2)
     broken = said(capsys, rooms[1], rooms[1], "--protocol", "sunrgbd", code=2)
     assert f"{rooms[1]}:1: " in broken.replace("\n", "")

@@ -1,4 +1,4 @@
-"""`annotator live`: from a recording to the page and into the project; how it refuses, how it ends."""
+"""`annotator live`: showing and recording, errors, and the end of the program."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from annotator.recordings import open_recording
 from annotator.recordings.frame_writer import FrameWriter
 from annotator.types.errors import RecordingError
 from annotator.web.live import run as live_run
-from annotator.web.live import serve as live_serve
 from annotator.web.serve import Running
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.recorder import Recorder
@@ -28,22 +27,22 @@ Capture = pytest.CaptureFixture[str]
 
 @pytest.fixture
 def live(tmp_path: Path, generated: Path, knowing: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """`live("--frames", 3)`: the command on the generated hands, with detectors that know them."""
+    """`live("--limit", 3)`: runs the command on the generated hands, with perfect detectors."""
     with create_project(tmp_path / "projects", "room", ("hand",)):
         pass
     monkeypatch.setattr(live_run, "active_detectors", lambda project, backend: knowing("hands"))
 
     def run(*words: object, source: str | Path = generated / "hands") -> int:
-        options = ["--root", tmp_path / "projects", "--port", 0, *words]
+        options = ["--projects", tmp_path / "projects", "--port", 0, *words]
         return main(["live", "room", str(source), *map(str, options)])
 
     return run
 
 
-def test_a_recording_is_shown_and_what_was_seen_is_in_the_project(
+def test_frames_are_shown_recorded_and_added_to_the_project(
     live: Callable[..., int], tmp_path: Path, capsys: Capture
 ) -> None:
-    assert live("--frames", 3, "--rate", 2, "--record", tmp_path / "seen") == 0
+    assert live("--limit", 3, "--rate", 2, "--record", tmp_path / "seen") == 0
     said = capsys.readouterr()
     assert "live at http://127.0.0.1:" in said.out
     assert "3 shown" in said.out
@@ -52,10 +51,10 @@ def test_a_recording_is_shown_and_what_was_seen_is_in_the_project(
     assert len(open_recording(tmp_path / "seen")) == 3
     with open_project(tmp_path / "projects" / "room") as project:
         frames = project.frames.of([project.recordings.find("seen").id])
-        assert [len(project.frame_state(frame.id).labels) for frame in frames] == [2, 2, 2]
+        assert [len(project.labels.of_frame(frame.id)) for frame in frames] == [2, 2, 2]
 
 
-def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
+def test_ctrl_c_ends_it_cleanly_and_keeps_the_recorded_frames(
     live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown = threading.Event()
@@ -66,14 +65,14 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
             self.socket.close()
             raise KeyboardInterrupt
 
-    show = live_run.LiveView.show
+    show = live_run.LivePage.show
 
     def showing(view: Any, detected: Any) -> None:
         show(view, detected)
         shown.set()
 
-    monkeypatch.setattr(live_serve, "Running", Interrupted)
-    monkeypatch.setattr(live_run.LiveView, "show", showing)
+    monkeypatch.setattr(live_run, "Running", Interrupted)
+    monkeypatch.setattr(live_run.LivePage, "show", showing)
     assert live("--loop", "--record", tmp_path / "seen") == 0
     assert "ready for review" in capsys.readouterr().out
     assert len(open_recording(tmp_path / "seen")) >= 1
@@ -81,20 +80,20 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_was_recorded(
 
 
 @pytest.mark.parametrize("first", [signal.SIGTERM, signal.SIGINT, None])
-def test_a_polite_kill_keeps_what_was_recorded(
+def test_sigterm_keeps_the_recorded_frames(
     live: Callable[..., int],
     tmp_path: Path,
     capsys: Capture,
     monkeypatch: pytest.MonkeyPatch,
     first: signal.Signals | None,
 ) -> None:
-    """However often it comes: with each frame, and again while it is ending, whatever it ends by, and storing."""
-    show = live_run.LiveView.show
+    """SIGTERM may come repeatedly: with each frame, while the program ends, and while it stores the frames."""
+    show = live_run.LivePage.show
     interrupted = []
 
     def showing(view: Any, detected: Any) -> None:
         show(view, detected)
-        if first is signal.SIGTERM or (first is signal.SIGINT and not interrupted):  # a second Ctrl-C means it
+        if first is signal.SIGTERM or (first is signal.SIGINT and not interrupted):  # a second Ctrl-C would abort
             interrupted.append(first)
             signal.raise_signal(first)
 
@@ -108,12 +107,12 @@ def test_a_polite_kill_keeps_what_was_recorded(
     def killed(number: int, stack: object) -> None:
         raise AssertionError("the process would be gone")
 
-    monkeypatch.setattr(live_run.LiveView, "show", showing)
+    monkeypatch.setattr(live_run.LivePage, "show", showing)
     for place, name in ((Pipeline, "end"), (Recorder, "finish"), (live_run, "store")):
         monkeypatch.setattr(place, name, with_a_kill(getattr(place, name)))
     before = signal.signal(signal.SIGTERM, killed)
     try:
-        words = ("--frames", 3, "--rate", 2) if first is None else ("--loop",)
+        words = ("--limit", 3, "--rate", 2) if first is None else ("--loop",)
         assert live(*words, "--record", tmp_path / "seen") == 0
         assert signal.getsignal(signal.SIGTERM) is killed
     finally:
@@ -121,22 +120,22 @@ def test_a_polite_kill_keeps_what_was_recorded(
     assert "ready for review" in capsys.readouterr().out
 
 
-def test_the_place_of_a_recording_that_the_project_knows_is_refused(
+def test_the_path_of_a_recording_in_the_project_is_refused(
     live: Callable[..., int], tmp_path: Path, capsys: Capture
 ) -> None:
-    """Also where its folder is gone: its labels would come to lie on what is seen now."""
+    """Even if its folder was deleted: its labels would be assigned to the new frames."""
     out = tmp_path / "seen"
-    assert live("--frames", 1, "--record", out) == 0
+    assert live("--limit", 1, "--record", out) == 0
     rmtree(out)
-    assert live("--frames", 1, "--record", out) == 2
+    assert live("--limit", 1, "--record", out) == 2
     assert "the project has a recording there already, seen" in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
 
 
-def test_frames_that_could_not_be_written_at_the_end_are_told(
+def test_write_errors_at_the_end_are_reported(
     live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After the last frame was handed over, as where the disk gets full on those that still wait."""
+    """The disk gets full after the last frame is queued, while frames wait to be written."""
     add, finish = FrameWriter.add, Recorder.finish
     over = threading.Event()
 
@@ -152,21 +151,21 @@ def test_frames_that_could_not_be_written_at_the_end_are_told(
 
     monkeypatch.setattr(FrameWriter, "add", full)
     monkeypatch.setattr(Recorder, "finish", finishing)
-    assert live("--frames", 3, "--rate", 2, "--record", tmp_path / "seen") == 2
+    assert live("--limit", 3, "--rate", 2, "--record", tmp_path / "seen") == 2
     assert "no room for more" in capsys.readouterr().err
     with open_project(tmp_path / "projects" / "room") as project:
         (frame,) = project.frames.of([project.recordings.find("seen").id])
-        assert len(project.frame_state(frame.id).labels) == 2
+        assert len(project.labels.of_frame(frame.id)) == 2
 
 
-def test_an_error_of_the_source_is_told_and_what_was_recorded_is_kept(
+def test_source_errors_are_reported_and_recorded_frames_kept(
     live: Callable[..., int],
     tmp_path: Path,
     own_copy: Callable[[str], Path],
     capsys: Capture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(live_run, "MOST_TOLD", 2)
+    monkeypatch.setattr(live_run, "MOST_LOGGED", 2)
     folder = own_copy("hands")
     for path in sorted((folder / "depth").iterdir())[1:]:
         path.write_bytes(b"no picture")
@@ -185,8 +184,8 @@ def test_an_error_of_the_source_is_told_and_what_was_recorded_is_kept(
     ("words", "source", "said"),
     [
         ((), "/no/such", "no such file or folder"),
-        (("--rate", 0), None, "shows nothing; give more than 0"),
-        (("--frames", 0), None, "0 frames show nothing"),
+        (("--rate", 0), None, "cannot play at 0 frames per second; give more than 0"),
+        (("--limit", 0), None, "cannot show 0 frames"),
         (("--host", "0.0.0.0", "--token", "short"), None, "a token has 16"),
         (("--port", 99999), None, "cannot listen on 127.0.0.1 port 99999"),
         (("--record", "."), None, "exists already"),
@@ -194,7 +193,7 @@ def test_an_error_of_the_source_is_told_and_what_was_recorded_is_kept(
         (("--loop",), "kinect:0", "a device has its own rate"),
     ],
 )
-def test_how_it_refuses(
+def test_unusable_arguments_are_errors(
     live: Callable[..., int],
     capsys: Capture,
     monkeypatch: pytest.MonkeyPatch,
@@ -203,13 +202,15 @@ def test_how_it_refuses(
     said: str,
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setattr("annotator.recordings.kinect_connection.find_spec", lambda name: None)
+    monkeypatch.setattr("annotator.recordings.kinect.connection.find_spec", lambda name: None)
     assert live(*words, **({} if source is None else {"source": source})) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_project_without_detectors_says_how_to_train_them(tmp_path: Path, generated: Path, capsys: Capture) -> None:
+def test_without_detectors_the_error_names_the_training_command(
+    tmp_path: Path, generated: Path, capsys: Capture
+) -> None:
     with create_project(tmp_path, "room", ("hand",)):
         pass
-    assert main(["live", "room", str(generated / "hands"), "--root", str(tmp_path)]) == 2
+    assert main(["live", "room", str(generated / "hands"), "--projects", str(tmp_path)]) == 2
     assert "annotator train room" in capsys.readouterr().err

@@ -1,21 +1,24 @@
-"""The command line as a whole: quick help, lazy commands, and one exit point for errors."""
+"""The command line as a whole: fast help, lazy imports, and errors."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
+import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
 from annotator import __version__
 from annotator.cli import main as cli
+from annotator.cli.completion import Shell
 from annotator.cli.main import main
-from annotator.cli.table import COMMANDS, Command
+from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
 from annotator.types.errors import FormatError
 
 HEAVY = ("torch", "torchvision", "ultralytics", "open3d", "viser", "av", "ray")
@@ -26,33 +29,26 @@ def python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
 
 
-def test_help_loads_no_library_and_answers_at_once() -> None:
+def test_help_loads_no_library() -> None:
     code = "import sys; from annotator.cli.main import main; main(['--help']); print(*sys.modules, file=sys.stderr)"
     result = python(code)
     assert result.returncode == 0
     assert "usage: annotator" in result.stdout
     assert not set(HEAVY + LIGHTER) & set(result.stderr.split())
 
-    def seconds() -> float:
-        begin = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "annotator.cli.main", "--help"], check=True, capture_output=True)
-        return time.perf_counter() - begin
-
-    # the best of some: other tests may keep the machine busy
-    assert min(seconds() for _ in range(5)) < 0.5
-
 
 def test_every_command_exists_and_its_help_loads_nothing_heavy() -> None:
-    """One process explains all commands; the libraries that take seconds are left to the work itself."""
+    """One process prints the help of all commands; it must not import the slow libraries."""
     code = """
 import contextlib, io, sys
+from annotator.cli.completion import Shell
 from annotator.cli.main import main
 from annotator.cli.table import COMMANDS
 for name in COMMANDS:
     text = io.StringIO()
     try:
         with contextlib.redirect_stdout(text):
-            main([name, "--help", "--debug"])
+            main([*name.split(), "--help", "--debug"])
     except SystemExit as end:
         assert end.code == 0, (name, end.code)
     assert f"usage: annotator {name}" in text.getvalue(), (name, text.getvalue())
@@ -67,9 +63,99 @@ print(*sys.modules)
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["-h"]) == 0
     said = capsys.readouterr().out
+    for group, summary in GROUPS.items():
+        assert f"  {group} " in said
+        assert summary in said
+        assert main([group, "--help"]) == 0
+        of_group = capsys.readouterr().out
+        assert f"usage: annotator {group} COMMAND" in of_group
+        assert main([group]) == 2
+        assert capsys.readouterr().out == of_group
+        said += of_group
     for name, command in COMMANDS.items():
-        assert name in said
+        assert f"  {name.split()[-1]} " in said
         assert command.summary in said
+
+
+def test_help_is_also_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help"]) == main(["--help"]) == 0
+    said = capsys.readouterr().out
+    assert said[: len(said) // 2] == said[len(said) // 2 :]
+    assert main(["help", "project"]) == 0
+    assert "usage: annotator project COMMAND" in capsys.readouterr().out
+    for name in ("stats", "project move"):
+        with pytest.raises(SystemExit) as end:
+            main(["help", *name.split()])
+        assert end.value.code == 0
+        assert f"usage: annotator {name}" in capsys.readouterr().out
+    assert main(["help", "stat"]) == 2
+    assert "did you mean 'stats'?" in capsys.readouterr().err
+
+
+def test_old_names_are_errors_that_give_the_new_name(capsys: pytest.CaptureFixture[str]) -> None:
+    for old, new in RENAMED_COMMANDS.items():
+        assert main([old, "x"]) == 2
+        assert f"`annotator {old}` is now `annotator {new}`" in capsys.readouterr().err
+    options = {(name, "--root", "--projects") for name in COMMANDS}
+    options |= {(name, *pair) for name, renamed in RENAMED_OPTIONS.items() for pair in renamed.items()}
+    for name, old, new in options:
+        for words in ([old, "x"], [f"{old}=x"]):
+            assert main([*name.split(), "a", *words]) == 2
+            assert f"error: {old} is now {new}" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["stats", "--", "--root", "x"])
+    assert "is now" not in capsys.readouterr().err
+
+
+def option_helps(name: str) -> dict[str, str]:
+    """The options of a command with their help texts."""
+    function = cli.load(COMMANDS[name])
+    hints = get_type_hints(function, include_extras=True)
+    documented = dict(re.findall(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", function.__doc__ or "", re.MULTILINE))
+    found = {}
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            shared = next((each for each in getattr(hints[parameter.name], "__metadata__", ()) if each.help), None)
+            option = (shared and shared.name) or parameter.name
+            found[option] = shared.help if shared else documented[parameter.name]
+    return found
+
+
+def test_an_option_has_one_help_text_in_all_commands() -> None:
+    """An option has the same help in all commands, except where its choices depend on the command."""
+    texts: dict[str, dict[str, str]] = {}
+    for name in COMMANDS:
+        for option, text in option_helps(name).items():
+            texts.setdefault(option, {})[name] = " ".join(text.split())
+    assert len(texts["projects"]) > 10
+    several = {option: found for option, found in texts.items() if len({*found.values()}) > 1}
+    assert set(several) == {"classes", "format", "frames", "project"}, several
+
+
+def test_completion_offers_all_commands_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for shell in Shell:
+        assert main(["completion", shell.value]) == 0
+        written = capsys.readouterr().out
+        assert all(f"{name.split()[-1]}" in written for name in COMMANDS)
+        (tmp_path / shell).write_text(written)
+    code = (
+        'source "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); '
+        '_tyro_annotator; echo "${COMPREPLY[@]}"; complete -p annotator'
+    )
+
+    def completed(*words: str) -> tuple[str, str]:
+        result = subprocess.run(
+            ["bash", "-c", code, tmp_path / "bash", *words], capture_output=True, text=True, check=True
+        ).stdout.splitlines()
+        return result[0], result[1]
+
+    assert completed("annotator", "ex")[0] == "export"
+    assert completed("annotator", "project", "m")[0] == "move"
+    assert completed("annotator", "help", "anno")[0] == "annotate"
+    assert completed("annotator", "project", "move", "hands", "--p")[0] == "--projects"
+    assert completed("annotator", "export", "hands", "out", "--format", "kitti-")[0] == "kitti-tracking"
+    # elsewhere bash offers files
+    assert "-o default" in completed("annotator", "inspect", "x")[1]
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,34 +163,34 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"annotator {__version__}\n"
 
 
-def test_nothing_asked_shows_the_help_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_arguments_the_help_is_shown_with_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert "usage: annotator" in capsys.readouterr().out
 
 
-def test_unknown_command_is_answered_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_command_suggests_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspct"]) == 2
-    assert capsys.readouterr().err == "error: 'inspct' is no command of annotator; did you mean 'inspect'?\n"
+    assert capsys.readouterr().err == "error: unknown command 'inspct'; did you mean 'inspect'?\n"
     assert main(["xyzzy"]) == 2
-    assert "there are new, add" in capsys.readouterr().err
+    assert "the commands are new, add" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["new"], ["inspect", "a", "b"], ["new", "x", "--classes", "a", "--rotation", "up"]])
-def test_a_command_line_that_does_not_fit(words: list[str]) -> None:
+def test_an_invalid_command_line(words: list[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2
 
 
 def fake(monkeypatch: pytest.MonkeyPatch, run: Callable[..., int | None]) -> None:
-    """Puts a command `fake` into the table."""
+    """Adds a command `fake` to the table."""
     monkeypatch.setattr(cli, "_fake", run, raising=False)
     monkeypatch.setitem(COMMANDS, "fake", Command("annotator.cli.main:_fake", "for this test"))
 
 
 def test_the_exit_code_is_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     def run(*, code: int = 0) -> int:
-        """Ends with the code."""
+        """Returns the code."""
         return code
 
     fake(monkeypatch, run)
@@ -112,17 +198,19 @@ def test_the_exit_code_is_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     assert main(["fake", "--code", "1"]) == 1
 
 
-def test_errors_end_in_one_message(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_expected_error_prints_one_message(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     long = "word " * 60
 
     def run() -> None:
-        """Fails as a user's file may fail."""
+        """Raises an expected error."""
         raise FormatError(Path("a/[b].json"), long.strip(), 3)
 
     fake(monkeypatch, run)
     assert main(["fake"]) == 2
     captured = capsys.readouterr()
-    # neither wrapped nor read as markup
+    # not wrapped, and not interpreted as markup
     assert captured.err == f"error: a/[b].json:3: {long.strip()}\n"
     assert captured.out == ""
     for words in (["--debug", "fake"], ["fake", "--debug"]):
@@ -130,9 +218,11 @@ def test_errors_end_in_one_message(monkeypatch: pytest.MonkeyPatch, capsys: pyte
             main(words)
 
 
-def test_a_fault_of_ours_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unexpected_error_is_reported_as_a_bug(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def run() -> None:
-        """Fails as a program may fail."""
+        """Raises an unexpected error."""
         raise ZeroDivisionError("by zero")
 
     fake(monkeypatch, run)
@@ -147,7 +237,7 @@ def test_a_fault_of_ours_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 def test_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def run() -> None:
-        """Is stopped with Ctrl-C."""
+        """Is interrupted with Ctrl-C."""
         raise KeyboardInterrupt
 
     fake(monkeypatch, run)
@@ -164,7 +254,7 @@ def test_debug_after_two_dashes_is_an_argument(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes break otherwise elsewhere")
-def test_a_reader_that_goes_away_is_no_error() -> None:
+def test_a_closed_pipe_is_not_an_error() -> None:
     code = """
 import sys
 from annotator.cli import main as cli

@@ -1,4 +1,4 @@
-"""The progress bar stays where the work was done, and goes where an error ended it."""
+"""The progress bar remains after completed work, and is removed after an error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from annotator.cli.progress import counted
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_a_bar_goes_with_an_error_and_stays_without(monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
+def test_the_bar_is_removed_only_after_an_error(monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
     shown = io.StringIO()
     monkeypatch.setattr(progress, "Console", lambda stderr: Console(file=shown, force_terminal=terminal, width=100))
     with counted("drawing") as tell:
@@ -25,13 +25,13 @@ def test_a_bar_goes_with_an_error_and_stays_without(monkeypatch: pytest.MonkeyPa
     assert "drawing" not in _left(shown.getvalue())
 
 
-def test_an_error_stands_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_printed_without_a_bar(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", "somewhere", "--frames", "0"]) == 2
     assert capsys.readouterr().err.startswith("error: ")
 
 
 def _left(written: str) -> str:
-    """What a terminal shows in the end: a line that is erased after it was written is gone."""
+    """The final content of a terminal, without the lines that were erased."""
     lines = [""]
     for piece in written.split("\x1b["):
         if piece.startswith("2K"):

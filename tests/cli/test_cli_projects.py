@@ -1,4 +1,4 @@
-"""The commands that make projects and look into things."""
+"""The commands that create, fill and inspect projects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def add_frame(folder: Path, number: int) -> None:
 
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of projects, which the environment names."""
+    """The folder of projects, set by the environment variable."""
     folder = tmp_path / "my projects"
     monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
     monkeypatch.chdir(tmp_path)
@@ -46,9 +46,7 @@ def stats(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
     return content
 
 
-def test_from_nothing_to_a_project_with_recordings(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_recording(tmp_path / "hands take 1")
     assert main(["new", "hands", "--classes", "left hand", "right hand", "--rotation", "free"]) == 0
     config = json.loads((root / "hands" / "project.json").read_text())
@@ -62,7 +60,7 @@ def test_from_nothing_to_a_project_with_recordings(
 
     add_frame(recording, 7)
     assert main(["add", "hands", str(recording)]) == 0
-    assert "was there already: 1 new frames" in capsys.readouterr().out
+    assert "is already in the project: 1 new frames" in capsys.readouterr().out
     assert stats(capsys, "hands")["frames"] == 6
 
     assert main(["stats", "hands"]) == 0
@@ -74,18 +72,18 @@ def test_a_moved_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert main(["new", "hands", "--classes", "hand"]) == 0
     assert main(["add", "hands", str(recording)]) == 0
     recording.rename(tmp_path / "moved")
-    assert main(["move", "hands", "take", str(tmp_path / "moved")]) == 0
+    assert main(["project", "move", "hands", "take", str(tmp_path / "moved")]) == 0
     assert f"take: 3 frames, now at {tmp_path / 'moved'}" in capsys.readouterr().out
     other = write_recording(tmp_path / "other", 2)
-    assert main(["move", "hands", "take", str(other)]) == 2
+    assert main(["project", "move", "hands", "take", str(other)]) == 2
     assert "is not take: it lacks frame 000002" in capsys.readouterr().err
-    assert main(["move", "hands", "tack", str(other)]) == 2
+    assert main(["project", "move", "hands", "tack", str(other)]) == 2
     assert "it has: take" in capsys.readouterr().err
 
 
 def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """--root goes before the environment, and that before ./projects; both are read at call time."""
-    assert main(["new", "a", "--classes", "x", "--root", str(tmp_path / "given")]) == 0
+    """--projects takes precedence over the environment variable, and that over ./projects; read at call time."""
+    assert main(["new", "a", "--classes", "x", "--projects", str(tmp_path / "given")]) == 0
     assert (tmp_path / "given/a/project.json").is_file()
     assert main(["new", "b", "--classes", "x"]) == 0
     assert (root / "b/project.json").is_file()
@@ -101,9 +99,9 @@ def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.Captu
         (["new", "Bad Name", "--classes", "x"], "is not a project name"),
         (["new", "there", "--classes", "x"], "exists already"),
         (["new", "n", "--classes"], "at least one class"),
-        (["stats", "nothere"], "no project 'nothere' (there: there); create it with"),
-        (["stats", "../there"], "no project"),
-        (["add", "there"], "which recordings?"),
+        (["stats", "nothere"], "no project 'nothere' (it has: there); create it with"),
+        (["stats", "../there"], "is not a project name"),
+        (["add", "there"], "no recording given"),
         (["add", "there", "nowhere"], "nowhere: no such file or folder"),
         (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),
         (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
@@ -114,7 +112,7 @@ def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.Captu
         (["inspect", "broken"], "none of its first 1 frames can be read"),
     ],
 )
-def test_bad_input_is_told_and_changes_nothing(
+def test_bad_input_is_an_error_and_changes_nothing(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
 ) -> None:
     write_recording(tmp_path / "good", 1)
@@ -133,7 +131,7 @@ def test_bad_input_is_told_and_changes_nothing(
     assert [path.name for path in root.iterdir()] == ["there"]
 
 
-def test_inspect_says_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_describes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_recording(tmp_path / "wall")
     (recording / "color/000000.png").unlink()
     assert main(["inspect", str(recording)]) == 0

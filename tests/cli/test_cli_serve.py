@@ -1,4 +1,4 @@
-"""`annotator serve` as a program: what it says, how it refuses, how it ends; and the end of the demo."""
+"""`annotator serve` as a program: output, errors and shutdown; and the end of `annotator demo`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -34,26 +36,26 @@ def root(tmp_path: Path) -> Path:
 
 @contextmanager
 def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The program, and the link that it prints."""
-    command = [sys.executable, "-m", "annotator.cli.main", "serve", "--port", "0", *words]
+    """Runs the program; yields it and the link that it prints."""
+    command = [sys.executable, "-m", "annotator", "serve", "--port", "0", *words]
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
     try:
         first = process.stdout.readline()
-        found = re.search(r"http://\S+", first)
-        assert found is not None, first + process.stdout.read()
-        yield process, found.group()
+        link = re.search(r"http://\S+", first)
+        assert link is not None, first + process.stdout.read()
+        yield process, link.group()
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(30)
         process.stdout.close()
 
 
-def test_it_serves_the_page_and_ends_with_an_interrupt(root: Path) -> None:
+def test_it_serves_the_page_until_an_interrupt(root: Path) -> None:
     with serving("room", "--projects", str(root), "--open") as (process, address):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/#/room/label", address)
-        answer = httpx.get(address, timeout=30)
+        answer = httpx.get(address, timeout=240)
         assert answer.status_code == 200
         assert "<html" in answer.text
         assert process.stdout is not None
@@ -67,8 +69,8 @@ def test_another_address_prints_a_link_with_a_token(root: Path) -> None:
         token = re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=([\w-]{43})", address)
         assert token is not None
         bare = address.partition("?")[0]
-        assert httpx.get(bare, timeout=30).status_code == 401
-        with httpx.Client(timeout=30) as client:
+        assert httpx.get(bare, timeout=240).status_code == 401
+        with httpx.Client(timeout=240) as client:
             assert client.get(address).status_code == 200
             assert client.get(bare).status_code == 200
 
@@ -83,7 +85,7 @@ def test_another_address_prints_a_link_with_a_token(root: Path) -> None:
         (["--token", "short"], "a token has 16"),
     ],
 )
-def test_how_it_refuses(root: Path, capsys: Capture, words: list[str], said: str) -> None:
+def test_unusable_arguments_are_errors(root: Path, capsys: Capture, words: list[str], said: str) -> None:
     assert main(["serve", *words, "--projects", str(root)]) == 2
     assert said in capsys.readouterr().err
 
@@ -100,7 +102,28 @@ def test_a_window_needs_pywebview_and_a_display(root: Path, monkeypatch: pytest.
     assert "no display for a window" in capsys.readouterr().err
 
 
-def test_the_demo_ends_with_the_workbench_at_a_terminal_only(
+def test_closing_the_window_stops_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pywebview is replaced by a stand-in that shows a window and returns when it is closed."""
+    calls: list[object] = []
+    served, stopped = threading.Event(), threading.Event()
+
+    def serving() -> None:
+        served.set()
+        assert stopped.wait(20)
+        calls.append("ended")
+
+    toolkit = SimpleNamespace(
+        settings={},
+        create_window=lambda title, address, **_: calls.append(address),
+        start=lambda **_: calls.append(served.wait(20)),
+        WebViewException=RuntimeError,
+    )
+    monkeypatch.setitem(sys.modules, "webview", toolkit)
+    window.in_window(serving, stopped.set, "http://h/")
+    assert calls == ["http://h/", True, "ended"]
+
+
+def test_the_demo_opens_the_workbench_only_at_a_terminal(
     tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served: list[Path] = []
@@ -110,7 +133,7 @@ def test_the_demo_ends_with_the_workbench_at_a_terminal_only(
             return True
 
     monkeypatch.setattr(demo_command, "run_demo", lambda *_: None)
-    monkeypatch.setattr(demo_command, "_told", lambda *_: [])
+    monkeypatch.setattr(demo_command, "_summary", lambda *_: [])
     monkeypatch.setattr(demo_command, "_review", served.append)
     monkeypatch.delenv("CI", raising=False)
     assert main(["demo", str(tmp_path / "a")]) == 0
@@ -125,9 +148,7 @@ def test_the_demo_ends_with_the_workbench_at_a_terminal_only(
     assert len(served) == 1
 
 
-def test_nothing_is_served_elsewhere_without_a_token(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
+def test_other_addresses_need_a_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     seen: list[Any] = []
 
     class Server:

@@ -1,4 +1,4 @@
-"""The commands of the loop, in process: what they print, what they leave behind, and how they refuse."""
+"""The commands of the loop, run in this process: output, results and errors."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import pytest
 
 from annotator.cli import annotate as annotate_command
 from annotator.cli import demo as demo_command
-from annotator.cli.annotate import SHOWN_FAILURES, told
+from annotator.cli.annotate import SHOWN_FAILURES, summary_lines
 from annotator.cli.main import main
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
 from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import ConfigError
-from annotator.workflows.batch_book import AnnotateSummary
-from annotator.workflows.engines.sources import GivenDetectors
+from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.proposing.engines.sources import GivenDetectors
 
 Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of projects, which the environment names; commands run beside it."""
+    """The folder of projects, set by the environment variable; commands run in its parent."""
     folder = tmp_path / "projects here"
     monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
     monkeypatch.chdir(tmp_path)
@@ -35,7 +35,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def project(root: Path, generated: Path, capsys: Capture) -> str:
-    """A project for persons, with a recording but without its labels."""
+    """A project of class person, with a recording but without its labels."""
     assert main(["new", "room", "--classes", "person"]) == 0
     assert main(["add", "room", str(generated / "people"), "--no-labels"]) == 0
     capsys.readouterr()
@@ -44,13 +44,13 @@ def project(root: Path, generated: Path, capsys: Capture) -> str:
 
 @pytest.fixture
 def trained(project: str, knowing: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> str:
-    """The same with detectors that know everything."""
+    """The same project with perfect detectors."""
     monkeypatch.setattr(annotate_command, "trained_detectors", lambda *_: GivenDetectors(knowing("people")))
     return project
 
 
 def run(capsys: Capture, *words: str, code: int = 0) -> str:
-    """Runs a command that shall end with `code`; what it said on standard output (on standard error, if it failed)."""
+    """Runs a command and checks its exit code; returns its standard output, or standard error if it failed."""
     capsys.readouterr()
     assert main([str(word) for word in words]) == code
     captured = capsys.readouterr()
@@ -66,25 +66,25 @@ def stats(capsys: Capture, name: str = "room") -> dict[str, object]:
 # --- add, simulate ---------------------------------------------------------------------------------------------------
 
 
-def test_add_takes_the_recordings_own_labels_over(root: Path, generated: Path, capsys: Capture) -> None:
+def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, capsys: Capture) -> None:
     run(capsys, "new", "both", "--classes", "person", "robot")
     said = run(capsys, "add", "both", generated / "people", generated / "hands")
     assert "added people: 5 frames (rgbd_folder)" in said
     assert "  15 boxes of class person imported as labels" in said
-    assert "  left out: 10 boxes of class hand, which the project does not have" in said
+    assert "  skipped: 10 boxes of class hand, which is not in the project" in said
     assert "next: annotator train both" in said
     counts = stats(capsys, "both")
     assert counts["labels"]["by_source"]["imported"] == counts["labels"]["total"] == 15
 
 
-def test_add_leaves_labels_alone_where_asked(root: Path, generated: Path, capsys: Capture) -> None:
+def test_add_without_labels(root: Path, generated: Path, capsys: Capture) -> None:
     run(capsys, "new", "room", "--classes", "person")
     said = run(capsys, "add", "room", generated / "people", "--no-labels")
     assert "next: draw boxes" in said
     assert stats(capsys)["labels"]["total"] == 0
 
 
-def test_add_names_frames_that_it_cannot_read(root: Path, own_copy: Callable[[str], Path], capsys: Capture) -> None:
+def test_add_lists_unreadable_frames(root: Path, own_copy: Callable[[str], Path], capsys: Capture) -> None:
     folder = own_copy("people")
     (folder / "depth" / "000003.png").write_bytes(b"")
     run(capsys, "new", "room", "--classes", "person")
@@ -97,49 +97,49 @@ def test_simulate(project: str, capsys: Capture) -> None:
     said = run(capsys, "simulate", project, "people", "--every", "2")
     assert "3 frames, 9 objects, 45 2D boxes drawn" in said
     assert stats(capsys)["labels"]["total"] == 0, "silhouettes by default"
-    run(capsys, "simulate", project, "people", "--operator", "box", "--every", "5")
+    run(capsys, "simulate", project, "people", "--box-kind", "box", "--every", "5")
     assert stats(capsys)["labels"]["total"] == 3
 
 
 # --- views, import ---------------------------------------------------------------------------------------------------
 
 
-def test_views_and_import_go_round(project: str, tmp_path: Path, capsys: Capture) -> None:
+def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Capture) -> None:
     boxes = (Box2D("person", 40.5, 40.5, 120.5, 200.5), Box2D("dog", 1.5, 1.5, 9.5, 9.5))
     write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, boxes), CocoImage("x.jpg", 320, 240, boxes)])
     said = run(capsys, "import", project, "c.json")
     assert "1 boxes on 1 camera images" in said
-    assert "left out: 1 boxes of class dog, which the project does not have" in said
-    assert "left out: 1 images that are no frames of the project: x.jpg" in said
+    assert "skipped: 1 boxes of class dog, which is not in the project" in said
+    assert "skipped: 1 images that match no frame of the project: x.jpg" in said
 
     said = run(capsys, "views", project, "pictures")
-    assert "2 pictures in pictures" in said
+    assert "2 pseudo-views in pictures" in said
     assert "annotator import room pictures/coco.json --pictures pictures" in said
     drawn = [
         CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
         for i in read_coco(tmp_path / "pictures" / "coco.json")
     ]
     write_coco(tmp_path / "pictures" / "coco.json", drawn)
-    said = run(capsys, "import", project, "pictures/coco.json", "--pictures", "pictures", "--kind", "box")
+    said = run(capsys, "import", project, "pictures/coco.json", "--pictures", "pictures", "--box-kind", "box")
     assert "2 boxes on 2 pseudo-views" in said
     counts = stats(capsys)
     assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
 
-    said = run(capsys, "export", project, "yolo", "--format", "yolo", "--pictures", "both")
-    assert said.startswith("yolo: 3 pictures, 3 person\nyolo does not hold: 2 boxes reach around all of the object")
-    assert said.endswith("; --split train=0.8,val=0.2 holds some back\n")
+    said = run(capsys, "export", project, "yolo", "--format", "yolo", "--boxes-on", "both")
+    assert said.startswith("yolo: 3 images, 3 person\nlost in yolo: 2 boxes enclose the whole object")
+    assert said.endswith("; divide with --split train=0.8,val=0.2\n")
     assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
         "3 boxes on 1 camera images and 2 pseudo-views\n"
     )
 
 
-def test_3d_boxes_come_in_as_2d_ones(project: str, capsys: Capture) -> None:
+def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
     said = run(capsys, "import", project, "--as-2d", "--fraction", "0.2", "--seed", "1")
     counts = stats(capsys)
     on_views = counts["view_boxes"]
     assert said.startswith("1 of 5 labelled frames: 3 person on camera images; ")
     assert f" person on {on_views['pictures']} pseudo-views, which show {on_views['boxes']} boxes\n" in said
-    assert said.endswith("\nin all, 1 frames carry 2D boxes made of 3D boxes\nnext: annotator train room\n")
+    assert said.endswith("\n1 frames in total have 2D boxes made from 3D boxes\nnext: annotator train room\n")
     assert (counts["image_boxes"]["boxes"], counts["labels"]["total"]) == (3, 0)
 
 
@@ -149,7 +149,7 @@ def test_3d_boxes_come_in_as_2d_ones(project: str, capsys: Capture) -> None:
 def test_annotate_twice(trained: str, capsys: Capture) -> None:
     said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
     assert said.startswith("2 frames done, 6 proposals (0 frames without), 0 skipped, 0 failed; ")
-    assert "s a frame" in said
+    assert "s per frame" in said
     said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
     assert said.startswith("2 frames done, 6 proposals (0 frames without), 2 skipped, 0 failed")
     said = run(
@@ -159,7 +159,7 @@ def test_annotate_twice(trained: str, capsys: Capture) -> None:
     assert stats(capsys)["runs"] == 3
 
 
-def test_annotate_with_a_bad_frame_ends_with_1(
+def test_annotate_with_a_bad_frame_returns_1(
     root: Path,
     own_copy: Callable[[str], Path],
     knowing: Callable[..., object],
@@ -178,18 +178,18 @@ def test_annotate_with_a_bad_frame_ends_with_1(
     assert "  failed 000002: " in said
     assert "depth/000002.png" in said
     assert stats(capsys)["frames_failed"] == 1
-    # the same again: it is tried again, and fails again
+    # the frame is retried, and fails again
     assert "0 frames done, 0 proposals (0 frames without), 4 skipped, 1 failed" in run(
         capsys, "annotate", "room", "--axes", "camera", code=1
     )
 
 
-def test_many_failures_are_not_all_listed() -> None:
+def test_only_the_first_failures_are_listed() -> None:
     failed = [(f"{n:06d}", "no good") for n in range(SHOWN_FAILURES + 3)]
-    assert told(AnnotateSummary(backends=("openvino", "openvino")))[0].endswith("; detectors on openvino")
-    assert told(AnnotateSummary(backends=("openvino", "torch")))[0].endswith("; detectors on openvino, torch")
-    assert "detectors on" not in told(AnnotateSummary(backends=("", "")))[0]
-    lines = told(AnnotateSummary(frames=20, failed=failed))
+    assert summary_lines(AnnotateSummary(backends=("openvino", "openvino")))[0].endswith("; detectors on openvino")
+    assert summary_lines(AnnotateSummary(backends=("openvino", "torch")))[0].endswith("; detectors on openvino, torch")
+    assert "detectors on" not in summary_lines(AnnotateSummary(backends=("", "")))[0]
+    lines = summary_lines(AnnotateSummary(frames=20, failed=failed))
     assert len(lines) == 1 + SHOWN_FAILURES + 1
     assert lines[-1] == "  and 3 more"
 
@@ -224,7 +224,7 @@ def test_generate(tmp_path: Path, root: Path, capsys: Capture) -> None:
     assert "already exists" in run(capsys, *words, code=2)
 
 
-def test_demo_passes_its_words_on_and_refuses_like_all_others(
+def test_demo_passes_its_options_on_and_checks_them(
     root: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plans = []
@@ -245,7 +245,7 @@ def test_demo_passes_its_words_on_and_refuses_like_all_others(
     assert plans[1][0].parent == Path("out")
 
 
-# --- refusals --------------------------------------------------------------------------------------------------------
+# --- errors ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -253,22 +253,25 @@ def test_demo_passes_its_words_on_and_refuses_like_all_others(
     [
         (["simulate", "room", "nothing"], "no recording 'nothing'; it has: people"),
         (["simulate", "room", "people", "--every", "0"], "give 1 or more"),
-        (["simulate", "nowhere", "people"], "no project 'nowhere' (there: room)"),
+        (["simulate", "nowhere", "people"], "no project 'nowhere' (it has: room)"),
         (["views", "room", "out"], "no object with boxes on camera images yet"),
         (["views", "room", "out", "--step", "2"], "both views of the first step"),
         (["views", "room", "out", "--step", "3"], "there is no step 3"),
-        (["views", "room", "file.txt"], "is there already"),
+        (["views", "room", "file.txt"], "exists already"),
         (["import", "room", "nothing.json"], "nothing.json"),
         (["import", "room", "file.txt"], "file.txt"),
-        (["import", "room", "dogs.json"], "are of class dog, of which the project has none"),
-        (["import", "room", "dogs.json", "--recording", "x"], "are of class dog"),
-        (["import", "room", "dogs.json", "--pictures", "nowhere"], "are of class dog"),
-        (["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"], "says where camera images belong"),
-        (["import", "room"], "which labels? annotator import room PATH; or --as-2d for those beside"),
-        (["import", "room", "dogs.json", "--fraction", "0.5"], "choose among the frames of --as-2d"),
-        (["import", "room", "dogs.json", "--as-2d"], "coco holds no 3D boxes; say which format dogs.json has"),
-        (["import", "room", "--as-2d", "--fraction", "2"], "a fraction of 2.0 of the frames cannot be taken"),
-        (["import", "room", "--as-2d", "--pictures", "p"], "leave --pictures away"),
+        (["import", "room", "dogs.json"], "the project has none of its classes: they are dog"),
+        (["import", "room", "dogs.json", "--recording", "x"], "the project has none of its classes: they are dog"),
+        (["import", "room", "dogs.json", "--pictures", "nowhere"], "the project has none of its classes: they are dog"),
+        (
+            ["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"],
+            "--recording is for boxes on camera images",
+        ),
+        (["import", "room"], "no labels given; write annotator import room PATH, or --as-2d"),
+        (["import", "room", "dogs.json", "--fraction", "0.5"], "--fraction and --seed need --as-2d"),
+        (["import", "room", "dogs.json", "--as-2d"], "coco contains no 3D boxes; name the format of dogs.json"),
+        (["import", "room", "--as-2d", "--fraction", "2"], "cannot take a fraction of 2.0 of the frames"),
+        (["import", "room", "--as-2d", "--pictures", "p"], "leave out --pictures"),
         (["import", "room", "--as-2d", "--recording", "x"], "no recording 'x'"),
         (["train", "room"], "no boxes on camera images or pseudo-views to learn from"),
         (["train", "room", "--only", "view"], "no boxes on pseudo-views to learn from"),
@@ -282,7 +285,7 @@ def test_demo_passes_its_words_on_and_refuses_like_all_others(
         (["generate", "new", "--width", "3"], "at least 16 x 16 pixels"),
     ],
 )
-def test_bad_input_is_told_and_changes_nothing(
+def test_bad_input_is_an_error_and_changes_nothing(
     project: str, generated: Path, tmp_path: Path, capsys: Capture, words: list[str], says: str
 ) -> None:
     (tmp_path / "file.txt").write_text("no JSON")
@@ -303,17 +306,17 @@ def test_bad_input_is_told_and_changes_nothing(
         (["annotate", "room", "--recordings", "x"], "no recording 'x'; it has: people"),
     ],
 )
-def test_annotate_refuses(trained: str, capsys: Capture, words: list[str], says: str) -> None:
+def test_annotate_with_unusable_options(trained: str, capsys: Capture, words: list[str], says: str) -> None:
     assert says in run(capsys, *words, code=2)
     assert stats(capsys)["runs"] == 0
 
 
-def test_debug_shows_where_it_happened(project: str) -> None:
+def test_debug_shows_the_traceback(project: str) -> None:
     with pytest.raises(ConfigError, match="give 1 or more"):
         main(["simulate", project, "people", "--every", "0", "--debug"])
 
 
-def test_a_picture_in_the_folder_of_pictures_is_missing(project: str, tmp_path: Path, capsys: Capture) -> None:
+def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, capsys: Capture) -> None:
     write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, (Box2D("person", 40.5, 40.5, 120.5, 200.5),))])
     run(capsys, "import", project, "c.json")
     run(capsys, "views", project, "pictures")
@@ -324,7 +327,7 @@ def test_a_picture_in_the_folder_of_pictures_is_missing(project: str, tmp_path: 
     ]
     write_coco(tmp_path / "drawn.json", drawn)
     said = run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
-    assert "side.png is not in pictures; give the folder of the pictures" in said
+    assert "side.png is not in pictures; give the folder of the images" in said
     assert stats(capsys)["view_boxes"]["boxes"] == 0
     shutil.rmtree(tmp_path / "pictures")
     assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)

@@ -1,4 +1,4 @@
-"""A small detector, really trained, that the tests of training and of running share."""
+"""A small trained detector, shared by the tests of training and of detection."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ COLORS = {"red": (230, 30, 30), "blue": (30, 30, 230)}
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture of coloured rectangles on grey, and where they are."""
+    """An image of coloured rectangles on grey, and their boxes."""
 
     rgb: np.ndarray
     boxes: tuple[Box2D, ...]
 
 
 def make_scene(seed: int, size: tuple[int, int] = (96, 96)) -> Scene:
-    """One rectangle, red or blue: telling them apart takes the right order of the colours."""
+    """One rectangle, red or blue, so that a detector with swapped colour channels fails."""
     rng = np.random.default_rng(seed)
     height, width = size
     rgb = np.full((height, width, 3), 114, np.uint8)
@@ -44,7 +44,7 @@ def scene() -> Callable[..., Scene]:
 
 @pytest.fixture(scope="session")
 def tiny_dataset(made_once: Callable[..., Path]) -> Path:
-    """Twelve pictures to learn from and four to measure on."""
+    """Twelve training images and four validation images."""
     scenes = [make_scene(seed) for seed in range(16)]
     samples = [TrainingSample(s.rgb, s.boxes, f"{i // 2:06d}", "drawn") for i, s in enumerate(scenes)]
 
@@ -73,7 +73,7 @@ def tiny_model(tiny_dataset: Path, quick_config: TrainingConfig, made_once: Call
 
 @pytest.fixture
 def own_weights(tiny_model: TrainedModel, tmp_path: Path) -> Path:
-    """The small detector's weights in a folder of the test's own."""
+    """A copy of the small detector's weights."""
     path = tmp_path / "model" / "detector.pt"
     path.parent.mkdir()
     path.write_bytes(tiny_model.weights.read_bytes())

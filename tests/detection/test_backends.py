@@ -1,4 +1,4 @@
-"""The backends give the same boxes."""
+"""All backends give the same boxes."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ def opened(weights: Path, backend: Backend, digest: str = "digest", **settings: 
 
 
 def untrained(path: Path, name: str) -> Path:
-    """A weights file of random weights whose scores are spread over 0 to 1, so that they can be compared."""
+    """A file of random weights whose scores are spread over 0 to 1, so that they can be compared."""
     torch = api().torch
     torch.manual_seed(0)
     model = api().DetectionModel(f"{name}.yaml", nc=3, verbose=False)
-    model.end2end = name == "yolo26n"  # one object, one box; without it, it is like the others
+    model.end2end = name == "yolo26n"  # predicts one box per object; otherwise yolo26n behaves like the others
     head = model.model[-1]
     with torch.no_grad():
         for branch in ("cv2", "cv3", "one2one_cv2", "one2one_cv3"):
             for layers in getattr(head, branch, None) or ():
-                layers[-1].weight.mul_(0.1)  # neither boxes nor scores beyond all bounds
+                layers[-1].weight.mul_(0.1)  # keeps boxes and scores in a plausible range
                 if "cv3" in branch:
-                    layers[-1].bias.zero_()  # else every score is next to none
+                    layers[-1].bias.zero_()  # otherwise all scores are almost 0
         for module in model.modules():
             if isinstance(module, torch.nn.BatchNorm2d):
                 module.momentum = 1.0
-        model.train()(torch.rand(8, 3, 64, 64))  # as if it had been trained: what is measured once is normalised
+        model.train()(torch.rand(8, 3, 64, 64))  # sets the statistics of batch normalisation
     path.parent.mkdir(parents=True, exist_ok=True)
     torch.save({"model": model.eval()}, path)
     return path
@@ -68,36 +68,38 @@ def batches(seed: int = 0) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", ["yolo11n", "yolo26n"])
 def test_raw_predictions_agree_with_torch(random_weights: dict[str, Path], name: str) -> None:
     expected = opened(random_weights[name], "torch")
-    wanted = expected.predict(batches())
-    assert wanted[0][:, 4:].std() > 0.001  # there is something to compare
+    references = expected.predict(batches())
+    assert references[0][:, 4:].std() > 0.001  # the scores differ
     for backend in EXPORTED:
         network = opened(random_weights[name], backend)
         assert (network.backend, network.facts) == (backend, expected.facts)
         assert network.facts.end2end == (name == "yolo26n")
-        for answer, want, shape in zip(network.predict(batches()), wanted, SHAPES, strict=True):
-            assert answer.shape == want.shape == (shape[0], 7, sum(shape[1] * shape[2] // s**2 for s in (8, 16, 32)))
-            np.testing.assert_allclose(answer[:, :4], want[:, :4], atol=0.1, rtol=1e-3)
-            np.testing.assert_allclose(answer[:, 4:], want[:, 4:], atol=2e-3)
+        for answer, reference, shape in zip(network.predict(batches()), references, SHAPES, strict=True):
+            assert (
+                answer.shape == reference.shape == (shape[0], 7, sum(shape[1] * shape[2] // s**2 for s in (8, 16, 32)))
+            )
+            np.testing.assert_allclose(answer[:, :4], reference[:, :4], atol=0.1, rtol=1e-3)
+            np.testing.assert_allclose(answer[:, 4:], reference[:, 4:], atol=2e-3)
 
 
-def test_objects_answered_once_are_ranked_as_ultralytics_does(random_weights: dict[str, Path]) -> None:
+def test_end_to_end_predictions_are_ranked_as_in_ultralytics(random_weights: dict[str, Path]) -> None:
     torch, batch = api().torch, batches()[0]
     theirs = load_weights(random_weights["yolo26n"], torch.device("cpu")).fuse(verbose=False).eval()
     with torch.inference_mode():
-        wanted = theirs(torch.from_numpy(batch).permute(0, 3, 1, 2) / 255)[0].numpy()
+        references = theirs(torch.from_numpy(batch).permute(0, 3, 1, 2) / 255)[0].numpy()
     answer = opened(random_weights["yolo26n"], "torch").predict([batch])[0]
-    found = candidates(answer, True, 0.0)
-    for picture, rows in enumerate(wanted):
-        mine = np.flatnonzero(found.picture == picture)
-        mine = mine[np.argsort(-found.scores[mine], kind="stable")][:20]
-        np.testing.assert_allclose(found.scores[mine], rows[:20, 4], atol=1e-5)
-        np.testing.assert_allclose(found.boxes[mine], rows[:20, :4], atol=1e-2)
-        np.testing.assert_array_equal(found.numbers[mine], rows[:20, 5])
+    selected = candidates(answer, True, 0.0)
+    for picture, rows in enumerate(references):
+        ours = np.flatnonzero(selected.picture == picture)
+        ours = ours[np.argsort(-selected.scores[ours], kind="stable")][:20]
+        np.testing.assert_allclose(selected.scores[ours], rows[:20, 4], atol=1e-5)
+        np.testing.assert_allclose(selected.boxes[ours], rows[:20, :4], atol=1e-2)
+        np.testing.assert_array_equal(selected.numbers[ours], rows[:20, 5])
 
 
 @pytest.mark.parametrize("backend", EXPORTED)
-def test_a_pictures_answer_is_its_own(random_weights: dict[str, Path], backend: Backend) -> None:
-    """To the bit, with others or alone, on one core or more: frames that are shared out give what one process gives."""
+def test_output_does_not_depend_on_the_batch(random_weights: dict[str, Path], backend: Backend) -> None:
+    """Equal to the bit in a batch or alone, and with one thread or two."""
     network, alone = (
         opened(random_weights["yolo11n"], backend, threads=2),
         opened(random_weights["yolo11n"], backend, threads=1),
@@ -108,26 +110,32 @@ def test_a_pictures_answer_is_its_own(random_weights: dict[str, Path], backend: 
         np.testing.assert_array_equal(alone.predict([batch])[0], answer)
 
 
-def test_pictures_are_computed_alone_where_together_they_have_other_answers(
+def test_images_are_computed_alone_where_batches_give_other_output(
     random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = opened(random_weights["yolo11n"], "openvino", threads=2)
     many = [np.random.default_rng(0).integers(0, 256, (19, 64, 32, 3), np.uint8)]
-    wanted = network.predict(many)[0]
+    # whether batches are used depends on the processor
+    references = network.predict(many)[0]
     assert isinstance(network, openvino_network.OpenVinoNetwork)
-    assert network._lengths(many[0], 2) == [6, 6, 3, 3, 1]
-    assert network._lengths(many[0], 4) == [3, 3, 3, 3, 1, 1, 1, 1, 1, 1, 1]
     assert {shape[0] for shape, _ in network._compiled} == {1, *openvino_network.TOGETHER}
+    for streams, lengths in ((2, [6, 6, 3, 3, 1]), (4, [3, 3, 3, 3, 1, 1, 1, 1, 1, 1, 1])):
+        network._joins[many[0].shape[1:], streams] = True
+        assert network._lengths(many[0], streams) == lengths
+        network._joins[many[0].shape[1:], streams] = False
+        assert network._lengths(many[0], streams) == [1] * 19
 
     network._joins.clear()
     plain = network._run
     monkeypatch.setattr(
         network, "_run", lambda parts, n: (a if len(a) == 1 else np.nextafter(a, 1) for a in plain(parts, n))
     )
-    np.testing.assert_array_equal(network.predict(many)[0], wanted)
+    np.testing.assert_array_equal(network.predict(many)[0], references)
 
 
-def test_few_compiled_sizes_are_kept(random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_compiled_sizes_is_bounded(
+    random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(openvino_network, "MAX_COMPILED", 2)
     network = opened(random_weights["yolo11n"], "openvino", threads=1)
     assert isinstance(network, openvino_network.OpenVinoNetwork)
@@ -143,7 +151,7 @@ def test_boxes_on_real_pseudo_views_agree_with_torch(shared: Path, random_weight
     from annotator.rcv.teach import TaughtObject, teach_views
     from annotator.recordings import open_recording
     from annotator.types import BoxKind
-    from annotator.workflows.truth import load_truth
+    from annotator.workflows.recorded.reading import load_truth
 
     recording = open_recording(shared / "data" / "hand_gesture")
     frame = recording.frame(0)
@@ -153,21 +161,21 @@ def test_boxes_on_real_pseudo_views_agree_with_torch(shared: Path, random_weight
     views = [view.view for view in taught]
     assert len({view.rgb.shape for view in views}) > 3
     for weights in random_weights.values():
-        # Networks that have learnt nothing are sure of nothing: the better half of their scores, nothing suppressed.
+        # Untrained networks have low scores: compare the upper half of the scores, without suppression.
         settings: dict[str, Any] = {"confidence": 1e-3, "iou": 1.0, "image_size_px": 160}
         scores = [box.score for boxes in make(weights, backend="torch", **settings).detect(views) for box in boxes]
         settings["confidence"] = float(np.median(np.unique(scores)))
-        wanted = make(weights, backend="torch", **settings).detect(views)
-        assert sum(map(len, wanted)) > 50
+        references = make(weights, backend="torch", **settings).detect(views)
+        assert sum(map(len, references)) > 50
         for backend in EXPORTED:
-            found = make(weights, backend=backend, **settings).detect(views)
-            for boxes, want in zip(found, wanted, strict=True):
-                assert_same(boxes, want, settings["confidence"])
+            detected = make(weights, backend=backend, **settings).detect(views)
+            for boxes, expected in zip(detected, references, strict=True):
+                assert_same(boxes, expected, settings["confidence"])
 
 
-def assert_same(boxes: Sequence[Box2D], wanted: Sequence[Box2D], confidence: float) -> None:
-    """Each box has its like, within 1 px and 0.01, but for those at the edge of being none."""
-    for some, others in ((boxes, wanted), (wanted, boxes)):
+def assert_same(boxes: Sequence[Box2D], expected: Sequence[Box2D], confidence: float) -> None:
+    """Each box has a counterpart within 1 px and 0.01, except boxes near the confidence threshold."""
+    for some, others in ((boxes, expected), (expected, boxes)):
         for box in some:
             if box.score < confidence + 0.01:
                 continue

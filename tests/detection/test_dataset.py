@@ -29,7 +29,7 @@ def sample(group: str, boxes: Sequence[Box2D] = (BOX,), seed: int = 0, origin: s
     return TrainingSample(picture(seed), tuple(boxes), group, origin)
 
 
-def test_half_a_pixel_lies_between_the_first_centre_and_the_corner() -> None:
+def test_the_corner_is_half_a_pixel_from_the_first_centre() -> None:
     assert yolo_line(Box2D("a", -0.5, -0.5, 31.5, 23.5), 32, 24, 3) == "3 0.5000000 0.5000000 1.0000000 1.0000000"
     assert yolo_line(Box2D("a", -0.5, -0.5, 7.5, 5.5), 32, 24, 0) == "0 0.1250000 0.1250000 0.2500000 0.2500000"
 
@@ -57,7 +57,7 @@ def test_a_label_line_gives_the_clipped_box_back(
     np.testing.assert_allclose(got, want, atol=2e-5)
 
 
-def test_pictures_and_labels_are_where_yolo_looks(tmp_path: Path) -> None:
+def test_files_are_in_the_yolo_layout(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "set"
     classes = ("yes", "a: b", 'say "hi"')
     boxes = (Box2D("a: b", 0.0, 0.0, 9.0, 9.0), Box2D('say "hi"', 1.0, 2.0, 8.0, 9.0))
@@ -81,7 +81,7 @@ def test_pictures_and_labels_are_where_yolo_looks(tmp_path: Path) -> None:
     share=st.floats(0.05, 0.9),
     seed=st.integers(0, 5),
 )
-def test_views_of_a_frame_are_never_split(
+def test_views_of_a_frame_are_in_the_same_split(
     groups: list[str], share: float, seed: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("sets")
@@ -97,7 +97,7 @@ def test_views_of_a_frame_are_never_split(
     assert {entry.group: entry.split for entry in turned.entries} == split
 
 
-def test_one_group_is_measured_on_itself_and_says_so(tmp_path: Path) -> None:
+def test_a_single_group_is_validated_on_itself_with_a_note(tmp_path: Path) -> None:
     manifest = write_dataset(tmp_path / "set", [sample("1"), sample("1", seed=1), sample("2", ())], ["hand"], 0.5)
     assert manifest.measured_on == "train"
     assert manifest.images == {"train": 3, "val": 0}
@@ -123,7 +123,7 @@ def test_the_manifest_counts(tmp_path: Path) -> None:
     assert manifest.entries[1].label_uids == ("uid-7",)
 
 
-def test_the_hash_follows_pictures_labels_classes_and_split(tmp_path: Path) -> None:
+def test_the_hash_depends_on_images_labels_classes_and_split(tmp_path: Path) -> None:
     count = itertools.count()
 
     def digest(samples: list[TrainingSample], classes: Sequence[str] = ("hand",), **options: object) -> str:
@@ -148,7 +148,7 @@ def test_the_hash_follows_pictures_labels_classes_and_split(tmp_path: Path) -> N
     )
 
 
-def test_pictures_may_come_late_or_from_files(tmp_path: Path) -> None:
+def test_images_may_be_functions_or_files(tmp_path: Path) -> None:
     path = tmp_path / "given.png"
     cv2.imwrite(str(path), picture(5)[:, :, ::-1])
     calls = []
@@ -166,7 +166,7 @@ def test_pictures_may_come_late_or_from_files(tmp_path: Path) -> None:
         np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
 
 
-def test_jpeg_pictures(tmp_path: Path) -> None:
+def test_jpeg_images(tmp_path: Path) -> None:
     smooth = np.broadcast_to(np.arange(64, dtype=np.uint8)[None, :, None] * 3, (48, 64, 3)).copy()
     samples = [TrainingSample(smooth, (BOX,), str(i), "drawn") for i in range(2)]
     manifest = write_dataset(tmp_path / "set", samples, ["hand"], image_format="jpg")
@@ -188,7 +188,7 @@ def test_jpeg_pictures(tmp_path: Path) -> None:
         ([TrainingSample(Path("nowhere.png"), (BOX,), "1", "drawn")], ["hand"], 0.2, DetectionError),
     ],
 )
-def test_a_failed_set_leaves_nothing(
+def test_a_failed_write_leaves_nothing(
     samples: list[TrainingSample], classes: list[str], share: float, expected: type[Exception], tmp_path: Path
 ) -> None:
     with pytest.raises(expected):
@@ -196,7 +196,7 @@ def test_a_failed_set_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_older_set_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+def test_an_existing_set_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
     folder = tmp_path / "set"
     first = write_dataset(folder, [sample("1"), sample("2")], ["hand"])
     with pytest.raises(ConfigError):
@@ -208,7 +208,7 @@ def test_an_older_set_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [folder]
 
 
-def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("all of it")
     with pytest.raises(DetectionError, match="not a training set"):
         write_dataset(tmp_path, [sample("1")], ["hand"])

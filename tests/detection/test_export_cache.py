@@ -1,4 +1,4 @@
-"""Each trained model is exported once; what is kept is made anew where it cannot be trusted."""
+"""Each trained model is exported once, and again if the stored export is damaged or stale."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def opened(weights: Path, digest: str = "digest") -> Network:
 
 @pytest.fixture
 def exports(tiny_model: TrainedModel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
-    """Which exports were made; the work is done for the first one, as all tests here have the same weights."""
-    made: list[str] = []
+    """The exports that were requested. Only the first one is computed, as all tests here use the same weights."""
+    requested: list[str] = []
     real = EXPORT_ONCE
 
     def counted(weights: Path, kind: Any) -> Any:
-        made.append(kind)
+        requested.append(kind)
         return real(tiny_model.weights, kind)
 
     monkeypatch.setattr(export_module, "export", counted)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return made
+    return requested
 
 
-def test_an_export_is_made_once_and_anew_where_it_is_damaged_or_stale(
+def test_an_export_is_reused_unless_damaged_or_stale(
     own_weights: Path, exports: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def answer(digest: str = "a") -> np.ndarray:
@@ -58,29 +58,29 @@ def test_an_export_is_made_once_and_anew_where_it_is_damaged_or_stale(
     np.testing.assert_array_equal(answer(), first)
     assert len(exports) == 1
     (folder,) = (path for path in own_weights.parent.iterdir() if path.is_dir())
-    kept = {path.name: path.read_bytes() for path in folder.iterdir()}
-    record = json.loads(kept["export.json"])
+    stored = {path.name: path.read_bytes() for path in folder.iterdir()}
+    record = json.loads(stored["export.json"])
     damages = {
-        "network.onnx": (kept["network.onnx"][:-1], b"", None),
-        "export.json": (b"{}", json.dumps({**record, "key": "another"}).encode(), kept["export.json"][:50]),
+        "network.onnx": (stored["network.onnx"][:-1], b"", None),
+        "export.json": (b"{}", json.dumps({**record, "key": "another"}).encode(), stored["export.json"][:50]),
     }
-    wanted = 1
+    expected = 1
     for name, contents in damages.items():
         for content in contents:
             (folder / name).unlink() if content is None else (folder / name).write_bytes(content)
             np.testing.assert_array_equal(answer(), first)
-            wanted += 1
-            assert len(exports) == wanted
-            assert "made anew" in caplog.text
-            assert (folder / name).read_bytes() == kept[name]
+            expected += 1
+            assert len(exports) == expected
+            assert "exporting again" in caplog.text
+            assert (folder / name).read_bytes() == stored[name]
     answer("other weights")
     monkeypatch.setattr(export_cache, "REVISIONS", {"onnxruntime": export_cache.REVISIONS["onnxruntime"] + 1})
     answer()
-    assert len(exports) == wanted + 2
+    assert len(exports) == expected + 2
     assert not [path for path in own_weights.parent.iterdir() if path.name.startswith(".")]
 
 
-def test_where_nothing_can_be_written_the_users_cache_keeps_it_or_nobody(
+def test_an_export_goes_to_the_users_cache_if_the_folder_is_not_writable(
     own_weights: Path,
     exports: list[str],
     tmp_path: Path,
@@ -90,9 +90,9 @@ def test_where_nothing_can_be_written_the_users_cache_keeps_it_or_nobody(
     real, closed = export_cache.new_folder, [own_weights.parent]
 
     def refuse(out: Path, may_replace: Callable[[Path], bool]) -> Any:
-        # A superuser may write into folders that nobody may write into.
+        # Permissions of folders do not apply to the superuser, so the refusal is simulated.
         if any(out.is_relative_to(folder) for folder in closed):
-            raise FormatError(out, "cannot be made (Permission denied)")
+            raise FormatError(out, "cannot be requested (Permission denied)")
         return real(out, may_replace)
 
     monkeypatch.setattr(export_cache, "new_folder", refuse)
@@ -107,19 +107,19 @@ def test_where_nothing_can_be_written_the_users_cache_keeps_it_or_nobody(
     assert "Permission denied" in caplog.text
 
 
-def test_of_workers_that_start_together_one_exports(
+def test_only_one_of_several_workers_exports(
     own_weights: Path, exports: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each with torch and a network being converted would need more memory than there may be."""
+    """Several conversions at once could need more memory than the machine has."""
     real, together = find_export, Barrier(3)
     first = local()
 
     def looked_at_once(weights: Path, kind: ExportKind, key: str) -> Export | None:
-        found = real(weights, kind, key)
+        cached = real(weights, kind, key)
         if not hasattr(first, "looked"):
             first.looked = True
             together.wait(60)
-        return found
+        return cached
 
     monkeypatch.setattr(choose, "find_export", looked_at_once)
     with ThreadPoolExecutor(3) as pool:
@@ -128,13 +128,13 @@ def test_of_workers_that_start_together_one_exports(
 
 
 def test_two_processes_may_export_at_once(own_weights: Path, exports: list[str]) -> None:
-    """The second one finds the first one's when it has made its own, and leaves it as it is."""
+    """The second process finds the export of the first one when it stores its own, and does not replace it."""
     opened(own_weights)
     (folder,) = (path for path in own_weights.parent.iterdir() if path.is_dir())
     before = (folder / "export.json").stat().st_ino
     key = export_key("onnxruntime", "digest")
-    found = find_export(own_weights, "onnxruntime", key)
-    assert found is not None
-    keep_export(own_weights, "onnxruntime", key, Export(found.facts, found.parts))
+    cached = find_export(own_weights, "onnxruntime", key)
+    assert cached is not None
+    keep_export(own_weights, "onnxruntime", key, Export(cached.facts, cached.parts))
     assert (folder / "export.json").stat().st_ino == before
     assert len(list(own_weights.parent.iterdir())) == 2

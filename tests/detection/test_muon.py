@@ -1,15 +1,16 @@
-"""The optimiser."""
+"""The Muon optimiser."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from annotator.detection.config import TrainingConfig
 from annotator.detection.ultralytics_api import api
 
 
 @pytest.mark.parametrize("shape", [(8, 8), (4, 30), (30, 4), (1, 9)])
-def test_singular_values_come_near_one_and_directions_stay(shape: tuple[int, int]) -> None:
+def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -> None:
     torch = api().torch
     from annotator.detection.muon import orthogonalised
 
@@ -52,7 +53,7 @@ def test_it_solves_a_least_squares_problem() -> None:
     assert losses[-1] < 0.01 * losses[0]
 
 
-def test_its_state_can_be_kept_and_restored() -> None:
+def test_its_state_can_be_saved_and_restored() -> None:
     torch = api().torch
     from annotator.detection.muon import MuonSgd
 
@@ -77,3 +78,7 @@ def test_its_state_can_be_kept_and_restored() -> None:
     after.load_state_dict(before.state_dict())  # type: ignore[attr-defined]
     steps(second, after, range(3, 6))
     assert torch.allclose(straight, second)
+
+
+def test_stored_settings_with_the_old_name_are_read():
+    assert TrainingConfig.model_validate({"optimizer": "MuSGD"}).optimizer == "MuonSgd"

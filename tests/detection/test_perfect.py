@@ -1,4 +1,4 @@
-"""The detector that knows the truth."""
+"""The perfect detector."""
 
 from __future__ import annotations
 
@@ -75,21 +75,21 @@ def test_view_silhouette_spans_the_drawn_points() -> None:
     np.testing.assert_allclose(view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1))
 
 
-def test_boxes_are_clipped_to_the_picture() -> None:
+def test_boxes_are_clipped_to_the_view() -> None:
     frame = make_frame([NEAR], [50])
     (box,) = PerfectDetector.for_frame(frame, [NEAR]).detect([make_view(frame.cloud.xyz_m, (20, 14), 0.02)])[0]
     assert box.xyxy == (-0.5, -0.5, 19.5, 13.5)
 
 
 @pytest.mark.parametrize(("drawn", "found"), [(0, 0), (2, 0), (4, 0), (5, 1), (50, 1)])
-def test_a_view_with_too_little_of_an_object_does_not_show_it(drawn: int, found: int) -> None:
+def test_objects_with_too_few_drawn_points_are_not_detected(drawn: int, found: int) -> None:
     frame = make_frame([NEAR], [50])
     rest = np.array([[9.0, 9.0, 9.0]], np.float32)
     view = make_view(np.concatenate([frame.cloud.xyz_m[:drawn], rest]), (900, 900), 0.05)
     assert len(PerfectDetector.for_frame(frame, [NEAR]).detect([view])[0]) == found
 
 
-def test_objects_with_too_few_points_are_not_seen() -> None:
+def test_objects_with_too_few_points_are_not_detected() -> None:
     frame = make_frame([NEAR, FAR], [50, 6])
     view = make_view(frame.cloud.xyz_m, (300, 300))
     detector = PerfectDetector.for_frame(frame, [NEAR, FAR], min_points=7)
@@ -105,7 +105,7 @@ def test_image_box_is_that_of_the_visible_part(camera: Camera) -> None:
     assert boxes == [box_on_image(camera, wall.box, "wall")]
 
 
-def test_a_region_shows_what_of_the_image_is_on_it() -> None:
+def test_boxes_on_a_region_are_those_of_the_image_clipped() -> None:
     frame = make_frame([NEAR, FAR], [50, 50])
     detector = PerfectDetector.for_frame(frame, [NEAR, FAR])
     whole = {box.label: box for box in detector.detect([frame])[0]}
@@ -119,14 +119,14 @@ def test_a_region_shows_what_of_the_image_is_on_it() -> None:
     assert detector.detect([corner]) == [[]]
 
 
-def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen() -> None:
+def test_objects_outside_the_image_are_not_detected() -> None:
     behind = Truth("a", make_box((0.0, 0.0, -3.0), (1.0, 1.0, 1.0)))
     beside = Truth("b", make_box((9.0, 0.0, 3.0), (1.0, 1.0, 1.0)))
     frame = make_frame([behind, beside], [50, 50])
     assert PerfectDetector.for_frame(frame, [behind, beside]).detect([frame]) == [[]]
 
 
-def test_jitter_has_the_asked_spread_and_depends_on_the_picture_alone() -> None:
+def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     frame = make_frame([NEAR], [200])
     views = [make_view(frame.cloud.xyz_m, (300, 200), 0.02 + 0.0001 * i) for i in range(300)]
     exact = PerfectDetector.for_frame(frame, [NEAR]).detect(views)
@@ -157,7 +157,7 @@ def test_views_of_several_frames_in_one_batch_find_their_frame() -> None:
     assert [[b.label for b in boxes] for boxes in detector.detect([first, *views])] == [["Car"], ["Van"], ["Car"]]
 
 
-def test_what_it_was_not_made_for_is_an_error() -> None:
+def test_unknown_frames_and_unsupported_images_are_errors() -> None:
     detector = PerfectDetector.for_frame(make_frame([NEAR], [50]), [NEAR])
     with pytest.raises(DetectionError, match="000009"):
         detector.detect([make_frame([NEAR], [50], "000009")])

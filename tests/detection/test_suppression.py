@@ -29,7 +29,7 @@ def slowly(boxes: np.ndarray, scores: np.ndarray, groups: np.ndarray, iou: float
 @given(
     seed=st.integers(0, 10**6), count=st.integers(0, 40), iou=st.sampled_from([0.0, 0.3, 0.6, 1.0]), ties=st.booleans()
 )
-def test_it_keeps_what_the_definition_keeps(seed: int, count: int, iou: float, ties: bool) -> None:
+def test_it_agrees_with_the_definition(seed: int, count: int, iou: float, ties: bool) -> None:
     rng = np.random.default_rng(seed)
     low = rng.uniform(0, 30, (count, 2))
     boxes = np.concatenate([low, low + rng.uniform(1, 25, (count, 2))], axis=1)
@@ -38,6 +38,6 @@ def test_it_keeps_what_the_definition_keeps(seed: int, count: int, iou: float, t
     assert suppress(boxes, scores, groups, iou).tolist() == slowly(boxes, scores, groups, iou)
 
 
-def test_two_of_a_kind_and_one_of_another() -> None:
+def test_only_boxes_of_the_same_group_suppress_each_other() -> None:
     boxes = np.array([[0.0, 0, 10, 10], [1, 0, 11, 10], [0, 0, 10, 10]])
     assert suppress(boxes, np.array([0.5, 0.9, 0.3]), np.array([0, 0, 1]), 0.5).tolist() == [1, 2]

@@ -1,4 +1,4 @@
-"""Pictures that are looked at larger than detectors are trained at, cut into tiles."""
+"""Cutting images into tiles where detection uses a larger scale than training."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIZE_PX = 64
 
 
 def picture(height_px: int, width_px: int, box: Box2D | None = None) -> np.ndarray:
-    """Grey, an object white."""
+    """A grey image with a white object."""
     rgb = np.full((height_px, width_px, 3), 114, np.uint8)
     if box is not None:
         rgb[round(box.y_min + 0.5) : round(box.y_max + 0.5), round(box.x_min + 0.5) : round(box.x_max + 0.5)] = 255
@@ -23,19 +23,19 @@ def picture(height_px: int, width_px: int, box: Box2D | None = None) -> np.ndarr
 
 
 def white(rgb: np.ndarray) -> tuple[float, ...]:
-    """The box around what is white, edges of pixels."""
+    """The box around the white pixels, from edge to edge."""
     rows, columns = np.nonzero(rgb.min(axis=2) > 200)
     return columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5
 
 
-def test_pictures_that_are_looked_at_as_they_are_trained_stay_whole() -> None:
+def test_images_with_the_scale_of_training_are_not_cut() -> None:
     samples = [TrainingSample(picture(40, 224), (), "g", "drawn", look_px=look) for look in (0, 32, SIZE_PX)]
     assert list(tiled(samples, SIZE_PX)) == samples
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.integers(20, 224), st.integers(2, 60), st.integers(2, 60), st.data())
-def test_a_tile_shows_its_object_whole_and_as_large_as_it_will_be_seen(
+def test_a_tile_contains_its_object_at_the_scale_of_detection(
     height_px: int, across: int, along: int, data: st.DataObject
 ) -> None:
     along = min(along, height_px)
@@ -49,7 +49,7 @@ def test_a_tile_shows_its_object_whole_and_as_large_as_it_will_be_seen(
     assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (across, along)
     assert (around.label_uids, around.group, around.origin, around.look_px) == (("uid",), "g", "drawn", 0)
     assert anywhere.load().shape == around.load().shape
-    for cut in anywhere.boxes:  # what is labelled there is there, if not whole
+    for cut in anywhere.boxes:  # each label has pixels in the tile, perhaps not all
         assert (cut.x_max - cut.x_min, cut.y_max - cut.y_min) == (across, along)
         low_x, low_y, high_x, high_y = white(anywhere.load())
         assert max(cut.x_min, -0.5) == low_x and min(cut.x_max, SIZE_PX - 0.5) == high_x
@@ -58,7 +58,7 @@ def test_a_tile_shows_its_object_whole_and_as_large_as_it_will_be_seen(
 
 @settings(deadline=None, max_examples=200)
 @given(st.floats(-0.5, 150), st.floats(-0.5, 30), st.floats(1, 70), st.floats(1, 70))
-def test_objects_of_any_size_and_place_fit_into_their_tile(x: float, y: float, across: float, along: float) -> None:
+def test_objects_of_any_size_and_position_fit_into_their_tile(x: float, y: float, across: float, along: float) -> None:
     box = Box2D("a", x, y, min(x + across, 223.5), min(y + along, 79.5))
     around, _ = tiled([TrainingSample(picture(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
     height, width = around.load().shape[:2]
@@ -69,7 +69,7 @@ def test_objects_of_any_size_and_place_fit_into_their_tile(x: float, y: float, a
     assert -0.5 - 1e-9 <= shown.y_min < shown.y_max <= height - 0.5 + 1e-9
 
 
-def test_boxes_keep_their_place_in_a_picture_whose_size_is_rounded() -> None:
+def test_boxes_scale_with_the_rounded_size_of_the_image() -> None:
     """61 rows become 53, not 53.4."""
     box = Box2D("a", 99.5, 40.5, 119.5, 60.5)
     sample = TrainingSample(picture(61, 256, box), (box,), "g", "drawn", look_px=224)
@@ -78,21 +78,21 @@ def test_boxes_keep_their_place_in_a_picture_whose_size_is_rounded() -> None:
     assert around.boxes[0].y_max == pytest.approx(52.5)
 
 
-def test_a_drawn_picture_is_brought_to_the_size_that_it_is_looked_at_with() -> None:
+def test_a_drawn_image_is_scaled_to_its_size_in_detection() -> None:
     box = Box2D("a", 99.5, 19.5, 107.5, 39.5)
     sample = TrainingSample(picture(80, 448, box), (box,), "g", "drawn", look_px=224)
     shown = next(tiled([sample], SIZE_PX)).boxes[0]
     assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (4, 10)
 
 
-def test_an_object_larger_than_a_tile_gets_a_larger_one() -> None:
+def test_an_object_larger_than_a_tile_gets_a_larger_tile() -> None:
     box = Box2D("a", 49.5, 9.5, 149.5, 59.5)
     shown, *_ = tiled([TrainingSample(picture(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
     assert max(shown.load().shape) == 115
     assert shown.boxes[0].x_min >= -0.5 and shown.boxes[0].x_max <= 114.5
 
 
-def test_a_neighbour_cut_off_is_labelled_only_if_enough_of_it_is_left() -> None:
+def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:
     boxes = (Box2D("a", 100.0, 10.0, 110.0, 20.0), Box2D("b", 0.0, 0.0, 5.0, 5.0))
     sample = TrainingSample(picture(30, 224), boxes, "g", "drawn", ("first", "second"), look_px=224)
     first, second, _ = tiled([sample], SIZE_PX)
@@ -102,7 +102,7 @@ def test_a_neighbour_cut_off_is_labelled_only_if_enough_of_it_is_left() -> None:
     assert [tile.label_uids for tile in tiled([some], SIZE_PX)][:2] == [("first",), ()]
 
 
-def test_tiles_of_a_picture_are_always_the_same() -> None:
+def test_tiles_are_deterministic() -> None:
     box = Box2D("a", 100.0, 10.0, 110.0, 20.0)
     twice = [list(tiled([TrainingSample(picture(30, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)) for _ in "ab"]
     assert [tile.boxes for tile in twice[0]] == [tile.boxes for tile in twice[1]]

@@ -1,4 +1,4 @@
-"""Loading ultralytics must change nothing for the user: no network, no files, no other settings of the process."""
+"""Loading ultralytics has no side effects: no network access, no files, no changed settings of the process."""
 
 from __future__ import annotations
 
@@ -70,25 +70,25 @@ def test_importing_the_package_loads_no_torch(tmp_path: Path) -> None:
 
 def test_loading_is_silent_and_leaves_the_process_as_it_was(tmp_path: Path) -> None:
     out, home = run(SILENT, tmp_path)
-    told = json.loads(out)
-    assert told["asked"] == []
-    assert told["gone"] == []
-    assert told["same"]
-    assert told["changed"] == [
+    state = json.loads(out)
+    assert state["asked"] == []
+    assert state["gone"] == []
+    assert state["same"]
+    assert state["changed"] == [
         "ULTRALYTICS_SAFE_LOAD",
         "YOLO_AUTOINSTALL",
         "YOLO_CONFIG_DIR",
         "YOLO_OFFLINE",
         "YOLO_VERBOSE",
     ]
-    assert told["threads"][0] == told["threads"][1]
-    assert not told["torchvision"]
+    assert state["threads"][0] == state["threads"][1]
+    assert not state["torchvision"]
     files = sorted(str(path.relative_to(home)) for path in home.rglob("*") if path.is_file())
     assert files == [".cache/annotator/Ultralytics/settings.json"]
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not weights at all"])
-def test_unusable_weights_are_an_error_that_names_the_file(content: bytes | None, tmp_path: Path) -> None:
+def test_errors_of_unusable_weights_name_the_file(content: bytes | None, tmp_path: Path) -> None:
     path = tmp_path / "broken.pt"
     if content is not None:
         path.write_bytes(content)
@@ -96,7 +96,7 @@ def test_unusable_weights_are_an_error_that_names_the_file(content: bytes | None
         load_weights(path, pick_device("cpu"))
 
 
-def test_weights_that_hold_code_are_refused(tmp_path: Path) -> None:
+def test_weights_with_code_are_refused(tmp_path: Path) -> None:
     import pickle
     import zipfile
 

@@ -41,7 +41,7 @@ def test_by_hand(
     assert average_precision([FrameResult(boxes, scores, truth, ignored)], 0.5) == pytest.approx(expected)
 
 
-def test_nothing_asked_for_has_no_precision() -> None:
+def test_average_precision_without_true_boxes_is_nan() -> None:
     assert math.isnan(average_precision([FrameResult([box(0)], [1.0], [], [box(0)])], 0.5))
 
 
@@ -51,5 +51,5 @@ def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
     assert average_precision([first, second], 0.5) == pytest.approx(0.25)
 
 
-def test_what_is_ignored_is_not_matched() -> None:
+def test_ignored_boxes_are_not_matched() -> None:
     np.testing.assert_allclose(matched_ious(FrameResult([box(9)], [1.0], [box(0)], [box(9)])), [0.0])

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation import boxes as boxes_module
 from annotator.evaluation.boxes import BoxTable, overlapping
-from annotator.evaluation.oriented_protocol import evaluate_oriented
+from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.pairs import pairs_within, place_within
-from annotator.evaluation.poses import NAMINGS, pose_errors
+from annotator.evaluation.poses import LABELLINGS, pose_errors
 from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.geometry.iou import iou_3d
 from annotator.types import OrientedBox
@@ -95,7 +95,7 @@ def test_against_plain_loops(seed: int) -> None:
     assert result.mean(0.25) == pytest.approx(np.mean(areas))
 
 
-def test_what_is_perfect_has_1_and_no_error() -> None:
+def test_perfect_boxes_have_an_ap_of_1_and_no_error() -> None:
     truth = [(n, label, box(3.0 * n, turn=Rotation.from_rotvec([0, 0, n])), 0.5) for n in range(9) for label in "ab"]
     table = BoxTable.of(truth)
     assert [evaluate_sunrgbd(table, table).mean(t) for t in (0.15, 0.25, 0.5)] == pytest.approx([1.0] * 3)
@@ -105,7 +105,7 @@ def test_what_is_perfect_has_1_and_no_error() -> None:
         assert (found.center_error_m, found.rotation_error_rad, found.size_error) == pytest.approx((0, 0, 0), abs=1e-7)
 
 
-def test_the_order_of_rows_means_nothing() -> None:
+def test_the_order_of_rows_has_no_effect() -> None:
     truth = rooms(50, 1)
     found = shaken(truth, 2)
     rng = np.random.default_rng(3)
@@ -191,14 +191,14 @@ def test_pose_errors(true_size, size, turn, rotation_rad, size_error) -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(st.integers(0, 10_000), st.integers(0, 23))
-def test_the_name_of_a_box_means_nothing(seed: int, naming: int) -> None:
+def test_the_labelling_of_the_axes_has_no_effect(seed: int, naming: int) -> None:
     rng = np.random.default_rng(seed)
     turns, sizes = Rotation.random(2, rng=rng).as_matrix(), rng.uniform(0.2, 2.0, (2, 3))
     a, b = (
         BoxTable.of([(0, "a", OrientedBox.from_parts(np.zeros(3), turn, size), 1.0)])
         for turn, size in zip(turns, sizes, strict=True)
     )
-    name = NAMINGS[naming]
+    name = LABELLINGS[naming]
     renamed = OrientedBox.from_parts(np.zeros(3), turns[0] @ name, np.abs(name).T @ sizes[0])
     before, after = pose_errors(a, b), pose_errors(BoxTable.of([(0, "a", renamed, 1.0)]), b)
     assert after.rotation_rad[0] == pytest.approx(before.rotation_rad[0], abs=1e-7)
@@ -224,7 +224,7 @@ def test_places_within_groups(values: list[int]) -> None:
     assert place_within(np.array(ordered, np.int64)).tolist() == expected
 
 
-def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     truth, found = BoxTable.of(rooms(40, 5)), BoxTable.of(rooms(40, 6))
     whole = overlapping(found, truth)
     monkeypatch.setattr(boxes_module, "BLOCK", 3)

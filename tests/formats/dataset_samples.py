@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 
 CAMERA = Camera(6, 4, 5.0, 5.5, 2.5, 1.5)

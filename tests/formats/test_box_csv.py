@@ -38,16 +38,16 @@ def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
 BROKEN = [
     pytest.param([], 1, "image is missing", id="empty"),
     pytest.param([HEAD.removesuffix(",score"), ROW], 1, "score is missing", id="no-score"),
-    pytest.param([HEAD + ",colour", ROW], 1, "'colour' is not known", id="unknown-column"),
-    pytest.param([HEAD + ",yaw", ROW], 1, "twice", id="column-twice"),
-    pytest.param([HEAD, ROW, "3,bed"], 3, "has 10 fields", id="too-few"),
-    pytest.param([HEAD, ROW + ",1"], 2, "has 10 fields", id="too-many"),
+    pytest.param([HEAD + ",colour", ROW], 1, "'colour' is unknown", id="unknown-column"),
+    pytest.param([HEAD + ",yaw", ROW], 1, "two columns have the same name", id="column-twice"),
+    pytest.param([HEAD, ROW, "3,bed"], 3, "has 2 fields", id="too-few"),
+    pytest.param([HEAD, ROW + ",1"], 2, "has 11 fields", id="too-many"),
     pytest.param([HEAD, ROW.replace("-0.75", "low")], 2, "cz: 'low' is not a number", id="text"),
     pytest.param([HEAD, ROW.replace("-0.75", "1_0")], 2, "cz: '1_0' is not a number", id="underscore"),
     pytest.param([HEAD, ROW.replace("-0.25", "nan")], 2, "yaw: 'nan' is not a finite", id="nan"),
     pytest.param([HEAD, ROW.replace(",2,", ",-2,")], 2, "must be positive", id="negative-size"),
     pytest.param([HEAD, ROW.replace("night_stand", " ")], 2, "must not be empty", id="no-class"),
-    pytest.param([HEAD, '3,"bed'], 2, "is no CSV", id="open-quote"),
+    pytest.param([HEAD, '3,"bed'], 2, "is not valid CSV", id="open-quote"),
 ]
 
 

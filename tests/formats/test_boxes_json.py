@@ -48,8 +48,8 @@ def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, fram
     ("content", "complaint"),
     [
         pytest.param("{", "boxes.json:1: is not valid JSON", id="not-json"),
-        pytest.param("[]", "one entry a frame", id="a-list"),
-        pytest.param('{"a": [], "a": []}', "'a' is there twice", id="twin-frames"),
+        pytest.param("[]", "one entry per frame", id="a-list"),
+        pytest.param('{"a": [], "a": []}', "'a' occurs twice", id="twin-frames"),
         pytest.param({"a": {"label": "hand"}}, "a.0.center: Field required", id="missing-key"),
         pytest.param({"a": [UNIT, UNIT | {"size": [1, 2]}]}, r"a\.1\.size", id="two-sizes"),
         pytest.param({"a": UNIT | {"size": [1, 0, 1]}}, "frame a, hand: box sizes must be positive", id="flat"),

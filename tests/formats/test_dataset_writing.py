@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from dataset_samples import make_item
 
+from annotator.formats.dataset_writing import encoded_image, writing
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.openlabel import write_openlabel
-from annotator.formats.writing import encoded_image, writing
 from annotator.types.errors import FormatError
 
 
@@ -22,5 +22,5 @@ def test_gravity_is_lost_where_it_is_not_down_the_image(tmp_path: Path) -> None:
 
 
 def test_a_picture_that_is_too_large_for_its_format(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="a picture of 70000 x 1 pixels is too large"), writing(tmp_path):
+    with pytest.raises(FormatError, match="an image of 70000 x 1 pixels is too large"), writing(tmp_path):
         encoded_image(np.zeros((1, 70000, 3), np.uint8), "jpg")

@@ -26,8 +26,8 @@ def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
     [
         ("", r"frames\.csv:1: must begin with id,recording,key,split"),
         ("id,recording,key,split\n1,a,000,\n2,b\n", r"frames\.csv:3: needs id, recording, key, split"),
-        ("id,recording,key,split\n1,a,000,\n1,a,001,\n", r"frames\.csv:3: the id 1 is there twice"),
-        ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is no CSV table"),
+        ("id,recording,key,split\n1,a,000,\n1,a,001,\n", r"frames\.csv:3: the id 1 occurs twice"),
+        ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is not valid CSV"),
     ],
 )
 def test_damage_is_named_with_its_line(text: str, problem: str) -> None:

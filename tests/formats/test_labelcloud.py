@@ -16,7 +16,7 @@ from annotator.formats.labelcloud import read_labelcloud, write_labelcloud
 from annotator.formats.labelcloud.boxes import angles_xyz, box_of, centroid_object, vertices_object
 from annotator.formats.losses import Losses
 from annotator.formats.ply import XYZ
-from annotator.geometry.level import level_pose
+from annotator.geometry.transforms import level_pose
 from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 
@@ -182,12 +182,12 @@ FLAT = {"name": "a", "vertices": [[x, y, 0] for _ in (0, 1) for x, y in ((0, 0),
 @pytest.mark.parametrize(
     ("entries", "problem"),
     [
-        ([entry(0, 0, 0.5)], "labels: angles may be radians or degrees here"),
+        ([entry(0, 0, 0.5)], "labels: the angles may be radians or degrees"),
         ([entry(0, 0, -0.5), entry(0, 0, 200)], "labels: angles from -0.5 to 200.0 are neither"),
         ([entry(0, 0, -7)], "are neither"),
-        ([SKEW], r"000000\.json: objects\.0: vertices lie up to .* off the corners of a box"),
-        ([MIRRORED], r"objects\.0: vertices are not in labelCloud's order"),
-        ([FLAT], r"objects\.0: vertices lie in a plane"),
+        ([SKEW], r"000000\.json: objects\.0: the vertices lie up to .* off the corners of a box"),
+        ([MIRRORED], r"objects\.0: the vertices are not in labelCloud's order"),
+        ([FLAT], r"objects\.0: the vertices lie in one plane"),
         ([{"name": "a", "vertices": [[0, 0, 0]] * 7}], r"objects\.0\.vertices"),
         ([{"name": "a"}], r"objects\.0: .*a box needs centroid, dimensions and rotations, or vertices"),
         ([entry(0, 0, 0) | {"dimensions": {"length": -1, "width": 1, "height": 1}}], r"dimensions\.length"),
@@ -207,7 +207,7 @@ def test_what_is_no_label_is_named(tmp_path: Path, entries: list[dict[str, Any]]
         ("Tr_velo_to_cam: 1 0 0 0 0 nan 0 0 0 0 1 0\n", r"000000\.txt:1: Tr_velo_to_cam must be finite"),
         (
             "P2: 1 0 0 0 0 1 0 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 1 0 0 1e10 0 1 0 0 0 0 1 0\n",
-            r"calib/000000\.txt: takes objects\.0 of its cloud too far off: a box must be within",
+            r"calib/000000\.txt: moves objects\.0 of its cloud out of range: a box must be within",
         ),
     ],
 )

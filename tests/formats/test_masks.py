@@ -37,7 +37,7 @@ def test_a_real_mask_has_one_object(shared: Path):
 def test_a_truncated_mask_is_an_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     path = write(tmp_path / "m.png", np.random.default_rng(0).integers(0, 3, (50, 50)).astype(np.uint8))
     path.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(FormatError, match=r"m\.png: no mask: the PNG image is truncated"):
+    with pytest.raises(FormatError, match=r"m\.png: is not a valid mask: the PNG image is truncated"):
         read_mask(path)
 
 

@@ -196,14 +196,18 @@ ROW = {"token": "a0", "sample_token": "s", "instance_token": "i0", "translation"
     ("table", "rows", "problem"),
     [
         ("sample_annotation", [ROW | {"size": [0, 4, 1], "rotation": AHEAD}], r"sample_annotation\.json: 0\.size\.0"),
-        ("sample_annotation", [ROW | {"size": [2, 4, 1], "rotation": [0, 0, 0, 0]}], r"0: rotation: .* no unit quat"),
+        (
+            "sample_annotation",
+            [ROW | {"size": [2, 4, 1], "rotation": [0, 0, 0, 0]}],
+            r"0: rotation: .* not a unit quat",
+        ),
         (
             "sample_annotation",
             [ROW | {"size": [2, 4, 1], "rotation": AHEAD, "instance_token": "x"}],
-            r"0: instance\.json has no token x",
+            r"0: refers to the token x, which instance\.json does not have",
         ),
-        ("category", [{"token": "c", "name": "a"}, {"token": "c", "name": "b"}], "1: the token c is there twice"),
-        ("ego_pose", [], r"sample_data\.json: 0: ego_pose\.json has no token p"),
+        ("category", [{"token": "c", "name": "a"}, {"token": "c", "name": "b"}], "1: the token c occurs twice"),
+        ("ego_pose", [], r"sample_data\.json: 0: refers to the token p, which ego_pose\.json does not have"),
         ("sensor", [{"token": n, "channel": n, "modality": "lidar"} for n in "FB"], "has no key frame of a camera"),
         ("instance", {"token": "i0"}, r"instance\.json: the file: Input should be a valid tuple"),
     ],

@@ -15,7 +15,7 @@ from dataset_samples import make_item, make_label
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.dataset import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.labelcloud import read_labelcloud, write_labelcloud
 from annotator.formats.losses import Losses
 from annotator.formats.nuscenes import read_nuscenes, write_nuscenes
@@ -74,7 +74,7 @@ def damaged(data: st.DataObject, content: bytes, suffix: str) -> bytes:
 
 @pytest.mark.parametrize("name", READERS)
 @given(data=st.data())
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_a_damaged_file_is_an_error_that_names_it(datasets: Path, name: str, data: st.DataObject) -> None:
     folder = datasets / name
     files = sorted(path for path in folder.rglob("*") if path.suffix in (".json", ".csv", ".txt"))

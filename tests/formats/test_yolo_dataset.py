@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from annotator.formats.labelled_picture import LabelledPicture
+from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.yolo_dataset import YoloWriter
 from annotator.formats.yolo_read import read_yolo
 from annotator.types import Box2D
@@ -54,7 +54,7 @@ def test_an_undivided_dataset_is_measured_on_what_it_trains_on(tmp_path: Path) -
     content = yaml.safe_load((tmp_path / "data.yaml").read_text())
     assert (content["train"], content["val"]) == ("images/train", "images/train")
     assert len(read_yolo(tmp_path)) == 1
-    with pytest.raises(ConfigError, match="train, val and, if you like, test, not train, dev"):
+    with pytest.raises(ConfigError, match=r"train, val and \(optionally\) test, not train, dev"):
         YoloWriter(tmp_path / "other", ["no"], ["train", "dev"])
 
 
@@ -89,16 +89,29 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
         ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be different"),
         ({"data.yaml": "train: x\n  names: ["}, r"data\.yaml:2: is not valid YAML"),
         ({"data.yaml": "[" * 5000}, "is not valid YAML"),
+        # texts that are not what they claim, each of which PyYAML stumbles over in another way
+        *(
+            ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
+            for value in (
+                "!!int ''",
+                "!!int x",
+                "!!float ''",
+                "!!bool x",
+                "!!timestamp x",
+                "2020-99-99",
+                '"\\UFFFFFFFF"',
+            )
+        ),
         ({"data.yaml": "names: [a, 1]\ntrain: x"}, "names must be texts, in quotes"),
         ({"data.yaml": "train: x"}, "names: Field required"),
-        ({"data.yaml": "names: [a]"}, "names no picture"),
+        ({"data.yaml": "names: [a]"}, "names no image"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
         ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the dataset's folder"),
         ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the dataset's folder"),
         ({"data.yaml": "train: l.txt\nnames: [a]", "l.txt": "\n../../x.png"}, r"l\.txt:2: .* leads out"),
         ({"data.yaml": "train: i\nnames: [a]", "i/x.png": "", "i/x.txt": "0 1"}, r"i/x\.txt:1: has 2 fields"),
-        ({"data.yaml": "train: i\nnames: [a]", "i/x.BMP": ""}, r"i/x\.BMP: only PNG and JPEG pictures are read; save"),
-        ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG pictures are read"),
+        ({"data.yaml": "train: i\nnames: [a]", "i/x.BMP": ""}, r"i/x\.BMP: only PNG and JPEG images are read; save"),
+        ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG images are read"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, files: dict[str, str], says: str) -> None:
@@ -141,11 +154,13 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
 def test_names_that_nothing_can_have_are_told(tmp_path: Path, name: str) -> None:
     put(tmp_path, **{"list.txt": f"\n{name}\n", "data.yaml": "train: list.txt\nnames: [a]"})
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the dataset's folder, or is no name"):
+    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the dataset's folder, or is not a valid path"):
         read_yolo(tmp_path)
     put(tmp_path, **{"data.yaml": json.dumps({"train": name, "names": ["a"]})})
-    with pytest.raises(FormatError, match=r"data\.yaml: train: .* leads out of the dataset's folder, or is no name"):
+    with pytest.raises(
+        FormatError, match=r"data\.yaml: train: .* leads out of the dataset's folder, or is not a valid path"
+    ):
         read_yolo(tmp_path)
     picture = PictureLabels(name, tmp_path, (), None, lambda _w, _h: ())
-    with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the folder of pictures, or is no name"):
+    with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the image folder or is not a valid name"):
         picture.file(Path("coco.json"))

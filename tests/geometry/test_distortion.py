@@ -21,7 +21,7 @@ def grid(reach: float) -> np.ndarray:
 
 @settings(deadline=None)
 @given(cameras())
-def test_distort_is_what_opencv_projects(camera: Camera) -> None:
+def test_distort_agrees_with_opencv(camera: Camera) -> None:
     xy = grid(0.6)
     points = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     coefficients = np.array(camera.distortion) if camera.distortion else None
@@ -57,5 +57,5 @@ def test_a_lens_that_always_grows_has_no_limit() -> None:
     assert radius_limit_squared(()) == np.inf
 
 
-def test_nothing_to_undistort() -> None:
+def test_undistort_accepts_no_points() -> None:
     assert undistort(AZURE_KINECT, np.zeros((0, 2))).shape == (0, 2)

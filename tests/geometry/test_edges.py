@@ -1,4 +1,4 @@
-"""Wire frames on the image: what is visible of each edge, and nothing else."""
+"""The visible parts of the edges of boxes on the image."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_box_in_full_view_has_its_twelve_edges() -> None:
 @pytest.mark.parametrize(
     "place", [(0.0, 0.0, 3.0), (1.7, 0.2, 3.0), (-0.9, 0.8, 2.0), (0.0, 0.0, 0.4), (0.3, 0.1, 0.2)]
 )
-def test_the_pieces_span_what_the_box_spans(camera: Camera, place: tuple[float, float, float]) -> None:
+def test_the_pieces_have_the_extent_of_the_box(camera: Camera, place: tuple[float, float, float]) -> None:
     box = box_at(*place)
     (pieces,) = visible_edges(camera, [box])
     spanned = box_on_image(camera, box, "x")
@@ -44,7 +44,7 @@ def test_the_pieces_span_what_the_box_spans(camera: Camera, place: tuple[float, 
     assert np.isfinite(pieces).all()
 
 
-def test_what_cannot_be_seen_has_no_pieces_and_boxes_keep_their_order() -> None:
+def test_invisible_boxes_have_no_pieces_and_the_order_is_kept() -> None:
     behind, beside, shown = box_at(0, 0, -3.0), box_at(30.0, 0, 3.0), box_at(0, 0, 4.0)
     found = visible_edges(CAMERA, [behind, shown, beside])
     assert [len(pieces) for pieces in found] == [0, 12, 0]

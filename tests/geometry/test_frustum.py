@@ -1,4 +1,4 @@
-"""Which points a 2D box cuts out."""
+"""The points in the frustum of a 2D box."""
 
 from __future__ import annotations
 

@@ -249,7 +249,7 @@ def test_lists_of_different_length_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("which", "value"), [(0, np.nan), (1, np.inf), (2, 0.0), (2, -1.0), (2, np.nan)])
-def test_boxes_that_are_none_are_refused(which: int, value: float) -> None:
+def test_invalid_boxes_are_refused(which: int, value: float) -> None:
     broken = parts([UNIT])
     broken[which] = np.full_like(broken[which], value)
     with pytest.raises(GeometryError, match="finite"):

@@ -36,7 +36,7 @@ def test_an_upright_box_comes_back(yaw: float) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.7))
-@settings(deadline=None)
+@settings(max_examples=40)
 def test_no_other_upright_rotation_is_nearer(seed: int, lean: float) -> None:
     rng = np.random.default_rng(seed)
     about = rng.normal(size=3)
@@ -46,9 +46,9 @@ def test_no_other_upright_rotation_is_nearer(seed: int, lean: float) -> None:
     np.testing.assert_allclose(found.rotation[:, 2], UP, atol=1e-9)
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
     assert angle(R, found.rotation) == pytest.approx(tilt, abs=1e-6)
-    every = min(angle(R, upright(yaw)) for yaw in np.linspace(-np.pi, np.pi, 721))
+    every = min(angle(R, upright(yaw)) for yaw in np.linspace(-np.pi, np.pi, 361))
     assert tilt <= every + 1e-6
-    assert every <= tilt + np.deg2rad(0.5)
+    assert every <= tilt + np.deg2rad(1.0)
     np.testing.assert_array_equal(found.size_m, SIZE)
 
 

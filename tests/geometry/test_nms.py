@@ -64,7 +64,7 @@ def test_laws(seed: int, count: int, threshold: float) -> None:
         assert bool(above) == (i not in kept)
 
 
-def test_nothing_is_kept_of_nothing() -> None:
+def test_no_boxes_give_no_boxes() -> None:
     assert nms_3d([], np.zeros(0), [], 0.5).tolist() == []
 
 
@@ -72,6 +72,6 @@ def test_nothing_is_kept_of_nothing() -> None:
     ("scores", "labels", "message"),
     [([0.5], ["a"] * 4, "one score"), ([0.5] * 4, ["a"], "one label"), ([np.nan, 1, 1, 1], ["a"] * 4, "finite")],
 )
-def test_what_cannot_be_ranked_is_refused(scores: list[float], labels: list[str], message: str) -> None:
+def test_invalid_scores_are_refused(scores: list[float], labels: list[str], message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         nms_3d(ROW, np.array(scores, np.float64), labels, 0.5)

@@ -166,6 +166,6 @@ def test_fewer_points_than_neighbours_use_all_of_them() -> None:
 @pytest.mark.parametrize(
     ("points", "k", "message"), [(np.full((5, 3), np.nan), 16, "finite"), (np.ones((5, 3)), 2, "at least 3")]
 )
-def test_what_cannot_be_used_is_refused(points: np.ndarray, k: int, message: str) -> None:
+def test_invalid_input_is_refused(points: np.ndarray, k: int, message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         normals_knn(points, k)

@@ -1,4 +1,4 @@
-"""How much of a box is hidden, on scenes whose answer is known; and images that lose their lens."""
+"""Occlusion of boxes in scenes with a known result, and images without lens distortion."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from annotator.geometry.occlusion import Hidden, Sight
-from annotator.geometry.projection import pixel_rays, project
-from annotator.geometry.straighten import straightened
+from annotator.geometry.projection import pixel_rays, project, straightened
 from annotator.types import Camera, OrientedBox
 
 PIXELS = pixel_rays(Camera(40, 40, 40.0, 40.0, 19.5, 19.5)).reshape(-1, 2)
@@ -28,14 +27,14 @@ def points(depth_m: np.ndarray) -> np.ndarray:
         (2.0, 3.9, 0.05, 1.0),
     ],
 )
-def test_what_is_nearer_hides(left_m: float, right_m: float, margin_m: float, share: float) -> None:
+def test_nearer_points_hide_a_box(left_m: float, right_m: float, margin_m: float, share: float) -> None:
     depth = np.where(PIXELS[:, 0] < 0, left_m, right_m) * 1.000001
     hidden = Sight(points(depth)).hidden(BOX, margin_m)
     assert hidden.rays == 400  # 20 x 20 pixels: the front face is 2 m at 4 m
     assert hidden.share == pytest.approx(share)
 
 
-def test_nothing_measured_says_nothing() -> None:
+def test_the_hidden_share_is_nan_without_points() -> None:
     assert Sight(np.zeros((0, 3), np.float32)).hidden(BOX) == Hidden(0, 0)
     assert np.isnan(Hidden(0, 0).share)
     behind = OrientedBox.from_parts(np.array([0.0, 0.0, -5.0]), np.eye(3), np.ones(3))

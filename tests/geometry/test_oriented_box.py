@@ -1,16 +1,27 @@
-"""Corners and containment."""
+"""Corners, containment and boxes around points."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry_strategies import boxes, random_boxes, rigid_transforms
+from geometry_strategies import boxes, random_boxes, rigid_transforms, rotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import RigidTransform
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES, box_corners, contains, contains_parts, corners
+from annotator.geometry.oriented_box import (
+    CORNER_SIGNS,
+    EDGES,
+    MIN_SIDE_M,
+    aligned_box,
+    box_corners,
+    contains,
+    contains_parts,
+    corners,
+)
 from annotator.types import Box2D, OrientedBox
+from annotator.types.errors import GeometryError
 
 
 def test_the_order_of_the_corners() -> None:
@@ -61,7 +72,7 @@ def test_margin_moves_every_face_outwards() -> None:
     assert not contains(box, points, margin_m=0.08).any()
 
 
-def test_a_box_that_is_shrunk_to_nothing_contains_nothing() -> None:
+def test_a_box_without_extent_contains_no_points() -> None:
     box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.array([2.0, 4.0, 6.0]))
     assert contains(box, np.zeros((1, 3)), margin_m=-0.9).all()
     assert not contains(box, np.zeros((1, 3)), margin_m=-1.1).any()
@@ -100,9 +111,9 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 @pytest.mark.parametrize(
     "rotation",
     [MIRROR, np.zeros((3, 3)), 1.01 * np.eye(3), 1e200 * np.eye(3), np.nan * np.eye(3), np.eye(3) + 0.01, -np.eye(3)],
-    ids=["mirror", "nothing", "longer", "huge", "no numbers", "slanted", "turned inside out"],
+    ids=["mirror", "nothing", "longer", "huge", "not numbers", "slanted", "turned inside out"],
 )
-def test_a_matrix_that_is_no_rotation_is_no_box(rotation: np.ndarray) -> None:
+def test_a_matrix_that_is_not_a_rotation_is_refused(rotation: np.ndarray) -> None:
     with pytest.raises(ValueError, match="proper rotation matrix"):
         OrientedBox.from_parts(np.zeros(3), rotation, np.ones(3))
 
@@ -128,7 +139,7 @@ def test_a_matrix_that_is_nearly_a_rotation_becomes_one(box: OrientedBox, row: i
         ([0, 0, 0], [1, 1, 2e9]),
     ],
 )
-def test_what_is_no_place_or_size_is_no_box(center: list[float], size: list[float]) -> None:
+def test_invalid_positions_and_sizes_are_refused(center: list[float], size: list[float]) -> None:
     with pytest.raises(ValueError, match=r"finite|positive|within"):
         OrientedBox.from_parts(np.array(center, float), np.eye(3), np.array(size, float))
 
@@ -137,3 +148,25 @@ def test_what_is_no_place_or_size_is_no_box(center: list[float], size: list[floa
 def test_a_2d_box_has_finite_edges_in_order(edges: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"finite|positive width"):
         Box2D("thing", *map(float, edges))
+
+
+def point_clouds() -> st.SearchStrategy[np.ndarray]:
+    return hnp.arrays(np.float64, st.tuples(st.integers(5, 40), st.just(3)), elements=st.floats(-2.0, 2.0, width=16))
+
+
+@settings(deadline=None, max_examples=50)
+@given(point_clouds(), rotations())
+def test_an_aligned_box_touches_the_points_on_every_side(points: np.ndarray, rotation: Rotation) -> None:
+    found = aligned_box(points, rotation.as_matrix())
+    np.testing.assert_allclose(found.rotation, rotation.as_matrix(), atol=1e-9)
+    assert contains(found, points, 1e-9).all()
+    extents = np.ptp(points @ rotation.as_matrix(), axis=0)
+    np.testing.assert_allclose(found.size_m, np.maximum(extents, MIN_SIDE_M), atol=1e-9)
+
+
+def test_an_aligned_box_of_one_point_is_small_and_of_no_points_is_refused() -> None:
+    found = aligned_box(np.array([[1.0, 2.0, 3.0]]), np.eye(3))
+    np.testing.assert_array_equal(found.size_m, MIN_SIDE_M)
+    np.testing.assert_allclose(found.center_m, [1.0, 2.0, 3.0])
+    with pytest.raises(GeometryError, match="at least 1 point"):
+        aligned_box(np.zeros((0, 3)), np.eye(3))

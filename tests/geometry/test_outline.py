@@ -46,7 +46,7 @@ def test_faces_are_the_six_faces() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(boxes(2.0), cameras((200, 160)))
-def test_it_is_the_span_of_what_is_visible(box: OrientedBox, camera: Camera) -> None:
+def test_the_box_is_the_extent_of_the_visible_part(box: OrientedBox, camera: Camera) -> None:
     """Boxes about the camera too: beside it, behind it, around it."""
     px = surface_px(camera, box)
     found = box_on_image(camera, box, "thing", 1e-6)
@@ -87,7 +87,7 @@ def test_a_box_with_a_corner_behind_the_camera_has_the_box_of_its_visible_part()
     assert found.xyxy == pytest.approx(expected)
 
 
-def test_a_box_that_leaves_the_picture_at_a_slant_is_not_wider_than_what_is_seen() -> None:
+def test_a_box_cut_off_at_a_slant_is_not_wider_than_its_visible_part() -> None:
     turned = cv2.Rodrigues(np.array([0.0, 0.0, np.pi / 4]))[0]
     stick = OrientedBox.from_parts(np.array([0.0, 1.0, 3.0]), turned, np.array([3.0, 0.01, 0.01]))
     found = box_on_image(CAMERA, stick, "stick")
@@ -106,7 +106,7 @@ def test_around_the_camera_is_the_whole_picture() -> None:
 
 @pytest.mark.parametrize("center", [(0.0, 0.0, -3.0), (9.0, 0.0, 3.0), (0.0, -9.0, 3.0), (30.0, 0.0, 0.2)], ids=str)
 @pytest.mark.parametrize("camera", [CAMERA, FISHY, FOLDING], ids=["ideal", "fishy", "folding"])
-def test_what_is_not_in_the_picture_has_no_box(camera: Camera, center: tuple[float, ...]) -> None:
+def test_objects_outside_the_image_have_no_box(camera: Camera, center: tuple[float, ...]) -> None:
     assert box_on_image(camera, straight_box(center, (1.0, 1.0, 1.0)), "thing") is None
 
 
@@ -118,14 +118,14 @@ def test_a_lens_model_that_folds_back_shows_a_box_as_far_as_it_reaches() -> None
     assert 99.5 + 81.0 < found.x_max < 99.5 + 81.7
 
 
-def test_slivers_are_none() -> None:
+def test_slivers_give_no_box() -> None:
     far = straight_box((0.0, 0.0, 100.0), (1.0, 1.0, 1.0))
     assert box_on_image(CAMERA, far, "far") is None
     small = box_on_image(CAMERA, far, "far", 1.0)
     assert small is not None and small.width_px == pytest.approx(150 / 99.5)
 
 
-def test_points_span_what_of_them_is_in_the_picture() -> None:
+def test_the_box_of_points_covers_those_on_the_image() -> None:
     xyz = np.array([[0.0, 0.0, 2.0], [0.4, 0.2, 2.0], [5.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.02, 0.05]], np.float32)
     found = points_on_image(CAMERA, xyz, "a")
     assert found is not None and found.xyxy == pytest.approx((99.5, 79.5, 129.5, 94.5), abs=1e-4)

@@ -1,4 +1,4 @@
-"""A look into one box finds the same points as a look at the whole cloud."""
+"""Queries of the index give the same points as a search of the whole cloud."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def test_the_centre_of_the_first_pixel_is_0_0() -> None:
 
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (1.0, 0.0, -2.0), (0.0, 0.0, np.nan), (np.nan, 0.0, 1.0)])
 @pytest.mark.parametrize("distortion", [(), (0.1, 0.0, 0.0, 0.0)])
-def test_what_is_not_in_front_has_no_pixel(point: tuple[float, ...], distortion: tuple[float, ...]) -> None:
+def test_points_behind_the_camera_have_no_pixel(point: tuple[float, ...], distortion: tuple[float, ...]) -> None:
     camera = Camera(640, 480, 500.0, 500.0, 320.0, 240.0, distortion)
     both = project(camera, np.array([point, (0.0, 0.0, 1.0)]))
     assert np.isnan(both[0]).any()
@@ -90,7 +90,7 @@ def test_pixels_that_the_lens_does_not_reach_have_no_point() -> None:
     assert 0 not in pixel
 
 
-def test_negative_and_infinite_depth_is_none() -> None:
+def test_negative_and_infinite_depth_values_are_ignored() -> None:
     depth = np.array([[1.0, -1.0], [np.inf, 2.0]], np.float32)
     xyz, pixel = unproject_depth(Camera(2, 2, 1.0, 1.0, 0.0, 0.0), depth)
     assert pixel.tolist() == [0, 3]

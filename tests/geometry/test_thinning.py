@@ -1,4 +1,4 @@
-"""Fewer points that look like all of them."""
+"""Thinning of clouds."""
 
 from __future__ import annotations
 

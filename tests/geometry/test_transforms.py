@@ -1,4 +1,4 @@
-"""Rotations, frames and the paper's corner form."""
+"""Directions, axes, level poses and homogeneous corners."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import (
     corners_4x8,
-    right_handed_frame,
+    right_handed_axes,
     unit,
 )
 from annotator.types import OrientedBox
@@ -28,7 +28,7 @@ def is_rotation(matrix: np.ndarray) -> bool:
 @given(vectors(), vectors())
 def test_frame_is_right_handed_and_keeps_its_major_axis(major: np.ndarray, hint: np.ndarray) -> None:
     assume(np.linalg.norm(major) > 1e-6)
-    frame = right_handed_frame(major, hint)
+    frame = right_handed_axes(major, hint)
     assert is_rotation(frame)
     np.testing.assert_allclose(frame[:, 0], unit(major), atol=1e-12)
     if np.linalg.norm(np.cross(unit(major), hint)) > 1e-6:
@@ -38,11 +38,11 @@ def test_frame_is_right_handed_and_keeps_its_major_axis(major: np.ndarray, hint:
 
 @pytest.mark.parametrize("hint", [(0.0, 0.0, 5.0), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), (1e-13, 0.0, 1.0)])
 def test_frame_with_a_hint_along_the_major_axis(hint: tuple[float, float, float]) -> None:
-    assert is_rotation(right_handed_frame(np.array([0.0, 0.0, 2.0]), np.array(hint)))
+    assert is_rotation(right_handed_axes(np.array([0.0, 0.0, 2.0]), np.array(hint)))
 
 
 def test_frame_of_y_and_z_starts_at_y() -> None:
-    frame = right_handed_frame(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1.0, 1.0]))
+    frame = right_handed_axes(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1.0, 1.0]))
     np.testing.assert_allclose(frame, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15)
 
 
@@ -51,11 +51,11 @@ def test_frame_of_y_and_z_starts_at_y() -> None:
     [
         (lambda: unit(NOTHING), "no direction"),
         (lambda: unit(np.array([np.nan, 0.0, 1.0])), "no direction"),
-        (lambda: right_handed_frame(NOTHING, np.ones(3)), "no direction"),
-        (lambda: right_handed_frame(np.ones(3), np.array([np.inf, 0.0, 0.0])), "finite"),
+        (lambda: right_handed_axes(NOTHING, np.ones(3)), "no direction"),
+        (lambda: right_handed_axes(np.ones(3), np.array([np.inf, 0.0, 0.0])), "finite"),
     ],
 )
-def test_what_has_no_direction_is_refused(call, message: str) -> None:
+def test_vectors_without_direction_are_refused(call, message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         call()
 

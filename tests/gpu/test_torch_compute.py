@@ -160,7 +160,7 @@ def test_a_frame_is_uploaded_once_and_its_boxes_are_numpys(monkeypatch: pytest.M
 
 
 def test_a_device_that_is_not_there_is_named() -> None:
-    with pytest.raises(ComputeError, match=r"cannot work with points on nonsense .*run the detectors on the processor"):
+    with pytest.raises(ComputeError, match=r"cannot process points on nonsense .*run the detectors on the CPU"):
         TorchCompute("nonsense")
 
 

@@ -22,13 +22,13 @@ from annotator.geometry.nearest_upright import nearest_upright
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project as to_image
-from annotator.project import Change, NewLabel, Project, create_project
+from annotator.project import NewLabel, Project, WriteContext, create_project
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Source
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFormat, ExportOptions, Split, export_project
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.recordings import register_recording
-from annotator.workflows.truth import load_truth
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.reading import load_truth
 
 HERE = Path(__file__).resolve().parent
 PYTHON = HERE.parent.parent / ".venv-interop/bin/python"
@@ -70,7 +70,7 @@ def project(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
         boxes = [t.box for t in truths]
         boxes[0] = OrientedBox.from_parts(boxes[0].center_m, boxes[0].rotation @ tilt, boxes[0].size_m)
         new = [NewLabel("person", box, track_id=number) for number, box in enumerate(boxes)]
-        made.labels.create(made.frames.of()[index].id, new, Change(0, "me", Source.MANUAL))
+        made.labels.create(made.frames.of()[index].id, new, WriteContext(0, "me", Source.MANUAL))
     yield made
     made.close()
 
@@ -184,7 +184,7 @@ def draw(project: Project) -> None:
     ids = [frame.id for frame in project.frames.of()]
     for index, boxes in ((2, DRAWN), (4, ())):
         revision = project.frames.get(ids[index]).revision
-        project.boxes.set_on_image(ids[index], boxes, BoxKind.SILHOUETTE, Change(revision, "me"))
+        project.boxes.set_on_image(ids[index], boxes, BoxKind.SILHOUETTE, WriteContext(revision, "me"))
 
 
 def outlines(frames: dict[str, Any]) -> dict[str, list[Box2D]]:

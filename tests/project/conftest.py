@@ -1,4 +1,4 @@
-"""A new project with one recording, for every test that wants one."""
+"""Fixtures: a new project with one recording."""
 
 from __future__ import annotations
 

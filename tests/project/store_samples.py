@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import Change, FramePart, NewLabel, Project, StoredFrame
-from annotator.project.payloads import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
@@ -31,12 +31,12 @@ NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
 DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames")
 
 
-def by_hand(revision: int = 0, author: str = "ann") -> Change:
-    return Change(revision, author, Source.MANUAL)
+def by_hand(revision: int = 0, author: str = "ann") -> WriteContext:
+    return WriteContext(revision, author, Source.MANUAL)
 
 
-def by_machine(revision: int = 0) -> Change:
-    return Change(revision, "rcv", Source.AUTO)
+def by_machine(revision: int = 0) -> WriteContext:
+    return WriteContext(revision, "rcv", Source.AUTO)
 
 
 def box_at(x_m: float = 0.0, size_m: float = 1.0) -> OrientedBox:
@@ -48,8 +48,9 @@ def matrix3(array: np.ndarray) -> tuple[tuple[float, float, float], ...]:
 
 
 def view_trace(boxes: int = 1) -> ViewTrace:
-    found = tuple(Box2D("hand", 10.25 + n, 1 / 3, 99.5, 200.125, 0.9) for n in range(boxes))
-    return ViewTrace(matrix3(NOT_AXIS_ALIGNED), 0.00123456789, (-0.4, 0.25), 320, 240, found, 0 if found else None)
+    detected = tuple(Box2D("hand", 10.25 + n, 1 / 3, 99.5, 200.125, 0.9) for n in range(boxes))
+    used = 0 if detected else None
+    return ViewTrace(matrix3(NOT_AXIS_ALIGNED), 0.00123456789, (-0.4, 0.25), 320, 240, detected, used)
 
 
 def step_trace(views: int = 2) -> StepTrace:
@@ -84,14 +85,14 @@ def same_box(a: OrientedBox, b: OrientedBox) -> bool:
 
 
 def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
-    """All rows of the derived tables but for their own row numbers, in the order of these."""
-    found: dict[str, list[tuple[object, ...]]] = {}
+    """All rows of the derived tables in the order of their row ids, without these ids."""
+    state: dict[str, list[tuple[object, ...]]] = {}
     with project.store.read() as connection:
         for table in DERIVED_TABLES:
             rows = connection.execute(text(f"SELECT * FROM {table} ORDER BY 1")).mappings().all()
             named = table != "frames" and "id" in (rows[0] if rows else {})
-            found[table] = [tuple(value for key, value in row.items() if not (named and key == "id")) for row in rows]
-    return found
+            state[table] = [tuple(value for key, value in row.items() if not (named and key == "id")) for row in rows]
+    return state
 
 
 def some_boxes(count: int) -> list[Box2D]:
@@ -99,20 +100,20 @@ def some_boxes(count: int) -> list[Box2D]:
 
 
 Step = tuple[str, int, int, int]
-"""What to do, on which frame, and two small numbers that say how."""
+"""The kind of the step, the index of the frame, and two small parameters."""
 
 STEPS = ("propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk", "track", "span")
 
 
 def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[list[Step]]:
-    """Lists of steps, of `STEPS` and some more."""
+    """Lists of steps of the kinds `STEPS` and `more`."""
     small = st.integers(0, 3)
     step = st.tuples(st.sampled_from(STEPS + more), st.integers(0, frames - 1), small, small)
     return st.lists(step, min_size=1, max_size=longest)
 
 
 def actions(project: Project, views: list[str], step: Step) -> dict[str, Callable[[], object]]:
-    """What each of `STEPS` does to the present state; what that does not allow is a `ProjectError`."""
+    """The call for each kind in `STEPS`; raises `ProjectError` if the present state does not allow it."""
     _, place, a, b = step
     frame = project.frames.of()[place]
     labels = project.labels.of_frame(frame.id)
@@ -144,7 +145,7 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
 
 
 def _carried_over(frame: StoredFrame, track_id: int) -> FramePart:
-    """A part of an action over several frames."""
+    """One frame's part of an action over several frames."""
     proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
     uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
     carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)

@@ -1,4 +1,4 @@
-"""Events cannot be changed or removed, not even past the program."""
+"""Events cannot be changed or removed, not even with plain SQL."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_events_are_append_only(project: Project, frame: int, statement: str, ca
     connection.close()
 
 
-def test_the_log_tells_every_earlier_state(project: Project, frame: int) -> None:
+def test_the_log_keeps_every_earlier_event(project: Project, frame: int) -> None:
     uid = project.proposals.replace(frame, [proposal_at(0.0)], by_hand()).uids[0]
     project.labels.accept(frame, uid, by_hand(1))
     project.proposals.replace(frame, [proposal_at(7.0)], by_hand(2))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from store_samples import NOT_AXIS_ALIGNED, by_hand, matrix3
 
-from annotator.project import Change, Project, StoredRecording, ViewGeometry
+from annotator.project import Project, StoredRecording, ViewGeometry, WriteContext
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import ProjectError, StaleRevisionError
 
@@ -23,25 +23,25 @@ def view(project: Project) -> str:
 def test_boxes_on_an_image(project: Project, frame: int) -> None:
     assert project.boxes.on_image(frame) is None
     project.boxes.set_on_image(frame, HANDS, BoxKind.SILHOUETTE, by_hand())
-    found = project.boxes.on_image(frame)
-    assert found is not None
-    assert (found.boxes, found.box_kind, found.source, found.author) == (
+    boxes = project.boxes.on_image(frame)
+    assert boxes is not None
+    assert (boxes.boxes, boxes.box_kind, boxes.source, boxes.author) == (
         HANDS,
         BoxKind.SILHOUETTE,
         Source.MANUAL,
         "ann",
     )
-    project.boxes.set_on_image(frame, HANDS[:1], BoxKind.BOX, Change(1, "coco", Source.IMPORTED))
-    found = project.boxes.on_image(frame)
-    assert found is not None
-    assert (found.boxes, found.box_kind, found.source) == (HANDS[:1], BoxKind.BOX, Source.IMPORTED)
+    project.boxes.set_on_image(frame, HANDS[:1], BoxKind.BOX, WriteContext(1, "coco", Source.IMPORTED))
+    boxes = project.boxes.on_image(frame)
+    assert boxes is not None
+    assert (boxes.boxes, boxes.box_kind, boxes.source) == (HANDS[:1], BoxKind.BOX, Source.IMPORTED)
 
 
-def test_an_image_without_objects_is_labelled_too(project: Project, frame: int) -> None:
+def test_an_image_with_no_boxes_counts_as_labelled(project: Project, frame: int) -> None:
     project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
-    found = project.boxes.on_image(frame)
-    assert found is not None
-    assert found.boxes == ()
+    boxes = project.boxes.on_image(frame)
+    assert boxes is not None
+    assert boxes.boxes == ()
 
 
 def test_labelled_images_of_the_project(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
@@ -56,14 +56,14 @@ def test_boxes_on_a_view_of_a_frame(project: Project, frame: int, view: str) -> 
     geometry = ViewGeometry(axes=matrix3(NOT_AXIS_ALIGNED), metres_per_px=0.001, origin_m=(-0.5, 1 / 3))
     receipt = project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand(), frame_id=frame, step=1, geometry=geometry)
     assert receipt.revision == project.frames.get(frame).revision == 1
-    (found,) = project.boxes.on_views_of(frame)
-    assert (found.view_id, found.frame_id, found.boxes, found.step) == (view, frame, HANDS, 1)
-    assert found.geometry == geometry
-    assert project.boxes.on_views() == (found,)
+    (boxes,) = project.boxes.on_views_of(frame)
+    assert (boxes.view_id, boxes.frame_id, boxes.boxes, boxes.step) == (view, frame, HANDS, 1)
+    assert boxes.geometry == geometry
+    assert project.boxes.on_views() == (boxes,)
     project.boxes.set_on_view(view, [], BoxKind.BOX, by_hand(1), frame_id=frame)
-    (found,) = project.boxes.on_views_of(frame)
-    assert (found.boxes, found.step, found.geometry) == ((), None, None)
-    assert project.frame_state(frame).view_boxes == (found,)
+    (boxes,) = project.boxes.on_views_of(frame)
+    assert (boxes.boxes, boxes.step, boxes.geometry) == ((), None, None)
+    assert project.boxes.on_views() == (boxes,)
 
 
 def test_a_view_without_a_frame_has_its_own_revision(project: Project, view: str) -> None:
@@ -71,17 +71,17 @@ def test_a_view_without_a_frame_has_its_own_revision(project: Project, view: str
     with pytest.raises(StaleRevisionError, match="view "):
         project.boxes.set_on_view(view, [], BoxKind.BOX, by_hand())
     project.boxes.set_on_view(view, HANDS[:1], BoxKind.SILHOUETTE, by_hand(1))
-    (found,) = project.boxes.on_views()
-    assert (found.frame_id, found.revision, found.boxes, found.box_kind) == (None, 2, HANDS[:1], BoxKind.SILHOUETTE)
+    (boxes,) = project.boxes.on_views()
+    assert (boxes.frame_id, boxes.revision, boxes.boxes, boxes.box_kind) == (None, 2, HANDS[:1], BoxKind.SILHOUETTE)
 
 
-def test_one_picture_may_come_from_two_places(project: Project, frame: int, view: str) -> None:
+def test_the_same_image_may_be_a_view_of_a_frame_and_an_imported_one(project: Project, frame: int, view: str) -> None:
     project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand())
     project.boxes.set_on_view(view, HANDS[:1], BoxKind.BOX, by_hand(), frame_id=frame)
-    assert [(found.frame_id, len(found.boxes)) for found in project.boxes.on_views()] == [(None, 2), (frame, 1)]
+    assert [(boxes.frame_id, len(boxes.boxes)) for boxes in project.boxes.on_views()] == [(None, 2), (frame, 1)]
 
 
-def test_boxes_need_their_picture(project: Project, frame: int) -> None:
-    with pytest.raises(ProjectError, match="the picture is missing"):
+def test_boxes_on_a_view_need_its_image(project: Project, frame: int) -> None:
+    with pytest.raises(ProjectError, match="the image is missing"):
         project.boxes.set_on_view("0" * 64, HANDS, BoxKind.BOX, by_hand(), frame_id=frame)
     assert project.boxes.on_views() == ()

@@ -1,4 +1,4 @@
-"""Creating, opening and listing projects; what is wrong is said clearly."""
+"""Creating, opening and listing projects; errors name the problem and the remedy."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_an_existing_project_is_left_alone(project: Project) -> None:
     assert (project.path / "project.json").read_bytes() == before
 
 
-def test_of_two_that_create_the_same_project_one_wins(tmp_path: Path) -> None:
+def test_only_one_of_several_threads_creates_a_project(tmp_path: Path) -> None:
     barrier = threading.Barrier(4)
     outcomes: list[str] = []
 
@@ -134,17 +134,19 @@ def _newer(folder: Path) -> None:
         (_overwrite("project.db", b""), "not one of annotator's"),
         (_truncate, "project.db: is damaged"),
         (_foreign, "not one of annotator's"),
-        (_newer, r"newer annotator \(database version 99, this one knows up to \d+\); update annotator"),
+        (_newer, r"newer annotator \(database version 99, this one supports up to \d+\); update annotator"),
     ],
 )
-def test_what_is_wrong_is_said_at_opening(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+def test_opening_a_damaged_project_raises_a_clear_error(
+    tmp_path: Path, damage: Callable[[Path], None], message: str
+) -> None:
     create_project(tmp_path, "hands", ["hand"]).close()
     damage(tmp_path / "hands")
     with pytest.raises(ProjectError, match=message):
         open_project(tmp_path / "hands")
 
 
-def test_damage_inside_the_file_is_said_when_it_is_met(project: Project, frame: int) -> None:
+def test_damage_inside_the_file_is_reported_on_reading(project: Project, frame: int) -> None:
     project.labels.create(frame, [NewLabel("hand", box_at())] * 20, by_hand())
     project.close()
     path = project.path / "project.db"
@@ -159,13 +161,13 @@ def test_damage_inside_the_file_is_said_when_it_is_met(project: Project, frame: 
         broken.labels.of_frame(frame)
 
 
-def test_nowhere_is_not_a_project(tmp_path: Path) -> None:
+def test_a_missing_folder_is_not_a_project(tmp_path: Path) -> None:
     with pytest.raises(ProjectError, match="annotator new"):
         open_project(tmp_path / "none")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_lock_that_stays_is_said(project: Project, frame: int) -> None:
+def test_a_lasting_lock_is_reported(project: Project, frame: int) -> None:
     other = sqlite3.connect(project.path / "project.db", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     try:
@@ -174,14 +176,14 @@ def test_a_lock_that_stays_is_said(project: Project, frame: int) -> None:
             pytest.raises(ProjectError, match="locked by another process"),
         ):
             waiting.frames.finalise(frame, by_hand())
-        assert project.frames.get(frame).revision == 0, "readers are not held up"
+        assert project.frames.get(frame).revision == 0, "the lock does not block readers"
     finally:
         other.rollback()
         other.close()
     project.frames.finalise(frame, by_hand())
 
 
-def test_odd_characters_in_the_path_are_no_problem(tmp_path: Path) -> None:
+def test_the_path_may_contain_special_characters(tmp_path: Path) -> None:
     root = tmp_path / "a b?c#d%41&mode=memory"
     create_project(root, "hands", ["hand"]).close()
     with open_project(root / "hands") as project:
@@ -192,14 +194,14 @@ def test_odd_characters_in_the_path_are_no_problem(tmp_path: Path) -> None:
 def test_a_moved_project_opens(project: Project, tmp_path: Path) -> None:
     project.close()
     moved = project.path.rename(tmp_path / "elsewhere")
-    with open_project(moved) as found:
-        assert found.config.name == "hands"
+    with open_project(moved) as reopened:
+        assert reopened.config.name == "hands"
 
 
-def test_a_missing_sub_folder_is_made_again(project: Project) -> None:
+def test_a_missing_sub_folder_is_created_again(project: Project) -> None:
     (project.path / "views").rmdir()
-    with open_project(project.path) as found:
-        assert found.views.folder.is_dir()
+    with open_project(project.path) as reopened:
+        assert reopened.views.folder.is_dir()
 
 
 def test_projects_are_listed_with_their_problems(tmp_path: Path) -> None:
@@ -216,9 +218,7 @@ def test_projects_are_listed_with_their_problems(tmp_path: Path) -> None:
     assert list_projects(tmp_path / "none") == ()
 
 
-def test_a_project_that_nobody_may_read_is_listed_with_its_problem(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unreadable_project_is_listed_with_its_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("a", "b"):
         create_project(tmp_path, name, ["a"]).close()
 
@@ -234,17 +234,17 @@ def test_a_project_that_nobody_may_read_is_listed_with_its_problem(
     assert "cannot be read: [Errno 13] Permission denied" in (locked.problem or "")
 
 
-def test_classes_can_be_added_but_not_taken_from_boxes(project: Project, frame: int) -> None:
+def test_classes_can_be_added_but_not_removed_from_boxes(project: Project, frame: int) -> None:
     with open_project(project.path) as other:
         other.configure(classes=["hand", "person", "dog"])
-    with pytest.raises(ProjectError, match="a track id goes from"):
+    with pytest.raises(ProjectError, match="a track id must lie in"):
         NewLabel("dog", box_at(), track_id=10**30)
     receipt = project.labels.create(frame, [NewLabel("dog", box_at(), track_id=2**53)], by_hand()).receipt
     boxes = [Box2D("person", 0.0, 0.0, 1.0, 1.0)]
     project.boxes.set_on_image(frame, boxes, BoxKind.SILHOUETTE, by_hand(receipt.revision))
-    for kept, lost in ((["hand", "person"], "'dog'"), (["dog", "hand"], "'person'")):
-        with pytest.raises(ProjectError, match=f"{lost} cannot go"):
-            project.configure(classes=kept)
+    for remaining, removed in ((["hand", "person"], "'dog'"), (["dog", "hand"], "'person'")):
+        with pytest.raises(ProjectError, match=f"{removed} cannot be removed"):
+            project.configure(classes=remaining)
     assert project.configure(classes=["dog", "person"]).classes == ("dog", "person")
     with pytest.raises(ConfigError):
         project.configure(classes=[])

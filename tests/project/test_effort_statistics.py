@@ -1,4 +1,4 @@
-"""What a box costs, by where it came from, and what became of the proposals."""
+"""The cost of a box by its origin, and the results of the proposals' review."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import pytest
 from store_samples import box_at, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Change, Effort, NewLabel, Origin, Project
+from annotator.project import Effort, NewLabel, Origin, Project, WriteContext
 from annotator.project.efforts import draft_id
-from annotator.project.payloads import LabelAccepted, LabelCreated
+from annotator.project.event_types import LabelAccepted, LabelCreated
 from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Source
 
 
-def ann(revision: int, actions: int | None = None, seconds: float = 0.0, subject: str | None = None) -> Change:
-    return Change(revision, "ann", effort=None if actions is None else Effort(actions, seconds), subject=subject)
+def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target: str | None = None) -> WriteContext:
+    effort = None if actions is None else Effort(actions, seconds)
+    return WriteContext(revision, "ann", effort=effort, effort_target=target)
 
 
 def test_nothing_yet(project: Project, frame: int) -> None:
@@ -43,7 +44,7 @@ def test_proposals_accepted_edited_and_rejected(project: Project, frame: int) ->
     assert numbers.labels.by_class_and_state["hand"] == {"proposed": 1, "accepted": 2, "edited": 0, "rejected": 1}
 
 
-def test_an_edit_that_was_taken_back_leaves_the_proposal_untouched(project: Project, frame: int) -> None:
+def test_an_undone_edit_leaves_the_proposal_untouched(project: Project, frame: int) -> None:
     uid = project.proposals.replace(frame, [proposal_at(0.0)], by_machine()).uids[0] or ""
     project.labels.edit(frame, uid, ann(1, 2, 2.0), label="hand", box=box_at(9.0))
     project.history.undo("ann", effort=Effort(1, 0.5))
@@ -51,23 +52,23 @@ def test_an_edit_that_was_taken_back_leaves_the_proposal_untouched(project: Proj
     numbers = project.statistics()
     assert numbers.accepted_untouched == 1.0
     assert numbers.iou_proposal_to_final == pytest.approx(1.0)
-    assert numbers.effort.actions_a_box == 4.0, "the way there is counted"
+    assert numbers.effort.actions_a_box == 4.0, "the undone edit counts"
 
 
-def test_one_action_for_several_labels_is_shared(project: Project, frame: int) -> None:
+def test_an_action_for_several_labels_is_divided_among_them(project: Project, frame: int) -> None:
     uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
     project.log.append(frame, [LabelAccepted(uid=uid or "") for uid in uids], ann(1, 1, 3.0))
     numbers = project.statistics()
     assert (numbers.effort.boxes, numbers.effort.actions_a_box, numbers.effort.seconds_a_box) == (2, 0.5, 1.5)
 
 
-def test_effort_told_for_a_label_goes_to_it(project: Project, frame: int) -> None:
+def test_effort_with_a_target_counts_for_that_label(project: Project, frame: int) -> None:
     uids = project.labels.create(frame, [NewLabel("hand", box_at()), NewLabel("hand", box_at(5.0))], ann(0)).uids
     project.boxes.set_on_image(frame, [], BoxKind.BOX, ann(2, 4, 4.0, uids[1]))
     assert (project.statistics().effort.boxes, project.statistics().effort.actions_a_box) == (1, 4.0)
 
 
-def test_drags_before_there_is_a_label_go_to_what_they_become(project: Project, frame: int) -> None:
+def test_effort_for_a_draft_counts_for_its_label(project: Project, frame: int) -> None:
     first, moved = Box2D("hand", 1.0, 1.0, 9.0, 9.0), Box2D("hand", 2.0, 1.0, 9.0, 9.0)
     other = Box2D("hand", 50.0, 1.0, 60.0, 9.0)
     project.boxes.set_on_image(frame, [other], BoxKind.BOX, ann(0, 7, 7.0, draft_id(frame, other)))
@@ -81,14 +82,16 @@ def test_drags_before_there_is_a_label_go_to_what_they_become(project: Project, 
     assert numbers.by_origin["from nothing"].boxes == 1
 
 
-def test_where_boxes_came_from(project: Project, frame: int) -> None:
+def test_effort_by_origin(project: Project, frame: int) -> None:
     box = BoxRecord.of(box_at())
     made = [
         LabelCreated(uid=str(n), label="hand", box=box, origin=origin)
         for n, origin in enumerate((Origin.DRAWN, Origin.PLACED, Origin.COPIED))
     ]
     project.log.append(frame, made, ann(0, 6, 6.0))
-    imported = project.labels.create(frame, [NewLabel("hand", box_at())] * 2, Change(3, "import", Source.IMPORTED)).uids
+    imported = project.labels.create(
+        frame, [NewLabel("hand", box_at())] * 2, WriteContext(3, "import", Source.IMPORTED)
+    ).uids
     project.labels.edit(frame, imported[0], ann(5, 1, 1.0), label="hand", box=box_at(1.0))
     parts = project.statistics().effort.by_origin
     assert {name for name, part in parts.items() if part.boxes} == {
@@ -97,4 +100,4 @@ def test_where_boxes_came_from(project: Project, frame: int) -> None:
         "copied",
         "import edited",
     }
-    assert project.statistics().effort.boxes == 4, "what was imported and left as it was cost nobody anything"
+    assert project.statistics().effort.boxes == 4, "an imported box without an edit has no cost"

@@ -1,4 +1,4 @@
-"""Which frames a batch run has to do."""
+"""The frames that a batch run must process."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_failed_frames_are_kept_with_their_reason_and_tried_again(project: Proje
     assert project.jobs.results(run_id=run.id) == ()
 
 
-def test_other_settings_do_all_frames_anew(project: Project, recording: StoredRecording) -> None:
+def test_other_settings_process_all_frames_again(project: Project, recording: StoredRecording) -> None:
     first = _start(project)
     for key in "01234":
         _do(project, first, key)
@@ -115,7 +115,7 @@ def test_a_refused_pass_leaves_no_result(project: Project, recording: StoredReco
     assert project.frames.get(frame).revision == 2
 
 
-def test_what_is_not_there_is_named(project: Project, recording: StoredRecording) -> None:
+def test_errors_name_the_missing_run_or_frame(project: Project, recording: StoredRecording) -> None:
     run = _start(project, '{"a": 1}')
     with pytest.raises(ProjectError, match="no frame with id 99"):
         project.jobs.record_failure(run.id, 99, "x", 0.0)

@@ -1,4 +1,4 @@
-"""Old databases are upgraded, whole or not at all; new ones are refused."""
+"""Older databases are upgraded completely or not at all; newer ones are refused."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import pytest
 from sqlalchemy.exc import OperationalError
 from store_samples import by_hand, lost_object, proposal_at, state_of
 
-from annotator.project import Role, create_project, open_project
+from annotator.project import create_project, open_project
+from annotator.project.event_types import FrameFinalised, ProposalsReplaced, ProposedObject
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration
-from annotator.project.payloads import FrameFinalised, ProposalsReplaced, ProposedObject
 from annotator.project.records import ProposalRecord
 from annotator.project.schema import METADATA
 from annotator.project.store import open_store
-from annotator.types import BoxKind, Source
+from annotator.types import BoxKind, DetectorKind, Source
 from annotator.types.errors import ProjectError
 
 
 def version_one(path: Path) -> None:
-    """A database as the first migration made it, with a little of everything, written without the store."""
+    """A database of version 1 with sample rows, written without the store."""
     path.unlink()
     connection = sqlite3.connect(path)
     connection.execute("PRAGMA journal_mode = WAL")
@@ -56,7 +56,7 @@ def _version(path: Path) -> int:
     return version
 
 
-def test_a_version_1_database_is_upgraded_and_keeps_what_it_holds(old: Path) -> None:
+def test_a_version_1_database_is_upgraded_and_keeps_its_content(old: Path) -> None:
     with open_project(old) as project:
         assert [frame.revision for frame in project.frames.of()] == [2, 0]
         project.log.rebuild()
@@ -68,7 +68,9 @@ def test_a_version_1_database_is_upgraded_and_keeps_what_it_holds(old: Path) -> 
         assert [frame.key for frame in project.jobs.pending(run.key)] == ["b"]
         weights = project.models_folder / "w.pt"
         weights.write_bytes(b"w")
-        project.models.register(Role.IMAGE, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="f")
+        project.models.register(
+            DetectorKind.IMAGE, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="f"
+        )
         before = state_of(project)
     assert _version(old / "project.db") == MIGRATIONS[-1].version
     with open_project(old) as project:
@@ -87,19 +89,19 @@ def test_an_upgraded_database_has_the_same_tables_as_a_new_one(old: Path) -> Non
     assert schemas[0] == schemas[1]
 
 
-def test_the_tables_are_as_the_code_believes(tmp_path: Path) -> None:
+def test_the_tables_match_the_schema(tmp_path: Path) -> None:
     with create_project(tmp_path, "new", ["hand"]) as project, project.store.read() as connection:
         for name, table in METADATA.tables.items():
-            found = {
+            actual = {
                 row["name"]: (row["type"], bool(row["notnull"] or row["pk"]))
                 for row in connection.exec_driver_sql(f"PRAGMA table_info({name})").mappings()
             }
             types = {"INTEGER": "INTEGER", "BOOLEAN": "INTEGER", "TEXT": "TEXT", "FLOAT": "REAL"}
-            wanted = {column.name: (types[str(column.type)], not column.nullable) for column in table.columns}
-            assert found == wanted, name
+            expected = {column.name: (types[str(column.type)], not column.nullable) for column in table.columns}
+            assert actual == expected, name
 
 
-def test_labels_of_older_databases_learn_which_run_proposed_them(tmp_path: Path) -> None:
+def test_labels_of_older_databases_get_the_run_that_proposed_them(tmp_path: Path) -> None:
     path = tmp_path / "project.db"
     with sqlite3.connect(path) as connection:
         for migration in MIGRATIONS[:2]:
@@ -129,7 +131,9 @@ def test_a_newer_database_is_refused_and_not_touched(old: Path) -> None:
     open_project(old).close()
     path = old / "project.db"
     newest = MIGRATIONS[-1].version
-    with pytest.raises(ProjectError, match=rf"newer annotator \(database version {newest}, this one knows up to 1\)"):
+    with pytest.raises(
+        ProjectError, match=rf"newer annotator \(database version {newest}, this one supports up to 1\)"
+    ):
         open_store(path, migrations=MIGRATIONS[:1])
     assert _version(path) == newest
 

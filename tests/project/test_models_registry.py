@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from annotator.project import Project, Role, StoredModel, open_project
-from annotator.types import BoxKind
+from annotator.project import Project, StoredModel, open_project
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ProjectError
 
 
-def _register(project: Project, role: Role, name: str, activate: bool = True) -> StoredModel:
+def _register(project: Project, role: DetectorKind, name: str, activate: bool = True) -> StoredModel:
     folder = project.models_folder / name
     folder.mkdir()
     (folder / "best.pt").write_bytes(name.encode())
@@ -28,8 +28,14 @@ def _register(project: Project, role: Role, name: str, activate: bool = True) ->
     )
 
 
-def test_a_model_comes_back(project: Project) -> None:
-    model = _register(project, Role.VIEW, "a")
+def _active(project: Project, role: DetectorKind) -> int:
+    model = project.models.active(role)
+    assert model is not None
+    return model.id
+
+
+def test_a_registered_model_is_read_back(project: Project) -> None:
+    model = _register(project, DetectorKind.VIEW, "a")
     assert model.path == project.models_folder / "a" / "best.pt"
     assert model.manifest == project.models_folder / "a" / "manifest.json"
     assert (model.labels, model.box_kind, model.fingerprint) == (("hand", "person"), BoxKind.SILHOUETTE, "sha-a")
@@ -38,37 +44,31 @@ def test_a_model_comes_back(project: Project) -> None:
     assert project.models.get(model.id).path == model.path
 
 
-def test_each_role_has_its_own_latest_and_active_model(project: Project) -> None:
-    assert project.models.latest(Role.IMAGE) is None
-    assert project.models.active(Role.IMAGE) is None
-    first = _register(project, Role.IMAGE, "a")
-    second = _register(project, Role.IMAGE, "b")
-    view = _register(project, Role.VIEW, "c")
-    trial = _register(project, Role.IMAGE, "d", activate=False)
+def test_each_role_has_its_own_active_model(project: Project) -> None:
+    assert project.models.active(DetectorKind.IMAGE) is None
+    first = _register(project, DetectorKind.IMAGE, "a")
+    second = _register(project, DetectorKind.IMAGE, "b")
+    view = _register(project, DetectorKind.VIEW, "c")
+    trial = _register(project, DetectorKind.IMAGE, "d", activate=False)
 
-    def ids(role: Role) -> tuple[int, int]:
-        latest, active = project.models.latest(role), project.models.active(role)
-        assert latest is not None
-        assert active is not None
-        return latest.id, active.id
-
-    assert ids(Role.IMAGE) == (trial.id, second.id)
-    assert ids(Role.VIEW) == (view.id, view.id)
+    assert [model.id for model in project.models.all(DetectorKind.IMAGE)] == [first.id, second.id, trial.id]
+    assert _active(project, DetectorKind.IMAGE) == second.id
+    assert _active(project, DetectorKind.VIEW) == view.id
     assert project.models.activate(first.id).active
-    assert ids(Role.IMAGE) == (trial.id, first.id)
+    assert _active(project, DetectorKind.IMAGE) == first.id
     assert [model.active for model in project.models.all()] == [True, False, True, False]
-    assert [model.id for model in project.models.all(Role.VIEW)] == [view.id]
+    assert [model.id for model in project.models.all(DetectorKind.VIEW)] == [view.id]
 
 
 def test_models_move_with_the_project_and_others_stay(project: Project, tmp_path: Path) -> None:
-    _register(project, Role.VIEW, "a")
+    _register(project, DetectorKind.VIEW, "a")
     outside = tmp_path / "outside.pt"
     outside.write_bytes(b"w")
-    project.models.register(Role.IMAGE, outside, labels=[], box_kind=BoxKind.BOX, metrics={}, fingerprint="f")
+    project.models.register(DetectorKind.IMAGE, outside, labels=[], box_kind=BoxKind.BOX, metrics={}, fingerprint="f")
     project.close()
     moved = project.path.rename(tmp_path / "moved")
-    with open_project(moved) as found:
-        paths = [model.path for model in found.models.all()]
+    with open_project(moved) as reopened:
+        paths = [model.path for model in reopened.models.all()]
     assert paths == [moved / "models" / "a" / "best.pt", outside]
     assert all(path.is_file() for path in paths)
 
@@ -76,7 +76,7 @@ def test_models_move_with_the_project_and_others_stay(project: Project, tmp_path
 def test_missing_files_and_models_are_named(project: Project, tmp_path: Path) -> None:
     with pytest.raises(ProjectError, match=r"none\.pt: is missing"):
         project.models.register(
-            Role.IMAGE, tmp_path / "none.pt", labels=[], box_kind=BoxKind.BOX, metrics={}, fingerprint="f"
+            DetectorKind.IMAGE, tmp_path / "none.pt", labels=[], box_kind=BoxKind.BOX, metrics={}, fingerprint="f"
         )
     with pytest.raises(ProjectError, match="no model with id 5"):
         project.models.activate(5)

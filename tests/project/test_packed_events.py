@@ -1,4 +1,4 @@
-"""Long events are packed in the database, and nobody who asks the project notices."""
+"""Long events are compressed in the database, transparently for the project's API."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import sqlite3
 import zlib
 
 import pytest
-from store_samples import by_hand, by_machine, proposal_at, state_of
+from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
-from annotator.project import Project
+from annotator.project import NewLabel, Project
 from annotator.project.schema import PACKED_FROM
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ProjectError
@@ -60,7 +60,7 @@ def test_long_events_of_older_versions_are_still_text(
     assert len(first.payload.model_dump_json()) == len(third.payload.model_dump_json())
 
 
-def test_a_damaged_event_is_told(project: Project, frame: int) -> None:
+def test_a_damaged_event_is_reported(project: Project, frame: int) -> None:
     connection = sqlite3.connect(project.path / "project.db")
     connection.execute(
         "INSERT INTO events (frame_id, revision, kind, payload, author, time_ns, source) "
@@ -71,3 +71,15 @@ def test_a_damaged_event_is_told(project: Project, frame: int) -> None:
     connection.close()
     with pytest.raises(ProjectError, match=r"event of the project is damaged .* restore it from a backup"):
         project.log.of_frame(frame)
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "damage"),
+    [("labels", "box", '{"center_m": [1'), ("labels", "box", "{}"), ("recordings", "up", "[1")],
+)
+def test_a_damaged_row_is_told(project: Project, frame: int, table: str, column: str, damage: str) -> None:
+    project.labels.create(frame, [NewLabel("hand", box_at(0.0))], by_hand(0))
+    with project.store.write() as connection:
+        connection.exec_driver_sql(f"UPDATE {table} SET {column} = ?", (damage,))
+    with pytest.raises(ProjectError, match=r"a row of the project's database is damaged .* restore it from a backup"):
+        _ = project.labels.of_frame(frame), project.recordings.all()

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import select
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project, StoredRecording
+from annotator.project.schema import moves
 from annotator.types.errors import ProjectError
 
 
@@ -20,7 +22,13 @@ def _keys(project: Project) -> list[tuple[str, int | None]]:
     return [(frame.key, frame.index) for frame in project.frames.of()]
 
 
-def test_a_recording_comes_with_its_frames(project: Project, tmp_path: Path) -> None:
+def _moves(project: Project) -> list[tuple[str, str, str]]:
+    with project.store.read() as connection:
+        rows = connection.execute(select(moves).order_by(moves.c.id)).all()
+    return [(Path(row.path_before).name, Path(row.path_after).name, row.author) for row in rows]
+
+
+def test_a_recording_is_registered_with_its_frames(project: Project, tmp_path: Path) -> None:
     added = project.recordings.add(tmp_path / "walk", "kitti", "walk", ["a", "b"], True, [0, -2, 0])
     assert added.path == tmp_path / "walk"
     assert (added.format, added.name, added.is_sequence, added.frames) == ("kitti", "walk", True, 2)
@@ -51,20 +59,20 @@ def test_the_same_recording_twice_is_refused(project: Project, recording: Stored
     assert len(project.recordings.all()) == 1
 
 
-def test_recordings_of_one_name_are_told_apart(project: Project, tmp_path: Path) -> None:
+def test_recordings_of_one_name_get_a_suffix(project: Project, tmp_path: Path) -> None:
     names = [project.recordings.add(tmp_path / str(n), "rgbd", "seq", ["a"], True).name for n in range(3)]
     assert names == ["seq", "seq-2", "seq-3"]
 
 
-def test_a_key_that_comes_twice_is_refused(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
-    with pytest.raises(ProjectError, match="'a' comes twice"):
+def test_a_duplicate_key_is_refused(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+    with pytest.raises(ProjectError, match="'a' occurs twice"):
         project.recordings.add(tmp_path, "rgbd", "x", ["a", "b", "a"], True)
-    with pytest.raises(ProjectError, match="'b' comes twice"):
+    with pytest.raises(ProjectError, match="'b' occurs twice"):
         project.recordings.rescan(recording.id, ["b", "b"])
     assert len(project.frames.of()) == 5
 
 
-def test_a_new_look_finds_new_frames_and_misses_gone_ones(project: Project, recording: StoredRecording) -> None:
+def test_a_rescan_reports_new_and_missing_frames(project: Project, recording: StoredRecording) -> None:
     project.frames.finalise(project.frames.find(recording.id, "1").id, by_hand())
     rescan = project.recordings.rescan(recording.id, ["00", "0", "2", "1", "9"])
     assert (rescan.added, rescan.missing) == (("00", "9"), ("3", "4"))
@@ -76,7 +84,7 @@ def test_a_new_look_finds_new_frames_and_misses_gone_ones(project: Project, reco
     assert _keys(project)[5] == ("3", 5)
 
 
-def test_what_is_not_there_is_named(project: Project, recording: StoredRecording) -> None:
+def test_errors_name_the_missing_recording_or_frame(project: Project, recording: StoredRecording) -> None:
     with pytest.raises(ProjectError, match="no recording 'x'; it has: take"):
         project.recordings.find("x")
     for call in (
@@ -84,7 +92,6 @@ def test_what_is_not_there_is_named(project: Project, recording: StoredRecording
         lambda: project.recordings.rescan(99, ["a"]),
         lambda: project.frames.get(99),
         lambda: project.frames.find(recording.id, "99"),
-        lambda: project.frame_state(99),
         lambda: project.frames.finalise(99, by_hand()),
     ):
         with pytest.raises(ProjectError, match="99"):
@@ -98,7 +105,7 @@ def test_frames_of_some_recordings(project: Project, recording: StoredRecording,
     assert len(project.frames.of([recording.id, other.id])) == 6
 
 
-def test_a_recording_at_another_place_keeps_everything(project: Project, recording: StoredRecording) -> None:
+def test_a_moved_recording_keeps_frames_and_labels(project: Project, recording: StoredRecording) -> None:
     (uid,) = project.labels.create(project.frames.of()[1].id, [NewLabel("hand", box_at())], by_hand()).uids
     before = (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist())
     there, keys = recording.path.parent / "x" / ".." / "there", [str(n) for n in range(5)]
@@ -107,19 +114,18 @@ def test_a_recording_at_another_place_keeps_everything(project: Project, recordi
     assert (project.frames.of(), project.labels.get(uid).label.box.center_m.tolist()) == before
     back = project.recordings.move(recording.id, recording.path, keys, "bob")
     assert project.recordings.move(recording.id, recording.path, keys, "bob") == back == recording
-    told = [(move.before.name, move.after.name, move.author) for move in project.recordings.moves(recording.id)]
-    assert told == [("take", "there", "ann"), ("there", "take", "bob")]
+    assert _moves(project) == [("take", "there", "ann"), ("there", "take", "bob")]
     project.log.rebuild()
     assert project.recordings.get(recording.id) == recording
 
 
-def test_frames_that_were_missed_may_be_back_at_another_place(project: Project, recording: StoredRecording) -> None:
+def test_missing_frames_may_reappear_at_the_new_path(project: Project, recording: StoredRecording) -> None:
     project.recordings.rescan(recording.id, ["0", "1", "2"])
     project.recordings.move(recording.id, recording.path / "there", ["0", "1", "2", "4"], "ann")
     assert _keys(project) == [("0", 0), ("1", 1), ("2", 2), ("4", 3), ("3", None)]
 
 
-def test_a_recording_may_have_grown_at_its_new_place(project: Project, recording: StoredRecording) -> None:
+def test_a_moved_recording_may_have_more_frames(project: Project, recording: StoredRecording) -> None:
     before = project.frames.of()
     keys = ["early", *[str(n) for n in range(5)], "late"]
     moved = project.recordings.move(recording.id, recording.path / "there", keys, "ann")
@@ -130,24 +136,26 @@ def test_a_recording_may_have_grown_at_its_new_place(project: Project, recording
 @pytest.mark.parametrize(
     ("keys", "problem"),
     [
-        (["0", "1", "2", "4"], "it lacks frame 3; give the folder with the same 5 frames, and nothing was changed"),
+        (["0", "1", "2", "4"], "it lacks frame 3; nothing was changed; give the folder with the same 5 frames"),
         (["0", "1", "2", "4", "x"], "it lacks frame 3 and also has frame x;"),
         (["a"], "it lacks frames 0, 1, 2, 3, 4 and also has frame a;"),
         ([f"{n}" for n in range(1, 12)], "it lacks frame 0 and also has frames 5, 6, 7, 8, 9 and 2 more;"),
-        (["0", "0"], "'0' comes twice"),
+        (["0", "0"], "'0' occurs twice"),
     ],
 )
-def test_another_recording_is_no_new_place(
+def test_a_move_to_another_recording_is_refused(
     project: Project, recording: StoredRecording, keys: list[str], problem: str
 ) -> None:
     before = project.frames.of()
     with pytest.raises(ProjectError, match=re.escape(problem)):
         project.recordings.move(recording.id, recording.path / "there", keys, "ann")
     assert (project.recordings.get(recording.id), project.frames.of()) == (recording, before)
-    assert project.recordings.moves(recording.id) == ()
+    assert _moves(project) == []
 
 
-def test_two_recordings_are_not_in_one_place(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+def test_a_move_to_the_path_of_a_registered_recording_is_refused(
+    project: Project, recording: StoredRecording, tmp_path: Path
+) -> None:
     keys = [str(n) for n in range(5)]
     other = project.recordings.add(tmp_path / "other", "rgbd", "other", keys, True)
     with pytest.raises(ProjectError, match="already, as recording other"):

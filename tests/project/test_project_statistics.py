@@ -7,8 +7,8 @@ import json
 import numpy as np
 from store_samples import box_at, by_hand, by_machine, proposal_at
 
-from annotator.project import Change, NewLabel, Project, RunShare, StoredRecording
-from annotator.project.effort_statistics import ORIGINS
+from annotator.project import NewLabel, Project, RunShare, StoredRecording, WriteContext
+from annotator.project.efforts import ORIGINS
 from annotator.types import Box2D, BoxKind, Source
 
 NOTHING = {"boxes": 0, "seconds_a_box": None, "actions_a_box": None}
@@ -39,13 +39,13 @@ def test_everything_is_counted(project: Project, recording: StoredRecording) -> 
     ).uids
     project.labels.accept(frames[0], uids[0], by_hand(1))
     project.jobs.record_failure(run.id, frames[1], "broken", 0.1)
-    project.labels.create(frames[2], [NewLabel("person", box_at())], Change(0, "file", Source.IMPORTED))
+    project.labels.create(frames[2], [NewLabel("person", box_at())], WriteContext(0, "file", Source.IMPORTED))
     project.frames.finalise(frames[2], by_hand(1))
     boxes = [Box2D("hand", 0.0, 0.0, 1.0, 1.0)] * 2
     project.boxes.set_on_image(frames[3], boxes, BoxKind.BOX, by_hand())
-    project.boxes.set_on_image(frames[4], [], BoxKind.BOX, Change(0, "file", Source.IMPORTED))
+    project.boxes.set_on_image(frames[4], [], BoxKind.BOX, WriteContext(0, "file", Source.IMPORTED))
     view = project.views.store(np.zeros((4, 4, 3), np.uint8))
-    project.boxes.set_on_view(view, boxes + boxes[:1], BoxKind.BOX, Change(0, "file", Source.IMPORTED))
+    project.boxes.set_on_view(view, boxes + boxes[:1], BoxKind.BOX, WriteContext(0, "file", Source.IMPORTED))
 
     numbers = json.loads(project.statistics().model_dump_json())
     assert numbers == {

@@ -1,4 +1,4 @@
-"""Automatic passes: what is replaced, what survives, what is not proposed again."""
+"""Automatic passes: which labels they replace, which ones stay, and which objects are not proposed again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from annotator.types import Proposal, ReviewState
 from annotator.types.errors import ProjectError
 
 
-def test_a_new_pass_replaces_only_what_nobody_has_reviewed(project: Project, frame: int) -> None:
+def test_a_new_pass_replaces_only_unreviewed_labels(project: Project, frame: int) -> None:
     first = project.proposals.replace(frame, [proposal_at(x) for x in (0.0, 5.0, 10.0, 15.0)], by_machine()).uids
     project.labels.accept(frame, first[0], by_hand(1))
     project.labels.edit(frame, first[1], by_hand(2), label="hand", box=box_at(6.0))
@@ -32,7 +32,7 @@ def test_a_new_pass_replaces_only_what_nobody_has_reviewed(project: Project, fra
 
 
 @pytest.mark.parametrize("state", [ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED])
-def test_what_has_been_reviewed_is_not_proposed_again(project: Project, frame: int, state: ReviewState) -> None:
+def test_reviewed_objects_are_not_proposed_again(project: Project, frame: int, state: ReviewState) -> None:
     created = project.labels.create(frame, [NewLabel("hand", box_at(0.0), state=state)], by_hand())
     again = [proposal_at(0.01), proposal_at(3.0), proposal_at(0.01, "person")]
     replaced = project.proposals.replace(frame, again, by_machine(1))
@@ -45,7 +45,7 @@ def test_what_has_been_reviewed_is_not_proposed_again(project: Project, frame: i
 
 
 @pytest.mark.parametrize(("length_m", "covered"), [(0.51, 1), (0.49, 0), (1.96, 1), (2.04, 0)])
-def test_half_an_overlap_is_the_limit(project: Project, frame: int, length_m: float, covered: int) -> None:
+def test_an_iou_of_one_half_is_the_limit(project: Project, frame: int, length_m: float, covered: int) -> None:
     # boxes of one centre that differ only in length overlap by the ratio of the lengths
     project.labels.create(frame, [NewLabel("hand", box_at(0.0, 1.0))], by_hand())
     assert project.proposals.replace(frame, [proposal_at(0.0, size_m=length_m)], by_machine(1)).covered == covered
@@ -72,14 +72,15 @@ def test_a_deleted_label_may_be_proposed_again(project: Project, frame: int) -> 
     assert project.proposals.replace(frame, [proposal_at()], by_machine(2)).covered == 0
 
 
-def test_the_trace_can_be_read_back(project: Project, frame: int) -> None:
-    given: list[Proposal] = [proposal_at(0.0, steps=3, views=4), proposal_at(9.0, steps=1)]
+def test_the_trace_is_read_back(project: Project, frame: int) -> None:
+    proposals: list[Proposal] = [proposal_at(0.0, steps=3, views=4), proposal_at(9.0, steps=1)]
     run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
-    uids = project.proposals.replace(frame, given, by_machine(), lost=[lost_object()], run=RunShare(run.id, 0.5)).uids
+    share = RunShare(run.id, 0.5)
+    uids = project.proposals.replace(frame, proposals, by_machine(), lost=[lost_object()], run=share).uids
     project.labels.edit(frame, uids[0], by_hand(1), label="person", box=box_at(4.0))
-    for uid, proposal in zip(uids, given, strict=True):
-        back = project.proposals.of_label(uid)
-        assert back is not None
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    for back, proposal in zip([entry.proposal for entry in latest.objects], proposals, strict=True):
         assert (back.label, back.score, back.image_box, back.quality) == (
             proposal.label,
             proposal.score,
@@ -88,8 +89,6 @@ def test_the_trace_can_be_read_back(project: Project, frame: int) -> None:
         )
         assert back.trace == proposal.trace
         assert same_box(back.box, proposal.box)
-    latest = project.proposals.latest(frame)
-    assert latest is not None
     assert (latest.author, latest.run_id) == ("rcv", run.id)
     assert [entry.uid for entry in latest.objects] == list(uids)
     assert [dataclasses.astuple(lost) for lost in latest.lost] == [dataclasses.astuple(lost_object())]
@@ -108,23 +107,24 @@ def test_the_latest_pass_counts(project: Project, frame: int) -> None:
     ("field", "value"),
     [("score", math.nan), ("score", "high"), ("trace", ("not a step",)), ("quality", None), ("image_box", np.zeros(4))],
 )
-def test_what_would_not_come_back_is_refused(project: Project, frame: int, field: str, value: object) -> None:
+def test_values_that_cannot_be_stored_are_refused(project: Project, frame: int, field: str, value: object) -> None:
     bad = proposal_at()
-    object.__setattr__(bad, field, value)  # past the type's own check
+    object.__setattr__(bad, field, value)  # bypasses the check of the frozen dataclass
     with pytest.raises(ProjectError, match=r"frame 2 of recording take: .*cannot be stored"):
         project.proposals.replace(frame, [bad], by_machine())
     assert project.frames.get(frame).revision == 0
 
 
-def test_numbers_of_other_libraries_deep_in_a_trace(project: Project, frame: int) -> None:
+def test_numpy_numbers_in_a_trace(project: Project, frame: int) -> None:
     proposal = proposal_at()
     object.__setattr__(proposal.trace[0], "points_in", np.array([3]))
     with pytest.raises(ProjectError, match=r"frame 2 of recording take: .*cannot be stored"):
         project.proposals.replace(frame, [proposal], by_machine())
     assert project.log.of_frame(frame) == ()
     object.__setattr__(proposal.trace[0], "points_in", np.int64(3))
-    (uid,) = project.proposals.replace(frame, [proposal], by_machine()).uids
-    back = project.proposals.of_label(uid)
-    assert back is not None
+    project.proposals.replace(frame, [proposal], by_machine())
+    latest = project.proposals.latest(frame)
+    assert latest is not None
+    back = latest.objects[0].proposal
     assert type(back.trace[0].points_in) is int
     assert back.trace[0].points_in == 3

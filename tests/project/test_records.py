@@ -1,4 +1,4 @@
-"""What goes into an event comes back exactly."""
+"""Values stored in an event are read back without loss."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform
 from store_samples import boxes_2d, lost_object, oriented_boxes, proposal_at, proposals, same_box
 
-from annotator.project.payloads import PAYLOAD, ImageBoxesSet, LabelCreated, ProposalsReplaced
+from annotator.project.event_types import PAYLOAD, ImageBoxesSet, LabelCreated, ProposalsReplaced
 from annotator.project.records import BoxRecord, ProposalRecord, ViewGeometry, storable
 from annotator.types import Box2D, BoxKind, LostObject, OrientedBox, PseudoView, ReviewState
 from annotator.types.errors import ProjectError
 
 
 @given(oriented_boxes())
-def test_a_box_comes_back_to_the_last_bit(box: OrientedBox) -> None:
+def test_a_box_is_read_back_bit_for_bit(box: OrientedBox) -> None:
     assert same_box(BoxRecord.model_validate_json(BoxRecord.of(box).model_dump_json()).box(), box)
 
 
 @settings(max_examples=60, deadline=None)
 @given(proposals())
-def test_a_proposal_comes_back_exactly(proposal) -> None:
+def test_a_proposal_is_read_back_exactly(proposal) -> None:
     back = ProposalRecord.model_validate_json(ProposalRecord.of(proposal).model_dump_json()).proposal()
     assert same_box(back.box, proposal.box)
     for field in ("label", "score", "image_box", "trace", "quality"):
@@ -35,12 +35,12 @@ def test_a_proposal_comes_back_exactly(proposal) -> None:
 
 
 @given(st.lists(boxes_2d(), max_size=4).map(tuple), st.sampled_from(BoxKind))
-def test_boxes_come_back_exactly(boxes: tuple[Box2D, ...], kind: BoxKind) -> None:
+def test_boxes_are_read_back_exactly(boxes: tuple[Box2D, ...], kind: BoxKind) -> None:
     payload = ImageBoxesSet(boxes=boxes, box_kind=kind)
     assert PAYLOAD.validate_json(payload.model_dump_json()) == payload
 
 
-def test_a_lost_object_comes_back_exactly() -> None:
+def test_a_lost_object_is_read_back_exactly() -> None:
     lost = lost_object()
     back = PAYLOAD.validate_json(ProposalsReplaced(objects=(), lost=(lost,)).model_dump_json())
     assert isinstance(back, ProposalsReplaced)
@@ -48,7 +48,7 @@ def test_a_lost_object_comes_back_exactly() -> None:
     assert dataclasses.astuple(back.lost[0]) == dataclasses.astuple(lost)
 
 
-def test_a_signal_without_a_value_survives() -> None:
+def test_a_signal_without_a_value_is_read_back() -> None:
     proposal = proposal_at()
     odd = dataclasses.replace(
         proposal, quality=dataclasses.replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf)
@@ -58,7 +58,7 @@ def test_a_signal_without_a_value_survives() -> None:
     assert quality.last_change == math.inf
 
 
-def test_a_proposal_from_before_it_was_compared_with_the_image_is_read() -> None:
+def test_an_old_proposal_without_image_agreement_is_read() -> None:
     old = json.loads(ProposalRecord.of(proposal_at()).model_dump_json())
     del old["quality"]["image_agreement"]
     assert ProposalRecord.model_validate(old).quality.image_agreement is None
@@ -67,7 +67,7 @@ def test_a_proposal_from_before_it_was_compared_with_the_image_is_read() -> None
     assert ProposalRecord.model_validate_json(record.model_dump_json()).quality == measured
 
 
-def test_the_geometry_of_a_view_is_kept() -> None:
+def test_the_geometry_of_a_view_is_read_back() -> None:
     axes = np.eye(3)[[1, 2, 0]]
     picture, no_points = np.zeros((4, 5, 3), np.uint8), np.zeros((0, 3), np.float32)
     view = PseudoView(picture, axes, 0.01, np.array([-1.0, 0.5]), no_points, look_px=224)
@@ -91,7 +91,7 @@ NEW = LabelCreated(uid="a", label="hand", box=BoxRecord.of(OrientedBox(RigidTran
         ('"state":"accepted"', '"state":"proposed"'),
     ],
 )
-def test_an_event_that_says_nonsense_is_refused(old: str, new: str) -> None:
+def test_an_invalid_event_is_refused(old: str, new: str) -> None:
     content = NEW.model_dump_json()
     assert old in content
     assert PAYLOAD.validate_json(content) == NEW
@@ -106,7 +106,7 @@ def test_unknown_fields_deep_in_a_trace_are_refused() -> None:
         ProposalRecord.model_validate_json(content.replace('"metres_per_px"', '"typo":1,"metres_per_px"', 1))
 
 
-def test_a_pose_that_is_no_rotation_is_refused_in_words() -> None:
+def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None:
     sheared = np.eye(4)
     sheared[0, 1] = 0.5
     with (

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
-from annotator.project import REVIEWED, Change, NewLabel, Project, StoredRecording
+from annotator.project import REVIEWED, NewLabel, Project, StoredRecording, WriteContext
 from annotator.types import BoxKind, Label, ReviewState, Source
 from annotator.types.errors import ProjectError
 
@@ -49,7 +49,7 @@ def test_editing_sets_class_box_and_track(project: Project, frame: int, uid: str
     assert same_box(label.box, box_at(2.0))
 
 
-def test_a_rejected_label_stays_and_can_be_accepted_after_all(project: Project, frame: int, uid: str) -> None:
+def test_a_rejected_label_stays_and_can_still_be_accepted(project: Project, frame: int, uid: str) -> None:
     project.labels.reject(frame, uid, by_hand(1))
     assert _only(project, frame).state is ReviewState.REJECTED
     project.labels.accept(frame, uid, by_hand(2))
@@ -64,7 +64,6 @@ def test_a_deleted_label_is_gone(project: Project, frame: int, uid: str) -> None
         lambda: project.labels.delete(frame, uid, by_hand(2)),
         lambda: project.labels.edit(frame, uid, by_hand(2), label="hand", box=box_at()),
         lambda: project.labels.get(uid),
-        lambda: project.proposals.of_label(uid),
     ):
         with pytest.raises(ProjectError, match=uid):
             again()
@@ -79,24 +78,23 @@ def test_a_label_cannot_be_changed_through_another_frame(project: Project, frame
 
 
 @pytest.mark.parametrize("source", [Source.MANUAL, Source.IMPORTED])
-def test_drawn_and_imported_labels_stand_as_accepted(project: Project, frame: int, source: Source) -> None:
+def test_created_labels_keep_their_state_and_source(project: Project, frame: int, source: Source) -> None:
     new = [NewLabel("hand", box_at(0.0), track_id=3), NewLabel("person", box_at(1.0), 0.5, state=ReviewState.EDITED)]
-    created = project.labels.create(frame, new, Change(0, "ann", source))
+    created = project.labels.create(frame, new, WriteContext(0, "ann", source))
     labels = project.labels.of_frame(frame)
     assert tuple(label.uid for label in labels) == created.uids
     assert [label.source for label in labels] == [source, source]
     assert [label.state for label in labels] == [ReviewState.ACCEPTED, ReviewState.EDITED]
     assert [(label.score, label.track_id) for label in labels] == [(None, 3), (0.5, None)]
     assert project.labels.get(created.uids[0]).quality is None
-    assert project.proposals.of_label(created.uids[0]) is None
 
 
-def test_a_created_label_cannot_pose_as_a_proposal(project: Project, frame: int) -> None:
+def test_a_created_label_cannot_be_a_proposal(project: Project, frame: int) -> None:
     with pytest.raises(ProjectError, match="only an automatic pass proposes"):
         project.labels.create(frame, [NewLabel("hand", box_at(), state=ReviewState.PROPOSED)], by_hand())
 
 
-def test_the_signals_of_a_proposal_are_at_hand(project: Project, frame: int) -> None:
+def test_a_stored_label_has_the_signals_of_its_proposal(project: Project, frame: int) -> None:
     proposal = proposal_at()
     odd = replace(proposal, quality=replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf))
     uids = project.proposals.replace(frame, [proposal, odd], by_machine()).uids
@@ -126,23 +124,15 @@ def test_labels_are_selected_over_the_project(project: Project, recording: Store
     assert frames == sorted(frames)
 
 
-def test_the_state_of_a_frame_is_of_one_moment(project: Project, frame: int, uid: str) -> None:
-    state = project.frame_state(frame)
-    assert state.frame.revision == 1
-    assert [label.uid for label in state.labels] == [uid]
-    assert state.image_boxes is None
-    assert state.view_boxes == ()
-
-
 def test_signals_are_the_selected_labels_without_their_boxes(project: Project, recording: StoredRecording) -> None:
     one, two = (frame.id for frame in project.frames.of()[:2])
     project.proposals.replace(two, [proposal_at(0.0, score=0.6), proposal_at(5.0)], by_machine())
     project.labels.create(one, [NewLabel("person", box_at(1.0))], by_hand())
     for options in ({}, {"states": REVIEWED}, {"classes": ["hand"]}, {"recordings": [recording.id + 1]}):
-        wanted = project.labels.select(**options)
-        found = project.labels.signals(**options)
-        assert [(s.frame_id, s.uid, s.label, s.score, repr(s.quality)) for s in found] == [
-            (w.frame_id, w.label.uid, w.label.label, w.label.score, repr(w.quality)) for w in wanted
+        labels = project.labels.select(**options)
+        signals = project.labels.signals(**options)
+        assert [(s.frame_id, s.uid, s.label, s.score, repr(s.quality)) for s in signals] == [
+            (w.frame_id, w.label.uid, w.label.label, w.label.score, repr(w.quality)) for w in labels
         ]
     assert project.labels.frames(states=REVIEWED) == {one}
     assert project.labels.frames() == {one, two}

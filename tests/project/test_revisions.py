@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
-from annotator.project import Change, NewLabel, Project
-from annotator.project.payloads import FrameFinalised, LabelAccepted, LabelRejected
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.project.event_types import FrameFinalised, LabelAccepted, LabelRejected
 from annotator.types import Box2D, BoxKind, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 
@@ -93,20 +93,20 @@ def test_a_class_that_the_project_does_not_have_is_refused(project: Project, fra
         lambda: project.labels.create(frame, [NewLabel("hnad", box_at())], by_hand()),
         lambda: project.proposals.replace(frame, [proposal_at(label="hnad")], by_machine()),
     ):
-        with pytest.raises(ProjectError, match=r"'hnad' is no class of the project \(hand, person\)"):
+        with pytest.raises(ProjectError, match=r"'hnad' is not a class of the project \(hand, person\)"):
             refused()
     assert project.frames.get(frame).revision == 0
 
 
-def test_every_event_knows_who_when_and_how(tmp_path, project: Project, frame: int) -> None:
-    project.boxes.set_on_image(frame, [HAND], BoxKind.BOX, Change(0, "importer", Source.IMPORTED))
+def test_every_event_has_author_time_and_source(tmp_path, project: Project, frame: int) -> None:
+    project.boxes.set_on_image(frame, [HAND], BoxKind.BOX, WriteContext(0, "importer", Source.IMPORTED))
     (event,) = project.log.of_frame(frame)
     assert (event.author, event.source) == ("importer", Source.IMPORTED)
     assert event.time_ns > 1_700_000_000 * 10**9
     with pytest.raises(ProjectError, match="needs an author"):
-        Change(1, "  ")
+        WriteContext(1, "  ")
 
 
-def test_nothing_to_say_changes_nothing(project: Project, frame: int) -> None:
+def test_appending_no_events_changes_nothing(project: Project, frame: int) -> None:
     receipt = project.log.append(frame, [], by_hand())
     assert (receipt.event_ids, receipt.revision) == ((), 0)

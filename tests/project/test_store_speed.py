@@ -1,6 +1,6 @@
-"""The store stays out of the way of large projects: what it asks of the database does not grow with the frames.
+"""The number of SQL statements does not grow with the number of frames.
 
-(How long it takes is measured by `python -m benchmarks.store`.)
+(`python -m benchmarks.store` measures the times.)
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ Counted = Callable[[Callable[[], object]], int]
 
 @pytest.fixture
 def statements() -> Counted:
-    """`statements(work)` -> how many statements the databases got meanwhile."""
+    """`statements(work)` -> the number of SQL statements during `work`."""
 
     def count(work: Callable[[], object]) -> int:
-        told: list[str] = []
+        executed: list[str] = []
 
-        def tell(connection, cursor, statement, parameters, context, many) -> None:
-            told.append(statement)
+        def record(connection, cursor, statement, parameters, context, many) -> None:
+            executed.append(statement)
 
-        event.listen(Engine, "before_cursor_execute", tell)
+        event.listen(Engine, "before_cursor_execute", record)
         try:
             work()
         finally:
-            event.remove(Engine, "before_cursor_execute", tell)
-        return len(told)
+            event.remove(Engine, "before_cursor_execute", record)
+        return len(executed)
 
     return count
 
 
 @pytest.fixture
 def of_length(tmp_path: Path) -> Callable[[int], Project]:
-    """A new project with a recording of so many frames."""
+    """Creates a project with a recording of the given number of frames."""
 
     def make(frames: int) -> Project:
-        made = create_project(tmp_path, f"long{frames}", ("hand",))
-        made.recordings.add(tmp_path / "recording", "rgbd", "long", [f"{n:06d}" for n in range(frames)], True)
-        return made
+        project = create_project(tmp_path, f"long{frames}", ("hand",))
+        project.recordings.add(tmp_path / "recording", "rgbd", "long", [f"{n:06d}" for n in range(frames)], True)
+        return project
 
     return make
 
@@ -82,4 +82,4 @@ def test_proposals_of_a_frame_are_a_few_statements(project: Project, tmp_path: P
         for frame in frames[:20]
     ]
     assert max(counts) < 60, "of one frame"
-    assert len(set(counts[5:])) == 1, "no more the more frames have theirs"
+    assert len(set(counts[5:])) == 1, "the number is constant once other frames have proposals"

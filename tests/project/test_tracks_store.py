@@ -1,4 +1,4 @@
-"""Track ids: who gave them, and actions that reach over several frames."""
+"""Track ids and their origin, and actions over several frames."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
 from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording
-from annotator.project.payloads import (
+from annotator.project.event_types import (
     LabelDeleted,
     LabelProposed,
     LabelTracked,
@@ -19,26 +19,26 @@ from annotator.types import ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
 
 
-def _given(project: Project, uid: str) -> tuple[int | None, bool]:
+def _track(project: Project, uid: str) -> tuple[int | None, bool]:
     stored = project.labels.get(uid)
     return stored.label.track_id, stored.track_linked
 
 
-def test_it_is_known_whether_linking_or_somebody_gave_a_track_id(project: Project, frame: int) -> None:
+def test_a_track_id_from_linking_is_told_from_one_of_an_operator(project: Project, frame: int) -> None:
     (uid,) = project.proposals.replace(frame, [proposal_at()], by_machine(), track_ids=[4]).uids
     assert uid is not None
-    assert _given(project, uid) == (4, True)
+    assert _track(project, uid) == (4, True)
     project.labels.edit(frame, uid, by_hand(1), label="hand", box=box_at(1.0), track_id=4)
-    assert _given(project, uid) == (4, True), "an edit of the box says nothing about the track"
+    assert _track(project, uid) == (4, True), "an edit of the box says nothing about the track"
     project.labels.edit(frame, uid, by_hand(2), label="hand", box=box_at(1.0), track_id=5)
-    assert _given(project, uid) == (5, False)
+    assert _track(project, uid) == (5, False)
     project.log.append(frame, [TracksLinked(labels=(LinkedLabel(uid=uid, track_id=6),))], by_machine(3))
-    assert _given(project, uid) == (6, True)
+    assert _track(project, uid) == (6, True)
     project.log.append(frame, [LabelTracked(uid=uid, track_id=None)], by_hand(4))
-    assert _given(project, uid) == (None, False)
+    assert _track(project, uid) == (None, False)
     assert project.history.next("ann")[0] == "track hand (frame 2)"
     project.history.undo("ann")
-    assert _given(project, uid) == (6, True)
+    assert _track(project, uid) == (6, True)
     assert project.labels.get(uid).label.state is ReviewState.EDITED
 
 
@@ -51,7 +51,7 @@ def test_linking_never_changes_a_reviewed_box_nor_a_finalised_frame(project: Pro
     project.frames.finalise(frame, by_hand(1))
     with pytest.raises(FinalisedFrameError):
         project.log.append(frame, [TracksLinked(labels=(LinkedLabel(uid=uid, track_id=1),))], by_machine(2))
-    # nobody made the linking by hand, so nobody takes it back
+    # linking is automatic and cannot be undone
     assert project.history.next("ann")[0] == "finalise frame 2"
 
 
@@ -64,7 +64,7 @@ def test_a_proposal_never_gets_the_track_of_a_reviewed_box_in_its_frame(project:
     project.labels.reject(frame, wrong, by_hand(2))
     found = [proposal_at(6.0), proposal_at(9.0)]
     again = project.proposals.replace(frame, found, by_machine(3), track_ids=[4, 5]).uids
-    assert [_given(project, uid) for uid in again if uid] == [(None, False), (5, True)]
+    assert [_track(project, uid) for uid in again if uid] == [(None, False), (5, True)]
 
 
 def test_an_old_event_of_a_pass_has_no_track() -> None:
@@ -75,7 +75,7 @@ def test_an_old_event_of_a_pass_has_no_track() -> None:
 
 
 def _span(project: Project, recording: StoredRecording, uids: list[str]) -> list[FramePart]:
-    """New proposals in frames 1 to 3, in 1 in place of an open one."""
+    """New proposals in frames 1 to 3; the one in frame 1 replaces an open one."""
     parts = []
     for frame in project.frames.of([recording.id])[1:4]:
         open_ones = [LabelDeleted(uid=label.uid) for label in project.labels.of_frame(frame.id)]
@@ -97,7 +97,6 @@ def test_an_action_over_several_frames_is_undone_and_redone_as_one(
     stored = project.labels.get("b")
     assert (stored.label.state, stored.label.source, stored.label.score) == (ReviewState.PROPOSED, Source.AUTO, 0.75)
     assert stored.quality is not None
-    assert project.proposals.of_label("b") is not None
     assert project.history.next("ann")[0] == "propose 3 labels (frames 1 to 3)"
     after = {label.uid for frame in frames for label in project.labels.of_frame(frame)}
     assert after == {"a", "b", "c"}
@@ -107,17 +106,17 @@ def test_an_action_over_several_frames_is_undone_and_redone_as_one(
     assert [label.uid for label in project.labels.of_frame(frames[1])] == [old]
     project.history.redo("ann")
     assert {label.uid for frame in frames for label in project.labels.of_frame(frame)} == after
-    kept = state_of(project)
+    maintained = state_of(project)
     project.log.rebuild()
-    assert state_of(project) == kept
-    # somebody else has looked at one of them: all of it stays
+    assert state_of(project) == maintained
+    # another operator has accepted one of the labels: the whole action stays
     project.labels.accept(frames[3], "c", by_hand(project.frames.get(frames[3]).revision, "bob"))
     with pytest.raises(HistoryError, match="changed by bob"):
         project.history.undo("ann")
     assert len(project.labels.of_frame(frames[2])) == 1
 
 
-def test_an_action_over_several_frames_is_kept_whole_or_not_at_all(
+def test_an_action_over_several_frames_is_stored_as_a_whole_or_not_at_all(
     project: Project, recording: StoredRecording
 ) -> None:
     parts = _span(project, recording, ["a", "b", "c"])

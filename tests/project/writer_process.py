@@ -1,6 +1,6 @@
-"""A process that writes to a project as the test's lines on its standard input tell it, and acknowledges each write.
+"""A process that writes to a project on commands from its standard input, and acknowledges each write.
 
-loop FRAME     append events to the frame until killed, printing each event id and revision once it is acknowledged
+loop FRAME     append events to the frame until killed; print the id and revision of each acknowledged event
 once FRAME R   one write to the frame, based on revision R: prints "won" or "stale"
 """
 

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.normals import normals_knn
 from annotator.rcv.axes import (
     BOX_SYMMETRIES,
+    axes_angle_rad,
     axial_kmeans,
-    camera_frame,
+    camera_axes,
     find_axes,
-    frame_angle,
-    match_frame,
-    upright_frame,
+    match_axes,
+    upright_axes,
 )
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.types import PointCloud
@@ -26,17 +26,17 @@ FREE, UPRIGHT = RcvConfig(orientation=Orientation.FREE), RcvConfig(orientation=O
 UP = np.array([0.0, -1.0, 0.0])
 
 
-def random_frame(seed: int) -> np.ndarray:
+def random_axes(seed: int) -> np.ndarray:
     return Rotation.random(rng=np.random.default_rng(seed)).as_matrix().T
 
 
 @given(st.integers(0, 1000), st.integers(0, 1000), st.integers(0, 23))
 def test_relabelled_axes_are_no_rotation(seed: int, other: int, symmetry: int) -> None:
-    frame, reference = random_frame(seed), random_frame(other)
-    relabelled = BOX_SYMMETRIES[symmetry] @ frame
-    assert frame_angle(relabelled, frame) == pytest.approx(0, abs=1e-6)
-    matched = match_frame(relabelled, reference)
-    np.testing.assert_allclose(matched, match_frame(frame, reference), atol=1e-12)
+    axes, reference = random_axes(seed), random_axes(other)
+    relabelled = BOX_SYMMETRIES[symmetry] @ axes
+    assert axes_angle_rad(relabelled, axes) == pytest.approx(0, abs=1e-6)
+    matched = match_axes(relabelled, reference)
+    np.testing.assert_allclose(matched, match_axes(axes, reference), atol=1e-12)
     assert np.linalg.det(matched) == pytest.approx(1)
 
 
@@ -45,23 +45,23 @@ def test_there_are_24_ways_to_relabel_a_box() -> None:
 
 
 @given(st.integers(0, 1000))
-def test_an_upright_frame_is_level_right_handed_and_near_its_direction(seed: int) -> None:
+def test_upright_axes_are_level_right_handed_and_near_its_direction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     forward, up = rng.normal(size=3), rng.normal(size=3)
     up /= np.linalg.norm(up)
-    frame = upright_frame(forward, up)
-    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-9)
-    assert np.linalg.det(frame) == pytest.approx(1)
-    np.testing.assert_allclose(frame[1], -up, atol=1e-9)
-    assert frame[2] @ forward >= 0
+    axes = upright_axes(forward, up)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(axes) == pytest.approx(1)
+    np.testing.assert_allclose(axes[1], -up, atol=1e-9)
+    assert axes[2] @ forward >= 0
 
 
 def test_eigenvectors_of_a_long_box_are_its_axes() -> None:
     box = some_box([0, 0, 3], [0.3, 0.5, -0.2], [1.0, 0.5, 0.2])
     cloud = PointCloud(box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32))
-    axes = find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE)
-    assert axes.strategy is Strategy.EIGENVECTORS
-    assert frame_angle(axes.frame, box.rotation.T) < 0.05
+    found = find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE)
+    assert found.strategy is Strategy.EIGENVECTORS
+    assert axes_angle_rad(found.axes, box.rotation.T) < 0.05
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 1.1, -0.9])
@@ -69,9 +69,9 @@ def test_normals_find_a_cube_that_eigenvectors_cannot(yaw: float) -> None:
     box = some_box([0, 0, 3], [0.2, yaw, 0.1], [0.5, 0.5, 0.5])
     xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
     cloud = PointCloud(xyz, normals=normals_knn(xyz))
-    axes = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
-    assert axes.strategy is Strategy.NORMALS and axes.fallback == ()
-    assert frame_angle(axes.frame, box.rotation.T) < 0.08
+    found = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
+    assert found.strategy is Strategy.NORMALS and found.fallback == ()
+    assert axes_angle_rad(found.axes, box.rotation.T) < 0.08
     assert find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE).strategy is Strategy.CAMERA
 
 
@@ -80,28 +80,28 @@ def test_upright_axes_keep_gravity() -> None:
     xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
     cloud = PointCloud(xyz, normals=normals_knn(xyz))
     for strategy in (Strategy.EIGENVECTORS, Strategy.NORMALS):
-        axes = find_axes(cloud, strategy, np.eye(3), UP, UPRIGHT)
-        assert axes.strategy is strategy
-        np.testing.assert_allclose(axes.frame[1], -UP, atol=1e-9)
-        assert frame_angle(axes.frame, box.rotation.T) < 0.08
+        found = find_axes(cloud, strategy, np.eye(3), UP, UPRIGHT)
+        assert found.strategy is strategy
+        np.testing.assert_allclose(found.axes[1], -UP, atol=1e-9)
+        assert axes_angle_rad(found.axes, box.rotation.T) < 0.08
 
 
-def test_a_small_cloud_falls_back_step_by_step_and_says_so() -> None:
+def test_a_small_cloud_falls_back_step_by_step_with_notes() -> None:
     few = PointCloud(np.array([[0, 0, 1], [0, 0, 1.1], [0.1, 0, 1]], np.float32))
-    axes = find_axes(few, Strategy.NORMALS, np.eye(3), None, FREE)
-    assert axes.strategy is Strategy.CAMERA
-    assert len(axes.fallback) == 2
-    assert axes.fallback[0].startswith("normals") and axes.fallback[1].startswith("eigenvectors")
-    np.testing.assert_allclose(axes.frame, np.eye(3))
+    found = find_axes(few, Strategy.NORMALS, np.eye(3), None, FREE)
+    assert found.strategy is Strategy.CAMERA
+    assert len(found.fallback) == 2
+    assert found.fallback[0].startswith("normals") and found.fallback[1].startswith("eigenvectors")
+    np.testing.assert_allclose(found.axes, np.eye(3))
 
 
 def test_a_flat_cloud_still_gives_axes() -> None:
     rng = np.random.default_rng(0)
     xyz = np.concatenate([rng.uniform(-1, 1, (400, 2)), np.full((400, 1), 3.0)], axis=1).astype(np.float32)
     cloud = PointCloud(xyz, normals=normals_knn(xyz))
-    axes = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
-    np.testing.assert_allclose(np.abs(axes.frame[2]), [0, 0, 1], atol=1e-3)
-    np.testing.assert_allclose(axes.frame @ axes.frame.T, np.eye(3), atol=1e-9)
+    found = find_axes(cloud, Strategy.NORMALS, np.eye(3), None, FREE)
+    np.testing.assert_allclose(np.abs(found.axes[2]), [0, 0, 1], atol=1e-3)
+    np.testing.assert_allclose(found.axes @ found.axes.T, np.eye(3), atol=1e-9)
 
 
 def test_antipodal_normals_are_one_direction() -> None:
@@ -117,7 +117,7 @@ def test_antipodal_normals_are_one_direction() -> None:
     assert abs(centres[order[1]] @ [1, 0, 0]) > 0.999
 
 
-def test_camera_frame_is_levelled_by_gravity() -> None:
+def test_camera_axes_are_levelled_by_gravity() -> None:
     tilt = Rotation.from_rotvec([0.2, 0, 0]).as_matrix()
-    frame = camera_frame(tilt @ UP)
-    np.testing.assert_allclose(frame, tilt.T, atol=1e-9)
+    axes = camera_axes(tilt @ UP)
+    np.testing.assert_allclose(axes, tilt.T, atol=1e-9)

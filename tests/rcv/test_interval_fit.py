@@ -1,4 +1,4 @@
-"""The consensus fit: exact intervals give the exact box, noisy ones a near one, too few none."""
+"""The consensus fit: exact intervals give the exact box, noisy ones an approximate one, too few none."""
 
 from __future__ import annotations
 
@@ -14,10 +14,15 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.rcv.axes import BOX_SYMMETRIES
 from annotator.rcv.config import FitConfig
-from annotator.rcv.interval_fit import Intervals, fit_box
-from annotator.rcv.interval_refine import Edges
-from annotator.rcv.reach_costs import reach_costs
-from annotator.rcv.rotation_grid import distinct, free_grid, near_each_other, spread_rotations, yaw_grid
+from annotator.rcv.interval_fit import Edges, Intervals, fit_box
+from annotator.rcv.rotation_search import (
+    cheapest_distinct,
+    free_grid,
+    neighbours,
+    rotation_costs,
+    spread_rotations,
+    yaw_grid,
+)
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -101,14 +106,14 @@ def test_ends_that_the_picture_cut_off_are_not_used() -> None:
     assert iou_3d(box, box_of(fit)) > 0.999
 
 
-def test_too_few_intervals_fix_no_box() -> None:
+def test_too_few_intervals_determine_no_box() -> None:
     box = random_box(np.random.default_rng(5), upright=False)
     assert fit_box(measure(box, np.eye(3)), None) is None
     assert fit_box(measure(box, np.eye(3)[:2]), UP) is None
 
 
-def test_two_views_along_one_yaw_fix_no_upright_box() -> None:
-    """Every rotation explains the intervals of one frame's axes; a fit once answered with any of them, at no cost."""
+def test_two_views_along_one_yaw_determine_no_upright_box() -> None:
+    """Every rotation fits the intervals along one set of axes equally well; the fit once returned an arbitrary one."""
     for yaw in (0.0, 0.3):
         box = OrientedBox.from_parts(
             np.array([0.0, 0, 5]),
@@ -151,13 +156,13 @@ def test_starts_are_apart_and_the_cheapest_come_first() -> None:
     grid = free_grid()
     costs = np.random.default_rng(0).random(len(grid))
     limit = np.deg2rad(20)
-    chosen = distinct(costs, near_each_other(grid, limit), 8)
+    chosen = cheapest_distinct(costs, neighbours(grid, limit), 8)
     assert chosen[0] == np.argmin(costs)
     assert (np.diff(costs[chosen]) > 0).all()
     for i, j in itertools.combinations(chosen, 2):
         turned = np.einsum("sij,jk->sik", BOX_SYMMETRIES, grid[i].T @ grid[j])
         assert Rotation.from_matrix(turned).magnitude().min() > limit
-    assert len(distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
+    assert len(cheapest_distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
 
 
 def awkward_intervals(seed: int, upright: bool) -> Intervals:
@@ -179,7 +184,7 @@ def test_the_search_is_least_squares_for_each_rotation(upright: bool) -> None:
     config, grid = FitConfig(), yaw_grid(UP) if upright else free_grid()
     for seed in range(5):
         intervals = awkward_intervals(seed, upright)
-        costs = reach_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
+        costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
         first, second = (
             np.array([fit_reference.size_cost(intervals, rotation, config, rounds) for rotation in grid])
             for rounds in (1, 2)
@@ -206,7 +211,7 @@ def test_the_refinement_takes_the_steps_of_plain_linear_algebra(upright: bool) -
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_what_fixes_a_box_is_the_smallest_singular_value(held: bool) -> None:
+def test_a_box_is_determined_if_the_smallest_singular_value_is_large_enough(held: bool) -> None:
     answers = set()
     for seed in range(20):
         intervals = awkward_intervals(seed, held)
@@ -216,5 +221,5 @@ def test_what_fixes_a_box_is_the_smallest_singular_value(held: bool) -> None:
         for factor in (0.999, 1.001):
             config = FitConfig(min_determinacy=exact * factor)
             edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, config)
-            answers.add((factor, edges.fixes(fit, held)))
+            answers.add((factor, edges.determine(fit, held)))
     assert answers == {(0.999, True), (1.001, False)}

@@ -58,7 +58,7 @@ def test_a_view_has_the_boxes_of_all_that_it_shows() -> None:
     assert numbers == [2, 2, 1, 1, 1, 1, 1, 1]
 
 
-def test_what_the_camera_does_not_see_is_told_and_has_no_box() -> None:
+def test_invisible_objects_are_reported_and_have_no_box() -> None:
     behind_the_wall, beside_the_picture = (
         some_box([0, 0, 5], [0, 0, 0], [1, 1, 1]),
         some_box([9, 0, 3], [0, 0, 0], [1] * 3),
@@ -68,7 +68,7 @@ def test_what_the_camera_does_not_see_is_told_and_has_no_box() -> None:
     assert [box.label for box in found.on_image] == ["a"]
 
 
-def test_an_object_without_points_and_nothing_before_it_is_on_the_image_alone() -> None:
+def test_an_unoccluded_object_without_points_is_on_the_image_only() -> None:
     """The wall behind was measured through it, as through glass: the image may show it."""
     found, _ = known(NEAR, unmeasured=(some_box([0.9, 0, 3], [0, 0, 0], [0.5] * 3),))
     assert [box.label for box in found.on_image] == ["a", "b"]

@@ -90,7 +90,7 @@ def test_the_second_step_shows_the_object_alone(orientation: Orientation) -> Non
         np.testing.assert_allclose(views[0].axes[1], -UP, atol=1e-9)
 
 
-def test_the_second_step_shows_what_the_recursion_shows() -> None:
+def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
     """Views cut more tightly than the detector will meet them would teach it another picture."""
     frame, truths = frame_with([BOX], up=UP)
     config = CONFIG.model_copy(update={"strategy": Strategy.NORMALS, "max_steps": 2})
@@ -144,7 +144,7 @@ def test_normals_are_estimated_once_a_frame() -> None:
     np.testing.assert_array_equal(one[0].rgb, other[0].rgb)
 
 
-def test_what_the_drags_cut_out_are_the_objects_points() -> None:
+def test_the_drags_cut_out_the_objects_points() -> None:
     frame, _ = frame_with([BOX, some_box([0.9, 0, 2.0], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP)
     mask = cut_out(frame, image_box(frame), [(span, 1e-3) for span in spans(drawn(frame))])
     assert mask.shape == (len(frame.cloud),)

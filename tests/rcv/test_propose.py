@@ -132,7 +132,7 @@ def test_duplicates_are_removed() -> None:
 
 
 @pytest.mark.parametrize(("seen", "steps"), [(0, 1), (1, 2)])
-def test_an_object_that_no_view_shows_is_lost_and_the_trace_says_where(seen: int, steps: int) -> None:
+def test_an_object_that_no_view_shows_is_lost_and_the_trace_shows_where(seen: int, steps: int) -> None:
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths)
     result = propose([frame], perfect, BlindAfter(perfect, seen), RcvConfig())[0]
@@ -216,7 +216,7 @@ def test_the_trace_maps_the_box_back_as_equation_1_says() -> None:
         assert np.linalg.norm(ours - corner, axis=1).min() < 1e-9
 
 
-def test_results_do_not_depend_on_what_else_is_in_the_batch() -> None:
+def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
     first, truths_a = frame_with([FREE_BOX], key="a")
     second, truths_b = frame_with([UPRIGHT_BOX], key="b")
     perfect = PerfectDetector([Scene.of(first, truths_a), Scene.of(second, truths_b)], jitter=0.02)
@@ -271,7 +271,7 @@ def test_a_silhouette_that_missed_a_part_does_not_win_by_being_small() -> None:
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
 
 
-def test_an_object_that_lost_its_points_is_no_proposal() -> None:
+def test_an_object_without_enough_points_is_not_proposed() -> None:
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths)
     result = propose([frame], perfect, perfect, RcvConfig(min_points=900))[0]

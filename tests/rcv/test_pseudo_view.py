@@ -69,7 +69,7 @@ def test_scale_is_uniform_and_the_longer_side_fills_the_picture() -> None:
     np.testing.assert_allclose(front.extent_m[0], 4 * 1.1, rtol=1e-6)
 
 
-def test_a_wanted_box_lies_within_the_picture() -> None:
+def test_additional_points_lie_within_the_view() -> None:
     corners = np.array([[-3.0, 0, 1], [3, 0, 1]])
     front, _ = render_pairs(cloud_of([[0, 0, 1], [0.1, 0.1, 1]]), [np.eye(3)], VIEW, corners)
     assert front.origin_m[0] < -3 and front.origin_m[0] + front.extent_m[0] > 3

@@ -35,7 +35,7 @@ def test_the_groups_are_looked_into() -> None:
 
 
 @pytest.mark.parametrize(("name", "info"), NUMBERS, ids=[name for name, _ in NUMBERS])
-def test_each_number_says_what_it_is_and_has_a_bound(name: str, info: FieldInfo) -> None:
+def test_each_number_has_a_description_and_a_bound(name: str, info: FieldInfo) -> None:
     assert info.description
     assert info.metadata, "no bound"
     nested: object = -1

@@ -216,7 +216,7 @@ def test_a_box_on_a_view(center: list[float], expected: tuple[float, ...] | None
         assert found.label == "a"
 
 
-def test_points_without_extent_span_nothing() -> None:
+def test_points_without_extent_have_no_box() -> None:
     view = view_of(100, 60, (-0.495, -0.295), 0.01)
     assert span_on_view(view, np.array([[0.0, 0.0, 1.0]]), "a") is None
     assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]]), "a") is None

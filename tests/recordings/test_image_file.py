@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.pictures import MOST_PIXELS, decode_picture, image_problem
+from annotator.image_bytes import MOST_PIXELS, decode_image, image_problem
 from annotator.recordings.image_file import read_rgb
 from annotator.types.errors import FrameError
 
@@ -85,10 +85,10 @@ def test_a_jpeg_of_too_many_pixels_is_refused():
     for height, refused in ((side + 1, True), (40, False)):
         data = BASELINE[: at + 5] + struct.pack(">HH", height, side if refused else 56) + BASELINE[at + 9 :]
         if refused:
-            with pytest.raises(ValueError, match=f"{side} x {height} pixels; so many are not read"):
-                decode_picture(data, cv2.IMREAD_COLOR)
+            with pytest.raises(ValueError, match=f"{side} x {height} pixels; the limit is"):
+                decode_image(data, cv2.IMREAD_COLOR)
         else:
-            assert decode_picture(data, cv2.IMREAD_COLOR).shape == PICTURE.shape
+            assert decode_image(data, cv2.IMREAD_COLOR).shape == PICTURE.shape
 
 
 @pytest.mark.shared

@@ -10,14 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cloud_samples import SCAN, camera_file, put_image
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
 from scipy.io import savemat
-from test_cloud_folder import SCAN, camera_file, put_image
-from test_kitti_folders import OBJECT_CALIB, TRACKING_CALIB
-from test_kitti_raw import CAMERAS, LIDAR, TIMES
-from test_sunrgbd import IMAGE as SUN_IMAGE
-from test_sunrgbd import RTILT, K, png, upright_points, write_scene
+from sunrgbd_samples import IMAGE as SUN_IMAGE
+from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
 
 from annotator.recordings import open_recording
 from annotator.types.errors import FrameError, RecordingError
@@ -145,15 +144,15 @@ def test_a_frame_or_an_error_that_names_the_file(recordings: list[tuple[Path, li
         file.write_bytes(whole)
 
 
-CALIB_LINE = "P2 has a number that is not finite, or too large"
+CALIB_LINE = "P2 has a number that is not finite or is too large"
 FOUND = [
     (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e308", old), CALIB_LINE),
-    (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e-320", old), "P2 is no pinhole camera"),
+    (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e-320", old), "P2 is not a pinhole camera"),
     (
         kitti_raw,
         "calib_velo_to_cam.txt",
         lambda old: re.sub(rb"R: \S+", b"R: 0.9", old),
-        "the LiDAR's pose is no rotation",
+        "the LiDAR's pose is not a rotation",
     ),
     (kitti_raw, "calib_cam_to_cam.txt", lambda old: re.sub(rb"R_rect_00: \S+", b"R_rect_00: 1e200", old), "too large"),
     (
@@ -165,7 +164,7 @@ FOUND = [
     (rgbd_folder, "camera_intrinsic.json", lambda _: b"[" * 200_000, "not a camera file"),
     (rgbd_folder, "camera_intrinsic.json", lambda old: old.replace(b"500.0", b"1e-320"), "depth_scale"),
     (rgbd_folder, "gravity.json", lambda _: b'{"up": [1e308, 1e308, 0]}', "not a gravity file"),
-    (rgbd_folder, "gravity.json", lambda _: b'{"up": [0, 1e-300, 0]}', "up has no length"),
+    (rgbd_folder, "gravity.json", lambda _: b'{"up": [0, 1e-300, 0]}', "up has length 0"),
     (
         cloud_folder,
         "camera_intrinsic.json",

@@ -115,7 +115,7 @@ def test_what_does_not_fit_says_so(bucket: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("url", "error", "says"),
     [
-        ("memory://bucket/nothing", RecordingError, "holds no files"),
+        ("memory://bucket/nothing", RecordingError, "has no files"),
         ("xyz://bucket/room", RecordingError, "Protocol not known: xyz"),
     ],
 )

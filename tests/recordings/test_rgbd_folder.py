@@ -116,7 +116,7 @@ def test_unpaired_images_are_frames_that_fail_alone(folder: Path):
 
 def test_two_colour_images_of_one_frame_are_ambiguous(folder: Path, color: np.ndarray):
     (folder / "color" / "000000.jpg").write_bytes(cv2.imencode(".jpg", color)[1].tobytes())
-    with pytest.raises(FrameError, match=r"ambiguous, the folder holds 000000\.jpg, 000000\.png"):
+    with pytest.raises(FrameError, match=r"ambiguous: the folder has 000000\.jpg, 000000\.png"):
         open_recording(folder).frame(0)
 
 
@@ -147,18 +147,22 @@ DAMAGES = [
     pytest.param(COLOR, lambda p: p.write_text("hello"), "cannot be decoded", id="no-image"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH, 3), np.uint16)), "16-bit with 3", id="colour-depth"),
-    pytest.param(DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8, the colour", id="depth-size"),
-    pytest.param(COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6, the camera in", id="colour-size"),
+    pytest.param(
+        DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8 pixels, but the colour", id="depth-size"
+    ),
+    pytest.param(
+        COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="colour-size"
+    ),
     pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
     pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
     pytest.param(CAMERA, lambda p: p.write_text("{"), "not a camera file", id="camera-no-json"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[1, 2]), "intrinsic_matrix", id="camera-short"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
-    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[0, 0, 0, 0, 9, 0, 5, 4, 1]), "focal lengths", id="no-focus"),
+    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[0, 0, 0, 0, 9, 0, 5, 4, 1]), "focal length", id="no-focus"),
     pytest.param(CAMERA, intrinsics(distortion=[1, 2, 3]), "distortion must have", id="camera-distortion"),
     pytest.param(CAMERA, intrinsics(depth_scale=0), "depth_scale", id="camera-scale"),
     pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 1]}'), "up", id="gravity-short"),
-    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "no length", id="gravity-zero"),
+    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "up has length 0", id="gravity-zero"),
 ]
 
 

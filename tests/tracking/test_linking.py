@@ -1,4 +1,4 @@
-"""Which boxes of a recording are one object, and the numbers that they get."""
+"""Linking of boxes to tracks, and track ids."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, Track, link
 from annotator.tracking.motion import frame_times, predicted
-from annotator.tracking.numbers import numbered
+from annotator.tracking.track_ids import numbered
 from annotator.types import OrientedBox
 
 CONFIG = TrackingConfig()
@@ -72,7 +72,7 @@ def test_other_classes_sizes_and_places_are_other_objects() -> None:
     assert len(linked([[seen(0.0)], [Seen("person", at(0.0, size_m=(1.8, 0.8, 0.6)))]])) == 1
 
 
-def test_what_somebody_said_wins_over_every_cost() -> None:
+def test_given_ids_take_precedence_over_costs() -> None:
     # said to be one object, though it jumped and a box stands where it was
     frames = [[seen(0.0, given=7), seen(4.0)], [seen(0.0), seen(4.0, given=7)], [seen(0.0), seen(4.0)]]
     by_id = {track.given: track.members for track in link(frames, [0.0, 1.0, 2.0], CONFIG)}
@@ -109,6 +109,6 @@ def test_numbers_stay_where_they_can(given: list[int | None], before: list[list[
     assert numbered(given, [[number] for number in wanted]) == wanted
 
 
-def test_nothing_seen_is_no_object() -> None:
+def test_frames_without_boxes_have_no_tracks() -> None:
     assert link([[], []], [0.0, 1.0], CONFIG) == []
     assert isinstance(link([[seen(0.0)]], [0.0], CONFIG)[0], Track)

@@ -1,4 +1,4 @@
-"""One size and one heading for an object's boxes, and the boxes between two known ones."""
+"""Smoothing of the boxes of an object, and interpolation between two known boxes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_side_that_grows_and_shrinks_is_not_evened_out() -> None:
     assert len({box.size_m[2] for box in better}) == 1, "what is measured anew each time has one length"
 
 
-def test_without_motion_the_majority_says_where_the_front_is() -> None:
+def test_without_motion_the_majority_determines_the_front() -> None:
     still = [OrientedBox.from_parts(car(0).center_m, STANDING, np.array([4.2, 1.8, 1.5]))] * 7
     mixed = [relabelled(box, FLIP) if n in (1, 4) else box for n, box in enumerate(still)]
     better = smoothed([TrackBox(float(n), box) for n, box in enumerate(mixed)], CONFIG)

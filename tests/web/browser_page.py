@@ -1,4 +1,4 @@
-"""What tests in a real browser have in common; see browser/conftest.py for the fixtures."""
+"""Helpers of the tests in a real browser; see browser/conftest.py for the fixtures."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from annotator.project import Change, NewLabel, Project
+from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 
 if TYPE_CHECKING:
     from drawing import Scene
     from playwright.sync_api import Page, Response
 
-    from annotator.web.viewport.workbench import Workbench
+    from annotator.web.viewport.viewports import Viewport
 
 POLL_MS = 50
 
 
-def until(page: Page, condition: str | Callable[[], object], seconds: float = 20.0) -> None:
-    """Waits for a JavaScript expression, or a function here, to become true.
+def until(page: Page, condition: str | Callable[[], object], seconds: float = 120.0) -> None:
+    """Waits until a JavaScript expression or a Python function is true.
 
-    `Page.wait_for_function` would evaluate a string within the page, which the page's own policy forbids.
+    `Page.wait_for_function` evaluates a string within the page, which the page's content security policy forbids.
     """
     for _ in range(int(seconds * 1000 / POLL_MS)):
         if condition() if callable(condition) else page.evaluate(condition):
@@ -34,22 +34,22 @@ def until(page: Page, condition: str | Callable[[], object], seconds: float = 20
 
 
 def refuse(page: Page, path: str) -> None:
-    """Lets no request to a path that ends so reach the server, from now on: that is tried before the test goes on.
+    """Blocks requests to paths with this ending, and waits until that has taken effect.
 
-    Under load a request that is sent right after `route` has got through.
+    Under load, a request right after `route` may still reach the server.
     """
     page.route(f"**/{path}", lambda route: route.abort())
     until(page, f"fetch('/refused/{path}').then(() => false, () => true)")
 
 
 def sign_in(page: Page, url: str, operator: str = "Ada") -> None:
-    """Signs in without the dialog, before the page is opened."""
+    """Signs in by a request, before the page is opened."""
     answer = page.request.post(f"{url}/api/session", data={"operator": operator}, headers={"Origin": url})
     assert answer.ok
 
 
 def drag(page: Page, *points: tuple[float, float]) -> None:
-    """Drags with the mouse from the first point through all others to the last."""
+    """Drags the mouse along the points."""
     page.mouse.move(*points[0])
     page.mouse.down()
     for point in points[1:]:
@@ -58,7 +58,7 @@ def drag(page: Page, *points: tuple[float, float]) -> None:
 
 
 def drag_box(page: Page, editor: str, box: dict[str, Any], width: int, height: int) -> None:
-    """Drags a box out on the picture of an editor: pixels of the picture, the centre of the first is (0, 0)."""
+    """Draws a box on the image of an editor; (0, 0) is the centre of the image's first pixel."""
     picture = page.get_by_test_id(editor).locator("img.picture")
     rect = picture.evaluate("(img) => img.getBoundingClientRect().toJSON()")
     scale = np.array([rect["width"] / width, rect["height"] / height])
@@ -69,12 +69,12 @@ def drag_box(page: Page, editor: str, box: dict[str, Any], width: int, height: i
 
 
 def brings_views(response: Response) -> bool:
-    """The answer with the next views in Label, and not the one with what a detector suggests on them."""
+    """True for the answer with the next views in Label mode, False for the one with suggestions."""
     return response.url.endswith("/label/steps") and response.request.post_data_json["suggest"] is False
 
 
 def draw_on_views(page: Page, scene: Scene, number: int, views: Sequence[dict[str, Any]]) -> None:
-    """Drags the boxes of a true object on the two views that are shown."""
+    """Draws the boxes of a true object on the two shown views."""
     for name, view in zip(("front", "side"), views, strict=True):
         shown = page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
         shown.wait_for(state="attached")
@@ -82,21 +82,21 @@ def draw_on_views(page: Page, scene: Scene, number: int, views: Sequence[dict[st
 
 
 def label_truth(project: Project, recording: Path, frames: int) -> int:
-    """Accepted boxes of all objects in the first frames; how many there are."""
+    """Creates accepted labels of all objects in the first frames; returns their number."""
     opened = open_recording(recording)
-    made = 0
+    count = 0
     for index, stored in enumerate(project.frames.of()[:frames]):
         truths = load_truth(opened, index, opened.frame(index))
         labels = [NewLabel(truth.label, truth.box, track_id=truth.track_id) for truth in truths]
-        made += len(project.labels.create(stored.id, labels, Change(stored.revision, "Ada")).uids)
-    return made
+        count += len(project.labels.create(stored.id, labels, WriteContext(stored.revision, "Ada")).uids)
+    return count
 
 
-def seen_by_viewer(bench: Workbench, rect: dict[str, float], point: np.ndarray) -> tuple[float, float]:
-    """Where a point of the camera frame is on the page, through the camera of the 3D view, which is at `rect`."""
+def seen_by_viewer(viewport: Viewport, rect: dict[str, float], point: np.ndarray) -> tuple[float, float]:
+    """Position on the page of a point in the camera frame, shown by a 3D viewport at `rect`."""
     import viser.transforms as tf
 
-    (client,) = bench._server.get_clients().values()
+    (client,) = viewport._server.get_clients().values()
     seen = tf.SO3(client.camera.wxyz).inverse() @ (point - client.camera.position)
     focal = rect["height"] / 2 / np.tan(client.camera.fov / 2)
     return (

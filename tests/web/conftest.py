@@ -1,4 +1,4 @@
-"""A real server on 127.0.0.1 with a generated project, and clients of it."""
+"""Fixtures: a real server on 127.0.0.1 with a generated project, and its clients."""
 
 from __future__ import annotations
 
@@ -12,20 +12,40 @@ from live_server import OPERATOR, Live, running, wait_until
 from annotator.project import create_project
 from annotator.recordings import open_recording
 from annotator.web.settings import ServerSettings
-from annotator.workflows.recordings import register_recording
+from annotator.web.watch import Watch
+from annotator.workflows.add_recordings import register_recording
 
 __all__ = ["OPERATOR", "Live", "running"]
 
 
 @pytest.fixture
-def wait_for() -> Callable[[Callable[[], Any], float], None]:
-    """`wait_for(condition, seconds)`: fails where it does not come true in time."""
+def wait_for() -> Callable[[Callable[[], Any]], None]:
+    """`wait_for(condition)`: fails unless the condition becomes true within a generous time."""
     return wait_until
 
 
 @pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """`looked()`: waits for a poll of the watch that starts after the call."""
+    looks: list[Watch] = []
+    poll = Watch.poll
+
+    def counted(watch: Watch) -> None:
+        poll(watch)
+        looks.append(watch)
+
+    monkeypatch.setattr(Watch, "poll", counted)
+
+    def wait() -> None:
+        before = len(looks)
+        wait_until(lambda: len(looks) >= before + 2)
+
+    return wait
+
+
+@pytest.fixture
 def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
-    """Settings of a server whose project `room` has 5 frames of people (none labelled), folder root `generated`."""
+    """Settings of a server with the project `room` of 5 unlabelled frames of people, and the folder `generated`."""
     with create_project(tmp_path / "projects", "room", ("person",)) as project:
         register_recording(project, open_recording(generated / "people"))
     return ServerSettings(tmp_path / "projects", (generated,), port=0)
@@ -33,6 +53,6 @@ def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
 
 @pytest.fixture
 def live(web_settings: ServerSettings) -> Iterator[Live]:
-    """A server of one's own with the project `room`."""
+    """A server for one test, with the project `room`."""
     with running(web_settings) as server:
         yield server

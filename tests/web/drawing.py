@@ -1,4 +1,4 @@
-"""A simulated operator at the API: draws on the pictures that the server shows, as a page does."""
+"""A simulated operator at the API, who draws boxes on the image and the views like the page."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Scene:
         return as_json(box)
 
     def view_box(self, number: int, view: dict[str, Any]) -> dict[str, Any]:
-        """What the object's points span on a view, as the JSON says that it lies."""
+        """The box of the object's points on a view, given as its JSON."""
         item = self.objects[number]
         seen = self.frame.cloud.xyz_m[item.points] @ np.array(view["axes"])[:2].T
         px = (seen - np.array(view["origin_m"])) / view["metres_per_px"]
@@ -57,7 +57,7 @@ def as_json(box: Box2D) -> dict[str, Any]:
 
 
 def draw_object(client: Any, project: str, frame_id: int, scene: Scene, number: int) -> dict[str, Any]:
-    """All five drags, each kept as it is made; the answer to the last."""
+    """Draws all five boxes and saves after each; returns the last answer."""
     base = f"/api/projects/{project}/frames/{frame_id}"
     state = client.get(base).json()
     image_box = scene.image_box(number)
@@ -67,10 +67,10 @@ def draw_object(client: Any, project: str, frame_id: int, scene: Scene, number: 
     answer: dict[str, Any] = {}
     for drag in range(5):
         if drag > 0:
-            found = client.post(f"{base}/label/steps", json={"image_box": image_box, "boxes": drawn}).json()
-            views = [view for step in found["steps"] for view in step["views"]]
+            labelling = client.post(f"{base}/label/steps", json={"image_box": image_box, "boxes": drawn}).json()
+            views = [view for step in labelling["steps"] for view in step["views"]]
             drawn = [*drawn, scene.view_box(number, views[drag - 1])]
-        kept = client.post(
+        saved = client.post(
             f"{base}/label/object",
             json={
                 "revision": state["frame"]["revision"],
@@ -80,8 +80,8 @@ def draw_object(client: Any, project: str, frame_id: int, scene: Scene, number: 
                 "effort": {"actions": 1, "seconds": 2.5},
             },
         )
-        assert kept.status_code == 200, kept.text
-        answer = kept.json()
+        assert saved.status_code == 200, saved.text
+        answer = saved.json()
         state = answer["state"]
         assert (answer["uid"] is None) == (drag < 4)
     return answer

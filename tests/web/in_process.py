@@ -1,4 +1,4 @@
-"""Asks an application without a server: quick enough for long tables."""
+"""Requests to an application without a server, fast enough for large tables of cases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HERE = "http://127.0.0.1"
 
 
 def ask(app: FastAPI, method: str, path: str | httpx.URL, base: str = HERE, **request: Any) -> httpx.Response:
-    """One request, from the page of the server where `headers` do not say otherwise."""
+    """Sends one request."""
 
     async def asking() -> httpx.Response:
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
@@ -23,8 +23,8 @@ def ask(app: FastAPI, method: str, path: str | httpx.URL, base: str = HERE, **re
     return asyncio.run(asking())
 
 
-def knock(app: FastAPI, path: str, headers: dict[str, str]) -> int:
-    """Asks for a WebSocket; the status of the answer, 101 where it was let in."""
+def open_socket(app: FastAPI, path: str, headers: dict[str, str]) -> int:
+    """Requests a WebSocket; returns the status of the answer, 101 if accepted."""
     sent: list[Any] = []
 
     async def receive() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Live pages of generated hands, whose truth is shown as if it had been found."""
+"""Live pages of generated hands, with their ground truth as detections."""
 
 from __future__ import annotations
 
@@ -12,50 +12,52 @@ from live_server import wait_until
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Frame, OrientedBox, Proposal, Quality
-from annotator.web.live.serve import live_app
-from annotator.web.live.view import LiveView
+from annotator.web.live.page import LivePage
+from annotator.web.live.run import live_app
 from annotator.web.serve import Running
 from annotator.web.settings import ServerSettings
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback, Repeat
 from annotator.workflows.live.source import Taken
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 
 
-def found(frame: Frame, *boxes: OrientedBox) -> FrameProposals:
+def detections(frame: Frame, *boxes: OrientedBox) -> FrameProposals:
     quality = Quality(0.0, 1.0, 0.0)
     proposals = [Proposal("hand", 0.8, box, Box2D("hand", 40.0, 60.0, 120.0, 150.0, 0.9), (), quality) for box in boxes]
     return FrameProposals(frame.key, tuple(proposals), ())
 
 
-class Knows:
-    """A detection that takes the truth for what it has found."""
+class TruthDetection:
+    """A detection that returns the ground truth."""
 
     def __init__(self, folder: Path) -> None:
         self.recording = open_recording(folder)
 
     def detect(self, taken: Taken) -> Detected:
         truths = load_truth(self.recording, taken.frame.index, taken.frame)
-        answer = found(taken.frame, *(truth.box for truth in truths))
+        answer = detections(taken.frame, *(truth.box for truth in truths))
         return Detected(taken.frame, answer, taken.taken_s, {"read": taken.read_s, "views": 0.001})
 
 
 @contextmanager
-def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LiveView]]:
-    """A live page that goes on for ever."""
-    view = LiveView("hands", {"backend": "truth"})
-    pipeline = Pipeline(Playback(open_recording(folder), rate=4.0, repeat=Repeat.BACK), Knows(folder), view.show)
-    view.follow(pipeline)
-    server = Running(settings, live_app(settings, view))
+def served(settings: ServerSettings, folder: Path) -> Iterator[tuple[str, Pipeline, LivePage]]:
+    """Serves a live page that runs until the block is left."""
+    page = LivePage("hands", {"backend": "truth"})
+    pipeline = Pipeline(
+        Playback(open_recording(folder), rate=4.0, repeat=Repeat.BACK), TruthDetection(folder), page.show
+    )
+    page.follow(pipeline)
+    server = Running(settings, live_app(settings, page))
     thread = threading.Thread(target=server.serve_until_stopped)
     thread.start()
     pipeline.start()
     try:
-        wait_until(lambda: server.started and pipeline.figures().shown, 60)
-        yield f"http://127.0.0.1:{server.port}", pipeline, view
+        wait_until(lambda: server.started and pipeline.figures().shown)
+        yield f"http://127.0.0.1:{server.port}", pipeline, page
     finally:
         server.should_exit = True
         thread.join(20)
         pipeline.end()
-        view.close()
+        page.close()

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from annotator.web.serve import Running
 
 OPERATOR = "Ada"
-STARTS_WITHIN_S = 20.0
+# Nothing takes as long, however slow or busy the machine: who waits so long waits in vain.
+PATIENCE_S = 240.0
 
 
 @dataclass(eq=False)
@@ -27,7 +28,7 @@ class Live:
 
     Attributes:
         url: `http://127.0.0.1:PORT`.
-        settings: what it was told.
+        settings: of the server.
         client: signed in as Ada; asks from the server's own page.
     """
 
@@ -39,8 +40,8 @@ class Live:
     @property
     def context(self) -> Context:
         """The application's context."""
-        found: Context = self.server.app.state.context
-        return found
+        context: Context = self.server.app.state.context
+        return context
 
     def socket_url(self, path: str) -> str:
         """The address of a WebSocket."""
@@ -61,30 +62,36 @@ def running(settings: ServerSettings, **headers: str) -> Iterator[Live]:
     thread.start()
     url = f"http://127.0.0.1:{server.port}"
     try:
-        wait_until(lambda: server.started, STARTS_WITHIN_S)
-        with httpx.Client(base_url=url, headers={"Origin": url, **headers}, timeout=60.0) as client:
+        wait_until(lambda: server.started)
+        with httpx.Client(base_url=url, headers={"Origin": url, **headers}, timeout=PATIENCE_S) as client:
             if settings.token is not None:
                 client.get("/", params={"token": settings.token})
             assert client.post("/api/session", json={"operator": OPERATOR}).status_code == 200
             yield Live(url, settings, client, server)
     finally:
         server.should_exit = True
-        thread.join(STARTS_WITHIN_S)
-        assert not thread.is_alive(), "the server does not end"
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive(), "the server did not stop"
 
 
-def ended(live: Live, job: dict[str, Any], seconds: float = 60.0) -> dict[str, Any]:
-    """A job once it has come to its end."""
-    end = time.monotonic() + seconds
-    while (now := live.client.get(f"/api/jobs/{job['id']}").json())["state"] in ("queued", "running"):
+def look(live: Live, job_id: str) -> dict[str, Any]:
+    """The present record of a job."""
+    jobs: list[dict[str, Any]] = live.client.get("/api/jobs").json()["jobs"]
+    return next(job for job in jobs if job["id"] == job_id)
+
+
+def ended(live: Live, job: dict[str, Any]) -> dict[str, Any]:
+    """Waits for the end of a job; returns its record."""
+    end = time.monotonic() + PATIENCE_S
+    while (now := look(live, job["id"]))["state"] in ("queued", "running"):
         assert time.monotonic() < end, now
         time.sleep(0.05)
-    found: dict[str, Any] = now
-    return found
+    return now
 
 
-def wait_until(true: Callable[[], Any], seconds: float) -> None:
-    end = time.monotonic() + seconds
+def wait_until(true: Callable[[], Any]) -> None:
+    """Waits for a condition; fails where it is clearly not going to come true."""
+    end = time.monotonic() + PATIENCE_S
     while not true():
         assert time.monotonic() < end, "not within the time"
         time.sleep(0.01)

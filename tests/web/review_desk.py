@@ -1,4 +1,4 @@
-"""An operator's desk in Review, in a real browser: the page, the project behind it, and proposals to look at."""
+"""Review mode in a real browser: the page, its project, and proposals to review."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from browser_page import drag, sign_in
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.outline import box_on_image
-from annotator.project import Change, Project
+from annotator.project import Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import Label, OrientedBox, Proposal, Quality, Source
-from annotator.workflows.truth import load_truth
+from annotator.workflows.recorded.reading import load_truth
 
 if TYPE_CHECKING:
     from conftest import Shop
@@ -26,7 +26,7 @@ FRAMES = 3
 
 @dataclass(eq=False)
 class Desk:
-    """A page in Review, and the project behind it."""
+    """A page in Review mode, and its project."""
 
     page: Page
     live: Live
@@ -39,7 +39,7 @@ class Desk:
 
     @property
     def api(self) -> str:
-        """Where the project is."""
+        """The URL path of the project's API."""
         return f"/api/projects/{self.name}"
 
     @property
@@ -51,9 +51,9 @@ class Desk:
     def uid(self) -> str:
         """The label that is selected."""
         row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
-        found = row.get_attribute("data-uid")
-        assert found is not None
-        return found
+        uid = row.get_attribute("data-uid")
+        assert uid is not None
+        return uid
 
     @property
     def label(self) -> Label:
@@ -65,7 +65,7 @@ class Desk:
         return self.page.get_by_test_id(f"ortho-{view}").locator("rect.line")
 
     def settled(self) -> None:
-        """All is saved, and the three views show the box as it is."""
+        """Waits until all changes are saved and the three views show the present box."""
         from playwright.sync_api import expect
 
         expect(self.page.get_by_test_id("saving")).to_have_text("")
@@ -83,7 +83,7 @@ class Desk:
 
 
 def begin(page: Page, shop: Shop) -> Desk:
-    """A signed-in operator in Review of a new project with proposals; the worst one is selected."""
+    """Opens Review mode of a new project with proposals; the most doubtful one is selected."""
     project = shop.new_project()
     propose(project, shop.recording)
     sign_in(page, shop.live.url)
@@ -95,7 +95,7 @@ def begin(page: Page, shop: Shop) -> Desk:
 
 
 def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
-    """Proposals near the truth, one a true object: the more doubtful, the further off."""
+    """One proposal per true object, displaced from it: the further, the higher its doubt."""
     opened = open_recording(recording)
     rng = np.random.default_rng(5)
     for index, stored in enumerate(project.frames.of()[:frames]):
@@ -108,11 +108,11 @@ def propose(project: Project, recording: Path, frames: int = FRAMES) -> None:
             image_box = box_on_image(frame.camera, box, truth.label)
             if image_box is not None:
                 proposals.append(Proposal(truth.label, 1 - off / 2, box, image_box, (), Quality(off / 3, 0.9, off / 9)))
-        project.proposals.replace(stored.id, proposals, Change(stored.revision, "detectors", Source.AUTO))
+        project.proposals.replace(stored.id, proposals, WriteContext(stored.revision, "detectors", Source.AUTO))
 
 
 def middle(element: Locator) -> tuple[float, float]:
-    """The middle of what an element takes of the screen."""
+    """The centre of an element on the screen."""
     box = element.bounding_box()
     assert box is not None
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2

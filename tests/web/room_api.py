@@ -1,4 +1,4 @@
-"""The annotation API of the project `room`, as tests ask it."""
+"""Requests to the annotation API of the project `room`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from annotator.project import Change, Project
+from annotator.project import Project, WriteContext
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 
 ROOM = "/api/projects/room"
@@ -15,7 +15,7 @@ BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0
 
 
 def propose(project: Project, frame: int, *places: float) -> list[str]:
-    """Proposals in front of the camera, at these x, metres; their uids."""
+    """Creates proposals in front of the camera at these x coordinates, metres; returns their uids."""
     proposals = [
         Proposal(
             "person",
@@ -27,18 +27,18 @@ def propose(project: Project, frame: int, *places: float) -> list[str]:
         )
         for x in places
     ]
-    change = Change(project.frames.get(frame).revision, "rcv", Source.AUTO)
-    return [uid for uid in project.proposals.replace(frame, proposals, change).uids if uid is not None]
+    context = WriteContext(project.frames.get(frame).revision, "rcv", Source.AUTO)
+    return [uid for uid in project.proposals.replace(frame, proposals, context).uids if uid is not None]
 
 
 def state(client: httpx.Client, frame: int = 1) -> dict[str, Any]:
-    """All that a page shows of a frame."""
-    found = client.get(f"{ROOM}/frames/{frame}")
-    assert found.status_code == 200, found.text
-    answer: dict[str, Any] = found.json()
-    return answer
+    """The state of a frame."""
+    answer = client.get(f"{ROOM}/frames/{frame}")
+    assert answer.status_code == 200, answer.text
+    frame_state: dict[str, Any] = answer.json()
+    return frame_state
 
 
 def change(client: httpx.Client, revision: int, *changes: dict[str, Any], frame: int = 1) -> httpx.Response:
-    """Changes of a frame, as a page sends them."""
+    """Sends changes of a frame like the page."""
     return client.post(f"{ROOM}/frames/{frame}/changes", json={"revision": revision, "changes": list(changes)})

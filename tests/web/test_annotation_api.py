@@ -15,8 +15,8 @@ from room_api import BOX, ROOM, change, propose, state
 
 from annotator.cli.main import main
 from annotator.geometry.iou import iou_3d
-from annotator.project import Change, Project
-from annotator.web.wire import Box3DJson
+from annotator.project import Project, WriteContext
+from annotator.web.schemas import Box3DJson
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -27,10 +27,10 @@ def project(live: Live) -> Project:
     return live.context.project("room")
 
 
-def test_a_frame_tells_all_that_is_shown(live: Live, project: Project) -> None:
+def test_the_state_of_a_frame(live: Live, project: Project) -> None:
     (uid,) = propose(project, 2, 0.0)
-    found = state(live.client, 2)
-    assert found["frame"] == {
+    frame = state(live.client, 2)
+    assert frame["frame"] == {
         "id": 2,
         "recording": 1,
         "recording_name": "people",
@@ -41,11 +41,11 @@ def test_a_frame_tells_all_that_is_shown(live: Live, project: Project) -> None:
         "previous": 1,
         "next": 3,
     }
-    assert (found["image"]["width"], found["image"]["height"]) == (320, 240)
-    assert found["points"] > 10_000
-    assert found["image_boxes"] is None and found["objects"] == [] and found["open_by"] == []
-    assert found["history"] == {"undo": None, "redo": None}
-    (label,) = found["labels"]
+    assert (frame["image"]["width"], frame["image"]["height"]) == (320, 240)
+    assert frame["points"] > 10_000
+    assert frame["image_boxes"] is None and frame["objects"] == [] and frame["open_by"] == []
+    assert frame["history"] == {"undo": None, "redo": None}
+    (label,) = frame["labels"]
     assert (label["uid"], label["state"], label["source"], label["label"]) == (uid, "proposed", "auto", "person")
     assert label["quality"]["view_disagreement"] == 0.1 and label["quality"]["image_agreement"] == 0.8
     assert 0.3 < label["doubt"] < 0.8
@@ -54,7 +54,7 @@ def test_a_frame_tells_all_that_is_shown(live: Live, project: Project) -> None:
     assert state(live.client, 5)["frame"]["next"] is None
 
 
-def test_pictures_can_be_kept_by_the_browser(live: Live) -> None:
+def test_browsers_may_cache_images(live: Live) -> None:
     found = live.client.get(state(live.client)["image"]["url"])
     assert found.headers["content-type"] == "image/jpeg"
     assert "immutable" in found.headers["cache-control"]
@@ -82,9 +82,8 @@ def test_changes_are_one_step_and_all_or_none(live: Live, project: Project) -> N
     assert (found["frame"]["revision"], found["frame"]["finalised"]) == (4, True)
     assert [label["state"] for label in found["labels"]] == ["accepted", "edited"]
     assert found["labels"][1]["track_id"] == 4
-    wanted = Box3DJson(**BOX).box()
-    got = found["labels"][1]["box"]
-    assert iou_3d(Box3DJson(**got).box(), wanted) == pytest.approx(1)
+    edited = found["labels"][1]["box"]
+    assert iou_3d(Box3DJson(**edited).box(), Box3DJson(**BOX).box()) == pytest.approx(1)
     refused = change(live.client, 4, {"kind": "reject", "uid": one}, {"kind": "accept", "uid": "nobody"})
     assert refused.status_code == 400 and "nobody is not in this frame" in refused.json()["error"]["message"]
     assert state(live.client)["labels"][0]["state"] == "accepted"
@@ -102,11 +101,11 @@ def test_a_stale_change_shows_both_versions_and_loses_neither(live: Live, projec
     assert change(live.client, 1, {"kind": "accept", "uid": uid}).status_code == 200
     refused = change(live.client, 1, {"kind": "reject", "uid": uid})
     assert refused.status_code == 409
-    told = refused.json()
-    assert told["error"]["kind"] == "StaleRevisionError"
-    assert told["state"]["labels"][0]["state"] == "accepted"
-    assert told["changes"] == [{"kind": "reject", "uid": uid}]
-    again = change(live.client, told["state"]["frame"]["revision"], *told["changes"])
+    both = refused.json()
+    assert both["error"]["kind"] == "StaleRevisionError"
+    assert both["state"]["labels"][0]["state"] == "accepted"
+    assert both["changes"] == [{"kind": "reject", "uid": uid}]
+    again = change(live.client, both["state"]["frame"]["revision"], *both["changes"])
     assert again.json()["labels"][0]["state"] == "rejected"
 
 
@@ -126,19 +125,19 @@ def test_a_stale_change_shows_both_versions_and_loses_neither(live: Live, projec
         {"revision": 0, "changes": [{"kind": "finalise"}], "effort": {"actions": -1, "seconds": 0}},
     ],
 )
-def test_what_is_no_change_is_refused(live: Live, body: dict[str, Any]) -> None:
+def test_invalid_changes_are_refused(live: Live, body: dict[str, Any]) -> None:
     answer = live.client.post(f"{ROOM}/frames/1/changes", json=body)
     assert answer.status_code == 422
     assert answer.json()["error"]["kind"] == "ValidationError"
     assert state(live.client)["frame"]["revision"] == 0
 
 
-def test_what_is_not_there(live: Live) -> None:
+def test_missing_resources(live: Live) -> None:
     for path in ("frames/99", "frames/99/image.jpg", "checks?frame=99", "queue?recording=9"):
         assert live.client.get(f"{ROOM}/{path}").status_code == 404, path
     assert live.client.get("/api/projects/nobody/frames").status_code == 404
     unknown = change(live.client, 0, {"kind": "create", "label": "horse", "box": BOX})
-    assert unknown.status_code == 400 and "'horse' is no class" in unknown.json()["error"]["message"]
+    assert unknown.status_code == 400 and "'horse' is not a class" in unknown.json()["error"]["message"]
 
 
 def test_an_object_from_nothing_takes_five_drags(live: Live, generated: Path, capsys: Any) -> None:
@@ -155,13 +154,17 @@ def test_an_object_from_nothing_takes_five_drags(live: Live, generated: Path, ca
     assert box["label"] == "person"
     picture = live.client.get(view["url"])
     assert picture.headers["content-type"] == "image/png"
-    told = live.client.get(f"{ROOM}/statistics").json()
-    assert told["effort"]["by_origin"]["from nothing"] == {"boxes": 2, "seconds_a_box": 12.5, "actions_a_box": 5.0}
-    assert main(["stats", "room", "--json", "--root", str(live.settings.projects_root)]) == 0
-    assert json.loads(capsys.readouterr().out) == told, "the command line tells the same numbers"
+    statistics = live.client.get(f"{ROOM}/statistics").json()
+    assert statistics["effort"]["by_origin"]["from nothing"] == {
+        "boxes": 2,
+        "seconds_a_box": 12.5,
+        "actions_a_box": 5.0,
+    }
+    assert main(["stats", "room", "--json", "--projects", str(live.settings.projects_root)]) == 0
+    assert json.loads(capsys.readouterr().out) == statistics, "the command line prints the same numbers"
 
 
-def test_steps_are_answered_without_keeping_anything(live: Live, generated: Path) -> None:
+def test_steps_are_answered_without_storing_anything(live: Live, generated: Path) -> None:
     scene = Scene.of(generated / "people", 0, ["person"])
     body = {"image_box": scene.image_box(0), "boxes": []}
     found = live.client.post(f"{ROOM}/frames/1/label/steps", json=body).json()
@@ -213,10 +216,10 @@ def test_queue_and_checks(live: Live, project: Project) -> None:
     assert live.client.get(f"{ROOM}/checks", params={"frame": 2}).json()["warnings"] == []
 
 
-def test_undo_tells_who_was_faster(live: Live, project: Project) -> None:
+def test_a_refused_undo_names_the_author_of_the_change(live: Live, project: Project) -> None:
     (uid,) = propose(project, 1, 0.0)
     change(live.client, 1, {"kind": "accept", "uid": uid})
-    project.labels.reject(1, uid, Change(2, "bob"))
+    project.labels.reject(1, uid, WriteContext(2, "bob"))
     refused = live.client.post(f"{ROOM}/undo", json={})
     assert refused.status_code == 409
     assert "was changed by bob since" in refused.json()["error"]["message"]
@@ -224,7 +227,7 @@ def test_undo_tells_who_was_faster(live: Live, project: Project) -> None:
 
 
 def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
-    """Each adds its own labels; refused ones are put on top of what is there, as the page does."""
+    """Each adds its own labels; refused ones are sent again on the present revision, as the page does."""
     each, refusals = 12, []
 
     def write(name: str) -> None:
@@ -236,9 +239,9 @@ def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
                 answer = change(client, revision, create)
                 while answer.status_code == 409:
                     refusals.append(name)
-                    told = answer.json()
-                    assert told["changes"][0]["track_id"] == track
-                    answer = change(client, told["state"]["frame"]["revision"], create)
+                    both = answer.json()
+                    assert both["changes"][0]["track_id"] == track
+                    answer = change(client, both["state"]["frame"]["revision"], create)
                 assert answer.status_code == 200, answer.text
                 revision = answer.json()["frame"]["revision"]
 
@@ -252,4 +255,4 @@ def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
         (name, track) for name in ("ann", "bob") for track in range(each)
     ]
     assert state(live.client)["frame"]["revision"] == 2 * each
-    assert refusals, "the two got into each other's way"
+    assert refusals, "the writers did not conflict"

@@ -1,4 +1,4 @@
-"""A box drawn on the image in Review: what the server finds in it, and what keeping that counts as."""
+"""A box drawn on the image in Review: the object that the server finds in it, and the origin of its label."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import pytest
 from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Role
-from annotator.types import BoxKind
-from annotator.web.wire import Box3DJson
-from annotator.workflows.detectors_ready import Readiness, ReadyDetector
+from annotator.types import BoxKind, DetectorKind
+from annotator.web.schemas import Box3DJson
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -32,28 +31,28 @@ def scene(generated: Path) -> Scene:
 
 @pytest.fixture
 def taught(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> Live:
-    """A server whose project has a view detector that knows the truth."""
+    """A server whose project has a view detector with ground-truth detections."""
     ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
-    answer = lambda project, role, wait_s=None: ready if role is Role.VIEW else Readiness("none")  # noqa: E731
-    monkeypatch.setattr(live.context.annotation.detectors, "look", answer)
+    answer = lambda project, role, wait_s=None: ready if role is DetectorKind.VIEW else Readiness("none")  # noqa: E731
+    monkeypatch.setattr(live.context.caches.detectors, "look", answer)
     return live
 
 
 def fit(live: Live, image_box: dict[str, Any]) -> dict[str, Any]:
     answer = live.client.post(f"{FRAME}/fit", json={"image_box": image_box})
     assert answer.status_code == 200, answer.text
-    found: dict[str, Any] = answer.json()
-    return found
+    fitted: dict[str, Any] = answer.json()
+    return fitted
 
 
-def test_a_drawn_box_leads_to_the_object_and_keeping_it_counts_as_drawn(taught: Live, scene: Scene) -> None:
-    image_box = {**scene.image_box(0), "score": 0.0}  # what a person draws needs no detector's confidence
+def test_a_drawn_box_is_fitted_and_its_label_counts_as_drawn(taught: Live, scene: Scene) -> None:
+    image_box = {**scene.image_box(0), "score": 0.0}  # a drawn box has no detector confidence
     found = fit(taught, image_box)
     box = Box3DJson(**found["box"]).box()
     assert iou_3d(box, scene.objects[0].box) > 0.8
     assert found["note"] is None and found["points"] > 100 and len(found["outline"]) > 0
     assert 0 < found["quality"]["image_agreement"] <= 1
-    assert taught.client.get(FRAME).json()["labels"] == []  # nothing is kept yet
+    assert taught.client.get(FRAME).json()["labels"] == []  # nothing is stored yet
 
     created = {"kind": "create", "label": "person", "box": found["box"], "image_box": image_box}
     body = {"revision": 0, "changes": [created], "effort": {"actions": 2, "seconds": 4.0}}
@@ -71,17 +70,17 @@ def test_a_drawn_box_leads_to_the_object_and_keeping_it_counts_as_drawn(taught: 
 
 
 @pytest.mark.parametrize(
-    ("box", "label", "why"),
+    ("box", "label", "reason"),
     [
         ((0.0, 0.0, 3.0, 3.0), "person", "points lie in this box"),
         ((60.0, 2.0, 110.0, 40.0), "person", "does not see the object"),
         ((60.0, 2.0, 110.0, 40.0), "chair", "has not learned chair"),
     ],
 )
-def test_where_nothing_is_found_the_answer_says_why(taught: Live, box: tuple[float, ...], label: str, why: str) -> None:
+def test_without_an_object_there_is_a_reason(taught: Live, box: tuple[float, ...], label: str, reason: str) -> None:
     found = fit(taught, {"label": label, **dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))})
     assert found["box"] is None and found["outline"] == []
-    assert why in found["note"]
+    assert reason in found["note"]
 
 
 def test_without_a_detector_the_answer_says_so(live: Live, scene: Scene) -> None:

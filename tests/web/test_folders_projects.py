@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from live_server import ended, running
+from sqlalchemy import select
 
+from annotator.project.schema import moves
 from annotator.types.errors import NotFoundError
 from annotator.web.folders import Folders
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """A root with sub-folders, beside a folder that is nobody's business, and links of all kinds."""
+    """A root with sub-folders and links of all kinds, beside a folder that must not be accessible."""
     root = tmp_path / "data"
     for folder in (root / "sub" / "deep", root / ".hidden", tmp_path / "secret" / "in", tmp_path / "data-2"):
         folder.mkdir(parents=True)
@@ -36,7 +38,7 @@ def tree(tmp_path: Path) -> Path:
     return root
 
 
-def test_roots_have_names_that_tell_nothing(tmp_path: Path, tree: Path) -> None:
+def test_roots_have_names_that_do_not_reveal_their_paths(tmp_path: Path, tree: Path) -> None:
     other = tmp_path / "other" / "data"
     other.mkdir(parents=True)
     folders = Folders((tree, other, tree, tmp_path / "missing"))
@@ -124,8 +126,8 @@ def test_recordings_are_recognised(generated: Path) -> None:
 def test_a_stray_cloud_hides_nothing_of_its_folder(tree: Path) -> None:
     (tree / "sub" / "stray.npy").write_bytes(b"")
     entries = Folders((tree,)).list("data").entries
-    found = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
-    assert found == [("inside", "cloud_folder", True), ("sub", "cloud_folder", True)]
+    shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
+    assert shown == [("inside", "cloud_folder", True), ("sub", "cloud_folder", True)]
 
 
 def test_folders_through_the_api(live: Live, generated: Path) -> None:
@@ -144,19 +146,19 @@ def test_folders_through_the_api(live: Live, generated: Path) -> None:
 
 
 def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    client, wanted = live.client, {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
-    made = client.post("/api/projects", json=wanted)
-    assert made.status_code == 201
-    assert made.json()["classes"] == ["person", "hand"]
-    assert made.json()["problem"] is None
+    client, new = live.client, {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
+    created = client.post("/api/projects", json=new)
+    assert created.status_code == 201
+    assert created.json()["classes"] == ["person", "hand"]
+    assert created.json()["problem"] is None
 
     added = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
     (recording,) = added.json()["added"]
     job = added.json()["job"]
     assert (job["kind"], job["project"], job["state"]) == ("import", "two", "queued")
-    assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are there at once"
+    assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are available at once"
     done = ended(live, job)
-    assert (done["state"], done["message"], done["total"]) == ("done", "15 boxes taken over", 5)
+    assert (done["state"], done["message"], done["total"]) == ("done", "15 boxes imported", 5)
     assert done["result"] == {"labels": {"person": 15}, "left_out": {}, "unreadable": []}
     assert recording["recording"] == {
         "id": 1,
@@ -168,13 +170,13 @@ def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.M
     }
     again = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
     assert (again.json()["added"][0]["is_new"], again.json()["added"][0]["new_frames"]) == (False, 0)
-    assert ended(live, again.json()["job"])["message"] == "0 boxes taken over"
+    assert ended(live, again.json()["job"])["message"] == "0 boxes imported"
     bare = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands", "labels": False})
     assert bare.json()["job"] is None
     monkeypatch.setattr("annotator.web.jobs.runner.MOST_WAITING", 0)
     full = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands"}).json()
-    assert (full["added"][0]["new_frames"], full["job"]) == (0, None), "it is there all the same"
-    assert "0 jobs wait already; stop some" in full["note"]
+    assert (full["added"][0]["new_frames"], full["job"]) == (0, None), "it was added nevertheless"
+    assert "0 jobs are waiting already; stop some" in full["note"]
 
     info = client.get("/api/projects/two").json()
     assert info["settings"]["rotation"] == "upright"
@@ -189,7 +191,7 @@ def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.M
 
 
 def _stale(place: Path) -> Callable[..., os.stat_result]:
-    """`Path.stat` where a place lies on a mount that is gone."""
+    """A `Path.stat` for which `place` lies on a lost mount."""
     stat = Path.stat
 
     def asked(path: Path, **options: bool) -> os.stat_result:
@@ -203,7 +205,7 @@ def _stale(place: Path) -> Callable[..., os.stat_result]:
 def test_a_moved_recording_is_located(
     live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing of it is lost, and it is readable again at once."""
+    """Its labels are kept, and it is readable again at once."""
     client, root = live.client, tmp_path / "takes"
     shutil.copytree(generated / "people", root / "people")
     with running(replace(live.settings, projects_root=tmp_path / "others", folders=(root,))) as server:
@@ -222,12 +224,12 @@ def test_a_moved_recording_is_located(
             (listed,) = client.get("/api/projects").json()["projects"]
             assert (listed["problem"], listed["missing"]) == (None, [{"id": 1, "name": "people"}])
             gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
-            assert gone.startswith("takes/people: cannot be read (Stale file handle); bring people back, or say")
+            assert gone.startswith("takes/people: cannot be read (Stale file handle); restore people, or")
         (listed,) = client.get("/api/projects").json()["projects"]
         assert listed["missing"] == [{"id": 1, "name": "people"}]
         assert client.get("/api/projects/two").json()["recordings"][0]["missing"] is True
         gone = client.get("/api/projects/two/frames/3").json()["error"]["message"]
-        assert gone.startswith("takes/people: no such file or folder; bring people back, or say where it is now")
+        assert gone.startswith("takes/people: no such file or folder; restore people, or give its new path")
 
         place = "/api/projects/two/recordings/1"
         (root / "archive" / "2024" / "depth" / "000003.png").rename(root / "kept.png")
@@ -235,8 +237,8 @@ def test_a_moved_recording_is_located(
         wrong = client.patch(place, json={"path": "takes/archive/2024"})
         assert (wrong.status_code, wrong.json()["error"]["message"]) == (
             400,
-            "takes/archive/2024 is not people: it lacks frame 000003; give the folder with the same 5 frames, "
-            "and nothing was changed",
+            "takes/archive/2024 is not people: it lacks frame 000003; nothing was changed; "
+            "give the folder with the same 5 frames",
         )
         (root / "kept.png").rename(root / "archive" / "2024" / "depth" / "000003.png")
         (root / "kept.jpg").rename(root / "archive" / "2024" / "color" / "000003.jpg")
@@ -250,8 +252,10 @@ def test_a_moved_recording_is_located(
         assert after["image_boxes"]["boxes"][0]["x_max"] == 30
         assert (after["points"], after["image"]) == (before["points"], before["image"])
         assert client.get("/api/projects/two/frames/3").status_code == 200
-        (move,) = server.context.project("two").recordings.moves(1)
-        assert (move.before, move.after, move.author) == (root / "people", root / "archive" / "2024", "Ada")
+        with server.context.project("two").store.read() as connection:
+            (move,) = connection.execute(select(moves)).all()
+        assert move.path_before == str(root / "people")
+        assert (move.path_after, move.author) == (str(root / "archive" / "2024"), "Ada")
 
 
 def test_project_changes(live: Live) -> None:
@@ -288,7 +292,7 @@ def test_what_is_refused(live: Live, method: str, path: str, body: object, statu
     assert set(answer.json()["error"]) == {"kind", "message"}
 
 
-def test_a_folder_that_is_no_recording(live: Live, generated: Path) -> None:
+def test_a_folder_that_is_not_a_recording(live: Live, generated: Path) -> None:
     answer = live.client.post("/api/projects/room/recordings", json={"path": generated.name})
     assert (answer.status_code, answer.json()["error"]["kind"]) == (400, "UnknownFormatError")
 

@@ -1,8 +1,7 @@
-"""Whatever is sent to the API, as its OpenAPI document describes it, no answer is a fault of the server."""
+"""Random requests that match the OpenAPI document never cause a server error."""
 
 from __future__ import annotations
 
-import time
 from itertools import count
 from pathlib import Path
 
@@ -13,36 +12,31 @@ from live_server import running
 
 from annotator.project import BoxRotation, ProjectSettings, create_project
 from annotator.recordings import open_recording
-from annotator.web.jobs.table import WORK
+from annotator.web.jobs.records import WORK
 from annotator.web.settings import ServerSettings
-from annotator.workflows.own_labels import import_own_labels
-from annotator.workflows.recordings import register_recording
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.recorded.take_over import import_own_labels
 
-EXAMPLES = 12
-WITHIN_S = 50.0
+EXAMPLES = 6
 PATIENT = settings(
     max_examples=EXAMPLES,
-    deadline=None,
-    derandomize=True,
-    database=None,
     phases=[Phase.generate],
     suppress_health_check=list(HealthCheck),
 )
-# Most of what is made up names nothing that exists; every second request shall get further than that.
+# Random ids rarely exist; every second request uses existing ones.
 REAL = {"project": "room", "name": "room", "frame": 1, "frame_id": 1, "model": 1, "number": 0}
 
 
 @pytest.fixture
 def fuzzed(tmp_path: Path, generated: Path) -> ServerSettings:
-    """A project with labels, one of whose frames may be changed in any way."""
+    """A server with a labelled project, which the requests may change."""
     upright = ProjectSettings(rotation=BoxRotation.UPRIGHT)
     with create_project(tmp_path / "projects", "room", ("person",), settings=upright) as project:
         import_own_labels(project, register_recording(project, open_recording(generated / "people")).id)
     return ServerSettings(tmp_path / "projects", (generated,), port=0)
 
 
-@pytest.mark.timeout(300)
-def test_no_answer_is_a_fault_of_the_server(fuzzed: ServerSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_request_causes_a_server_error(fuzzed: ServerSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     for kind in WORK:
         monkeypatch.setitem(WORK, kind, "no.such.module:work")
     with running(fuzzed) as live:
@@ -51,17 +45,15 @@ def test_no_answer_is_a_fault_of_the_server(fuzzed: ServerSettings, monkeypatch:
         assert len(operations) > 20
         answers: dict[int, int] = {}
         faults: list[str] = []
-        numbers, end = count(), time.monotonic() + WITHIN_S
+        numbers = count()
 
         def ask(case: schemathesis.Case) -> None:
-            if time.monotonic() > end:
-                return
             if next(numbers) % 2:
                 case.path_parameters.update({name: REAL[name] for name in case.path_parameters if name in REAL})
             headers = {"Origin": live.url, "Cookie": live.cookies()}
             case.headers.clear()
             case.cookies.clear()
-            answer = case.call(base_url=live.url, headers=headers, timeout=30)
+            answer = case.call(base_url=live.url, headers=headers, timeout=300)
             answers[answer.status_code] = answers.get(answer.status_code, 0) + 1
             if answer.status_code >= 500:
                 faults.append(f"{answer.status_code}: {case.as_curl_command()}")

@@ -1,4 +1,4 @@
-"""How signals end a live session: not in the middle of its start, and not of its end."""
+"""Signals end a live session, but interrupt neither its start nor its end."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_signal_interrupts_once_what_was_held_is_done(number: signal.Signals) -> None:
+def test_a_deferred_signal_interrupts_at_the_end_of_the_block(number: signal.Signals) -> None:
     before = [signal.getsignal(n) for n in SIGNALS]
     done = []
     with Interrupts() as interrupts:
-        with pytest.raises(KeyboardInterrupt), interrupts.held():
+        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
             signal.raise_signal(number)
             done.append("started")
         assert done == ["started"]
@@ -27,9 +27,9 @@ def test_a_signal_interrupts_once_what_was_held_is_done(number: signal.Signals) 
     assert [signal.getsignal(n) for n in SIGNALS] == before
 
 
-def test_a_session_that_ends_by_itself_is_not_killed_by_the_way() -> None:
+def test_a_sigterm_after_the_end_of_a_session_is_ignored() -> None:
     with Interrupts() as interrupts:
-        with interrupts.ended_by(), interrupts.held():
+        with interrupts.session(), interrupts.deferred():
             pass
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):

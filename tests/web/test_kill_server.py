@@ -1,4 +1,4 @@
-"""`kill -9` of the server in the middle of a scripted editing run: every acknowledged edit is there afterwards."""
+"""`kill -9` of the server during a scripted editing run: every acknowledged edit is stored."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from live_server import PATIENCE_S, wait_until
 
 from annotator.project import open_project
 from annotator.web.settings import ServerSettings
 
 ROUNDS = 3
+# So many edits before each kill.
+SOME_WORK = 5
 BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
 
 
@@ -28,7 +31,7 @@ def server(projects: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "annotator.cli.main", "serve", "--projects", str(projects), "--port", str(port)]
+    command = [sys.executable, "-m", "annotator", "serve", "--projects", str(projects), "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     url = f"http://127.0.0.1:{port}"
     try:
@@ -40,11 +43,11 @@ def server(projects: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 
 def _wait_until_it_answers(url: str, process: subprocess.Popen[bytes]) -> None:
-    end = time.monotonic() + 60
+    end = time.monotonic() + PATIENCE_S
     while True:
         assert process.poll() is None, "the server did not start"
         try:
-            httpx.get(f"{url}/api/session", timeout=5)
+            httpx.get(f"{url}/api/session", timeout=30)
             return
         except httpx.TransportError:
             assert time.monotonic() < end, "the server does not answer"
@@ -52,7 +55,7 @@ def _wait_until_it_answers(url: str, process: subprocess.Popen[bytes]) -> None:
 
 
 class Editor:
-    """Edits one frame as fast as it can, and remembers what the server has acknowledged."""
+    """Edits one frame as fast as possible, and records the acknowledged state."""
 
     def __init__(self, url: str, frame: int, seed: int) -> None:
         self.url, self.frame = url, frame
@@ -63,7 +66,7 @@ class Editor:
 
     def run(self) -> None:
         try:
-            with httpx.Client(base_url=self.url, headers={"Origin": self.url}, timeout=30) as client:
+            with httpx.Client(base_url=self.url, headers={"Origin": self.url}, timeout=PATIENCE_S) as client:
                 client.post("/api/session", json={"operator": "ann"})
                 self._take(client.get(f"/api/projects/room/frames/{self.frame}").json())
                 while True:
@@ -95,23 +98,22 @@ class Editor:
         self.acknowledged += 1
 
 
-def test_every_acknowledged_edit_is_there_after_a_kill(web_settings: ServerSettings) -> None:
+def test_every_acknowledged_edit_survives_a_kill(web_settings: ServerSettings) -> None:
     moments = random.Random(3)
-    total = 0
     for round_ in range(ROUNDS):
         with server(web_settings.projects_root) as (url, process):
             editor = Editor(url, 1 + round_, round_)
             thread = threading.Thread(target=editor.run)
             thread.start()
-            time.sleep(1.5 + moments.uniform(0.2, 1.0))
+            wait_until(lambda editor=editor: editor.acknowledged > SOME_WORK)  # type: ignore[misc]
+            time.sleep(moments.uniform(0.0, 1.0))
             process.send_signal(signal.SIGKILL)
             process.wait()
-            thread.join(60)
-        total += editor.acknowledged
+            thread.join(PATIENCE_S)
         with open_project(web_settings.projects_root / "room") as project:
             assert project.problems() == []
             log = project.log.of_frame(editor.frame)
-            # the state as the last acknowledged answer told it; one more edit may have been kept but not told any more
+            # the state of the last acknowledged answer; one more edit may be stored without an answer
             last = project.frames.get(editor.frame).revision
             assert editor.revision <= last
             assert len(log) == last
@@ -119,4 +121,3 @@ def test_every_acknowledged_edit_is_there_after_a_kill(web_settings: ServerSetti
                 labels = project.labels.of_frame(editor.frame)
                 assert {label.uid: (label.state.value, label.track_id) for label in labels} == editor.labels
             assert project.log.rebuild() > 0
-    assert total > 5 * ROUNDS, "the kills came after some work"

@@ -1,4 +1,4 @@
-"""The live page: who gets in, what is drawn on the image, what stands beside it."""
+"""The live page: access, the drawn detections, and the table of figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from live_pages import Knows, found, served
+from live_pages import TruthDetection, detections, served
 from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -20,14 +20,14 @@ from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox
-from annotator.web.live.picture import BOX_COLOR, LOST_COLOR, edges_px, picture
-from annotator.web.live.view import LiveView, table
+from annotator.web.live.overlay import BOX_COLOR, LOST_COLOR, draw_detections, edges_px
+from annotator.web.live.page import LivePage, table
 from annotator.web.settings import ServerSettings
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.figures import Drops, Meter
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback
-from annotator.workflows.truth import load_truth
+from annotator.workflows.live.rates import Drops, Meter
+from annotator.workflows.recorded.reading import load_truth
 
 TOKEN = "0123456789abcdef-live"
 
@@ -37,19 +37,19 @@ def frame(generated: Path) -> Frame:
     return open_recording(generated / "hands").frame(0)
 
 
-def test_only_a_page_of_this_server_gets_in(generated: Path, tmp_path: Path) -> None:
-    with served(ServerSettings(tmp_path, port=0), generated / "hands") as (url, _, view):
-        answer = httpx.get(url, timeout=30)
+def test_only_pages_of_this_server_may_connect(generated: Path, tmp_path: Path) -> None:
+    with served(ServerSettings(tmp_path, port=0), generated / "hands") as (url, _, page):
+        answer = httpx.get(url, timeout=240)
         assert answer.status_code == 200
         assert "<html" in answer.text
         assert "frame-ancestors 'self'" in answer.headers["content-security-policy"]
-        assert httpx.get(url, headers={"Host": "evil.example"}, timeout=30).status_code == 403
+        assert httpx.get(url, headers={"Host": "evil.example"}, timeout=240).status_code == 403
         socket = url.replace("http", "ws")
         for origin in ("http://evil.example", None):
             with pytest.raises(InvalidStatus, match="403"):
                 connect(socket, origin=None if origin is None else Origin(origin)).close()
-        with pytest.raises(InvalidStatus):  # past the guard
-            connect(f"ws://127.0.0.1:{view.port}", origin=Origin(url)).close()
+        with pytest.raises(InvalidStatus):  # bypassing the guard
+            connect(f"ws://127.0.0.1:{page.port}", origin=Origin(url)).close()
         with connect(socket, origin=Origin(url), subprotocols=[viser_protocol()], max_size=None) as browser:
             received = b"".join(part for part in (browser.recv(20) for _ in range(3)) if isinstance(part, bytes))
             assert received
@@ -61,43 +61,43 @@ def viser_protocol() -> Subprotocol:
     return Subprotocol(f"viser-v{viser.__version__}")
 
 
-def test_elsewhere_the_token_is_asked_for(generated: Path, tmp_path: Path) -> None:
+def test_other_addresses_require_the_token(generated: Path, tmp_path: Path) -> None:
     settings = ServerSettings(tmp_path, host="0.0.0.0", port=0, token=TOKEN)
-    with served(settings, generated / "hands") as (url, _, _), httpx.Client(timeout=30) as browser:
+    with served(settings, generated / "hands") as (url, _, _), httpx.Client(timeout=240) as browser:
         assert browser.get(url).status_code == 401
         assert browser.get(url, params={"token": "x" * 20}).status_code == 401
         assert browser.get(url, params={"token": TOKEN}).status_code == 200
         assert "<html" in browser.get(url).text
 
 
-def test_the_view_shows_each_frame_and_its_button_pauses(generated: Path, tmp_path: Path, frame: Frame) -> None:
-    view = LiveView("hands", {"backend": "none"})
-    pipeline = Pipeline(Playback(open_recording(generated / "hands")), Knows(generated / "hands"), view.show)
-    view.follow(pipeline)
+def test_the_page_shows_each_frame_and_its_button_pauses(generated: Path, tmp_path: Path, frame: Frame) -> None:
+    page = LivePage("hands", {"backend": "none"})
+    pipeline = Pipeline(Playback(open_recording(generated / "hands")), TruthDetection(generated / "hands"), page.show)
+    page.follow(pipeline)
     try:
         box = load_truth(open_recording(generated / "hands"), 0, frame)[0].box
-        view.show(Detected(frame, found(frame, box), time.perf_counter(), {}))
-        scene = view._server.scene
+        page.show(Detected(frame, detections(frame, box), time.perf_counter(), {}))
+        scene = page._server.scene
         assert len(scene.get_handle_by_name("/cloud").points) == 40_000
         assert len(scene.get_handle_by_name("/boxes").points) == 13
-        assert view._image is not None
-        assert view._image.image.shape == (240, 320, 3)
-        assert "| backend | none |" in view._text.content
-        view.show(Detected(frame, found(frame), time.perf_counter(), {}))
+        assert page._image is not None
+        assert page._image.image.shape == (240, 320, 3)
+        assert "| backend | none |" in page._text.content
+        page.show(Detected(frame, detections(frame), time.perf_counter(), {}))
         assert scene.get_handle_by_name("/boxes") is None
         for label, paused in (("Resume", True), ("Pause", False)):
-            for press in view._pause._impl.update_cb:
+            for press in page._pause._impl.update_cb:
                 press(None)  # type: ignore[arg-type]
-            assert (view._pause.label, pipeline.is_paused) == (label, paused)
+            assert (page._pause.label, pipeline.is_paused) == (label, paused)
     finally:
-        view.close()
+        page.close()
 
 
-def test_boxes_are_drawn_where_they_are(frame: Frame) -> None:
+def test_boxes_are_drawn_at_their_pixels(frame: Frame) -> None:
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.array([0.2, 0.2, 0.2]))
-    answer = found(frame, box)
+    answer = detections(frame, box)
     lost = LostObject("hand", Box2D("hand", 200.0, 100.0, 300.0, 200.0), ())
-    drawn = picture(frame, replace_lost(answer, lost))
+    drawn = draw_detections(frame, replace_lost(answer, lost))
     assert drawn.shape == frame.rgb.shape
     changed = (drawn != frame.rgb).any(axis=2)
     for corner in project(frame.camera, box_corners(box)):
@@ -106,7 +106,7 @@ def test_boxes_are_drawn_where_they_are(frame: Frame) -> None:
     assert np.abs(drawn[105, 40].astype(int) - BOX_COLOR).max() < 40, "the left edge of the image box"
     assert np.abs(drawn[150, 300].astype(int) - LOST_COLOR).max() < 40, "the right edge of the lost one's"
     assert changed.mean() < 0.1
-    small = picture(frame, answer, width_px=160)
+    small = draw_detections(frame, answer, width_px=160)
     assert small.shape == (120, 160, 3)
     assert np.abs(small[52, 20].astype(int) - BOX_COLOR).max() < 80
 
@@ -128,8 +128,8 @@ def test_edges_bend_with_the_lens_and_end_before_the_camera() -> None:
     assert len(edges_px(camera, around)) == 4, "those of the far side"
 
 
-def test_the_table_says_what_is_known(frame: Frame) -> None:
-    detected = Detected(frame, found(frame), 0.0, {})
+def test_the_table_of_figures(frame: Frame) -> None:
+    detected = Detected(frame, detections(frame), 0.0, {})
     meter = Meter()
     before = table(detected, meter.figures(Drops()), {})
     assert "| frames/s | - |" in before

@@ -1,4 +1,4 @@
-"""Who gets in: every route without the token, other pages, other hosts, large bodies, what browsers are told."""
+"""Access: every route without the token, foreign pages and hosts, large bodies, and security headers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import httpx
 import pytest
 from fastapi import FastAPI
-from in_process import HERE, ask, knock
+from in_process import HERE, ask, open_socket
+from live_server import PATIENCE_S
 from starlette.routing import BaseRoute
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -28,7 +29,7 @@ TOKEN = "a-token-for-the-tests"
 
 
 def flat(routes: Iterable[BaseRoute]) -> Iterator[tuple[str, str]]:
-    """(method, path) of every route, with something in place of its parameters; WS for a socket."""
+    """(method, path) of every route, with values for its parameters; the method of a WebSocket is WS."""
     for route in routes:
         inner = getattr(route, "original_router", None)
         if inner is not None:
@@ -81,7 +82,7 @@ def test_the_table_is_the_whole_application() -> None:
 def test_nothing_without_the_token(app: FastAPI, method: str, path: str, cookies: dict[str, str]) -> None:
     cookies = {**cookies, "annotator_operator": "Ada"}
     if method == "WS":
-        assert knock(app, path, headers(cookies, HERE)) == 401
+        assert open_socket(app, path, headers(cookies, HERE)) == 401
         return
     answer = ask(app, method, path, headers=headers(cookies, HERE))
     assert answer.status_code == 401
@@ -94,10 +95,10 @@ def test_nothing_without_the_token(app: FastAPI, method: str, path: str, cookies
     "origin",
     ["http://evil.example", "http://127.0.0.1:81", "https://127.0.0.1.evil.example", "null", "", "127.0.0.1", None],
 )
-def test_nothing_changes_for_another_page(app: FastAPI, method: str, path: str, origin: str | None) -> None:
+def test_requests_of_foreign_pages_are_refused(app: FastAPI, method: str, path: str, origin: str | None) -> None:
     asked = headers({cookie_name(TOKEN): TOKEN, "annotator_operator": "Ada"}, origin)
     if method == "WS":
-        assert knock(app, path, asked) == 403
+        assert open_socket(app, path, asked) == 403
         return
     answer = ask(app, method, path, headers=asked)
     assert (answer.status_code, answer.json()["error"]["kind"]) == (403, "ForbiddenError")
@@ -118,7 +119,7 @@ def test_local_names(tmp_path: Path, host: str) -> None:
     assert ask(app, "GET", "/api/session", headers={"Host": host}).status_code == 200
 
 
-def test_elsewhere_any_name_will_do_for_who_has_the_token(tmp_path: Path) -> None:
+def test_on_other_addresses_the_token_permits_any_host_name(tmp_path: Path) -> None:
     app = create_app(ServerSettings(tmp_path, host="0.0.0.0", token=TOKEN))
     answer = ask(app, "GET", "/api/session", "http://workstation:8080", cookies={cookie_name(TOKEN): TOKEN})
     assert answer.json()["token_required"] is True
@@ -136,14 +137,14 @@ def test_the_link_becomes_a_cookie(app: FastAPI) -> None:
     kept = dict([cookie.split(";")[0].split("=")])
     assert ask(app, "GET", "/api/session", cookies=kept).status_code == 200
     assert ask(app, "GET", "/assets/js/main.js", cookies=kept).status_code == 200
-    assert knock(app, "/api/events", headers(kept, HERE)) == 403, "nobody has signed in"
-    assert knock(app, "/api/events", headers({**kept, "annotator_operator": "Ada"}, HERE)) == 101
+    assert open_socket(app, "/api/events", headers(kept, HERE)) == 403, "nobody has signed in"
+    assert open_socket(app, "/api/events", headers({**kept, "annotator_operator": "Ada"}, HERE)) == 101
 
 
 @pytest.mark.parametrize(
     "go", ["//evil.example", "room/../x", 'x"><script>', "room/review#", "javascript:alert(1)", ""]
 )
-def test_the_link_leads_nowhere_else(app: FastAPI, go: str) -> None:
+def test_the_link_leads_only_to_places_of_the_page(app: FastAPI, go: str) -> None:
     answer = ask(app, "GET", "/", params={"token": TOKEN, "go": go})
     assert 'url=/"' in answer.text
 
@@ -159,7 +160,7 @@ def test_the_token_in_the_address_opens_pages_only(app: FastAPI) -> None:
     assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
 
 
-def test_a_browser_is_told_what_to_do(app: FastAPI) -> None:
+def test_a_browser_without_the_token_gets_a_hint(app: FastAPI) -> None:
     answer = ask(app, "GET", "/", headers={"Accept": "text/html"})
     assert answer.status_code == 401
     assert "link that the server printed" in answer.text
@@ -182,7 +183,7 @@ def test_a_browser_is_told_what_to_do(app: FastAPI) -> None:
         ("127.0.0.1", "ü" * 20, False),
     ],
 )
-def test_no_server_without_a_token_elsewhere(tmp_path: Path, host: str, token: str | None, right: bool) -> None:
+def test_other_addresses_need_a_token(tmp_path: Path, host: str, token: str | None, right: bool) -> None:
     settings = ServerSettings(tmp_path, host=host, token=token)
     if right:
         check_settings(settings)
@@ -226,9 +227,9 @@ def test_headers(live: Live, path: str) -> None:
         "/assets//etc/passwd",
     ],
 )
-def test_files_of_the_page_only(live: Live, path: str) -> None:
+def test_only_files_of_the_page_are_served(live: Live, path: str) -> None:
     host, port = live.url.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port))) as raw:  # httpx would tidy the path up
+    with socket.create_connection((host, int(port))) as raw:  # httpx would normalise the path
         raw.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode())
         assert raw.makefile("rb").readline().split()[1] == b"404"
 
@@ -250,7 +251,7 @@ def test_a_chunked_body_without_end_is_cut_off(live: Live) -> None:
         f"POST /api/session HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: {live.url}\r\nTransfer-Encoding: chunked\r\n\r\n"
     )
     chunk = b"10000\r\n" + b" " * 65536 + b"\r\n"
-    with socket.create_connection((host, int(port)), timeout=10) as raw:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as raw:
         raw.sendall(head.encode())
         sent = 0
         try:
@@ -259,10 +260,10 @@ def test_a_chunked_body_without_end_is_cut_off(live: Live) -> None:
                 sent += len(chunk)
         except OSError:
             pass  # the server has closed the connection
-        assert sent < 1024 * len(chunk), "it took 64 MiB"
+        assert sent < 1024 * len(chunk), "the server read 64 MiB"
 
 
-def test_a_fault_of_the_program_tells_nothing(tmp_path: Path) -> None:
+def test_an_unexpected_error_reveals_no_details(tmp_path: Path) -> None:
     app = create_app(ServerSettings(tmp_path))
 
     def broken() -> None:
@@ -283,4 +284,4 @@ def test_sockets_of_a_real_server(live: Live, origin: str | None) -> None:
         pass
     assert refused.value.response.status_code == 403
     with connect(url, additional_headers=cookie, origin=live.url) as socket_:
-        assert "presence" in socket_.recv(timeout=5)
+        assert "presence" in socket_.recv(timeout=PATIENCE_S)

@@ -1,4 +1,4 @@
-"""Tracks over HTTP: on into the next frame, filled in, and refused where somebody was faster."""
+"""Tracks over HTTP: following into the next frame, interpolation, and refused stale requests."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_tracks_over_http(live: Live, project: Project) -> None:
     )
     assert [(label["track_id"], label["state"]) for label in tracked.json()["labels"]] == [(6, "accepted")]
     live.client.post(f"{ROOM}/undo", json={})
-    # one step back for both frames
+    # one undo step for both frames
     undone = live.client.post(f"{ROOM}/undo", json={}).json()
     assert undone["done"] == "propose 2 labels (frames 000001 to 000002)"
     assert [label["uid"] for label in state(live.client, 2)["labels"]] == [copied["uid"]]

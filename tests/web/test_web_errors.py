@@ -1,4 +1,4 @@
-"""What goes wrong is told to browsers with the name of the file, and without the place of it on the server."""
+"""Errors sent to browsers name files, but not their folders on the server."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from in_process import ask
 
 from annotator.project import create_project
 from annotator.web.app import create_app
-from annotator.web.errors import holds_absolute, without_places
+from annotator.web.errors import has_absolute_path, hide_paths
 from annotator.web.settings import ServerSettings
-from annotator.workflows.recordings import add_recordings
+from annotator.workflows.add_recordings import add_recordings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -38,22 +38,22 @@ PLACES = ((Path("/srv/data/inner"), "inner"), (Path("/srv/data"), "data"), (Path
         ("color/1.jpg: missing", "color/1.jpg: missing"),
     ],
 )
-def test_messages_name_files_without_their_places(message: str, shown: str) -> None:
-    assert without_places(message, PLACES) == shown
-    assert without_places(shown, PLACES) == shown
+def test_messages_name_files_without_their_folders(message: str, shown: str) -> None:
+    assert hide_paths(message, PLACES) == shown
+    assert hide_paths(shown, PLACES) == shown
 
 
 @given(st.lists(st.from_regex(r"[a-z0-9_.-]{1,8}", fullmatch=True), min_size=1, max_size=5), st.booleans())
-def test_no_folder_is_left_of_any_path(parts: list[str], is_known: bool) -> None:
+def test_no_path_keeps_its_folders(parts: list[str], is_known: bool) -> None:
     parts = [part.strip(".-") or "x" for part in parts]
     path = Path("/srv/data" if is_known else "/var/lib", *parts)
-    shown = without_places(f"{path}: broken", PLACES)
-    assert not holds_absolute(shown)
+    shown = hide_paths(f"{path}: broken", PLACES)
+    assert not has_absolute_path(shown)
     assert path.name in shown and "/srv" not in shown and "/var" not in shown
 
 
-def test_a_broken_frame_is_told_with_its_file_only(live: Live, generated: Path, tmp_path: Path) -> None:
-    """Of a recording in a registered folder, and of one that came from elsewhere on the disk."""
+def test_the_error_of_a_broken_frame_names_its_file_only(live: Live, generated: Path, tmp_path: Path) -> None:
+    """For a recording in a registered folder, and for one elsewhere on the disk."""
     project = live.context.project("room")
     elsewhere = tmp_path / "elsewhere" / "own take"
     shutil.copytree(generated / "people", elsewhere)
@@ -69,7 +69,7 @@ def test_a_broken_frame_is_told_with_its_file_only(live: Live, generated: Path, 
     assert str(generated.parent) not in wrong["error"]["message"]
 
 
-def test_projects_tell_their_problems_without_their_places(web_settings: ServerSettings) -> None:
+def test_problems_of_projects_do_not_contain_their_paths(web_settings: ServerSettings) -> None:
     folder = web_settings.projects_root / "damaged"
     folder.mkdir()
     (folder / "project.json").write_text("{")
@@ -79,5 +79,5 @@ def test_projects_tell_their_problems_without_their_places(web_settings: ServerS
     assert listed["damaged"]["problem"].startswith("projects/damaged/project.json")
     create_project(web_settings.projects_root, "empty", ["person"]).close()
     (web_settings.projects_root / "empty" / "project.db").unlink()
-    told = ask(app, "GET", "/api/projects/empty", cookies=cookies).json()["error"]["message"]
-    assert told.startswith("projects/empty/project.db: is missing")
+    message = ask(app, "GET", "/api/projects/empty", cookies=cookies).json()["error"]["message"]
+    assert message.startswith("projects/empty/project.db: is missing")

@@ -9,7 +9,7 @@ import pytest
 
 from annotator.project import BoxRotation, Project, ProjectSettings, create_project
 from annotator.recordings import open_recording
-from annotator.workflows.recordings import register_recording
+from annotator.workflows.add_recordings import register_recording
 
 MakeProject = Callable[..., Project]
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.project import BoxRotation, Change, NewLabel, Project
+from annotator.project import BoxRotation, NewLabel, Project, WriteContext
 from annotator.rcv.config import Orientation
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError, RecordingError
+from annotator.workflows.add_recordings import add_recordings, move_recording
 from annotator.workflows.exporting import ExportFormat, export_project
-from annotator.workflows.frames import FrameSource, orientation_for
-from annotator.workflows.own_labels import import_own_labels
-from annotator.workflows.recordings import add_recordings, move_recording
-from annotator.workflows.truth import load_truth
+from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.recorded.take_over import import_own_labels
 
 
 def remove_frame(folder: Path, key: str) -> None:
@@ -99,7 +99,7 @@ def test_a_folder_that_was_moved_is_pointed_to(
     there = tmp_path / "archive" / "take 7"
     there.parent.mkdir()
     shutil.move(folder, there)
-    with pytest.raises(RecordingError, match=rf"annotator move {project.path.name} people PATH"):
+    with pytest.raises(RecordingError, match=rf"annotator project move {project.path.name} people PATH"):
         FrameSource(project).read(frame)
     with pytest.raises(RecordingError, match="no known recording format"):
         move_recording(project, recording.id, there.parent, "ann")
@@ -150,8 +150,8 @@ def test_own_labels_are_taken_over_while_others_work(people: Project) -> None:
 
     def progress(done: int, of: int) -> None:
         if done == 1:
-            people.boxes.set_on_image(frames[2].id, [], BoxKind.BOX, Change(0, "bob"))
-            people.labels.create(frames[4].id, theirs, Change(0, "bob"))
+            people.boxes.set_on_image(frames[2].id, [], BoxKind.BOX, WriteContext(0, "bob"))
+            people.labels.create(frames[4].id, theirs, WriteContext(0, "bob"))
 
     found = import_own_labels(people, 1, progress)
     assert [len(people.labels.of_frame(frame.id)) for frame in frames] == [3, 3, 3, 3, 1]
@@ -163,7 +163,7 @@ def test_own_labels_give_way_to_a_change_in_the_very_moment(people: Project, mon
 
     def late(frame_id: int, *rest: object) -> object:
         if people.frames.get(frame_id).revision == 0:
-            people.boxes.set_on_image(frame_id, [], BoxKind.BOX, Change(0, "bob"))
+            people.boxes.set_on_image(frame_id, [], BoxKind.BOX, WriteContext(0, "bob"))
         return create(frame_id, *rest)
 
     monkeypatch.setattr(type(people.labels), "create", lambda self, *rest: late(*rest))
@@ -265,7 +265,7 @@ def test_a_frame_that_vanished(make_project: Callable[..., Project], own_copy: C
     folder = own_copy("people")
     project = make_project(folder)
     remove_frame(folder, "000002")
-    with pytest.raises(FrameError, match="people: frame 000002 is no longer there; bring it back, or add the folder"):
+    with pytest.raises(FrameError, match="people: frame 000002 is no longer there; restore it, or add the folder"):
         FrameSource(project).read(project.frames.of()[2])
 
 

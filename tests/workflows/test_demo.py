@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from annotator.formats.rcv import read_rcv
-from annotator.project import BoxRotation, Role, open_project
+from annotator.project import BoxRotation, open_project
 from annotator.recordings import open_recording
-from annotator.recordings.generated import writer
-from annotator.types import Source
+from annotator.synthetic import writer
+from annotator.types import DetectorKind, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows import demo
 from annotator.workflows.demo import DemoPlan, run_demo
-from annotator.workflows.train import TrainPlan
+from annotator.workflows.training.train import TrainPlan
 
 STAGES = ["generate", "label", "train", "propose", "score and export"]
 
@@ -55,7 +55,7 @@ def test_the_whole_loop(
         assert done[-1] == 1, stage
 
     assert (result.drawn.frames, result.drawn.boxes) == (2, 5 * result.drawn.objects)
-    assert [trained.role for trained in result.trained] == [Role.IMAGE, Role.VIEW]
+    assert [trained.role for trained in result.trained] == [DetectorKind.IMAGE, DetectorKind.VIEW]
     assert (result.annotated.done, result.annotated.failed) == (4, [])
     (scores,) = result.scores
     assert (scores.label, scores.frames) == (label, 2), "only frames that nobody labelled are scored"
@@ -88,7 +88,7 @@ def test_what_is_there_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(
         writer, "_write", lambda *_: pytest.fail("the recording was made before the place was looked at")
     )
-    with pytest.raises(ConfigError, match="is there already; choose another folder"):
+    with pytest.raises(ConfigError, match="exists already; choose another folder"):
         run_demo(tmp_path, DemoPlan(frames=4), lambda *_: None)
     assert (tmp_path / there / "precious").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == [there]

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from annotator.project import Project, Role
-from annotator.types import BoxKind
+from annotator.project import Project
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
 from annotator.workflows.detectors import active_detectors, load_detector
 
 
-def register(project: Project, role: Role, content: bytes = b"no weights") -> Path:
+def register(project: Project, role: DetectorKind, content: bytes = b"no weights") -> Path:
     weights = project.models_folder / role.value / "run" / "detector.pt"
     weights.parent.mkdir(parents=True)
     weights.write_bytes(content)
@@ -24,20 +24,20 @@ def register(project: Project, role: Role, content: bytes = b"no weights") -> Pa
 def test_nothing_trained_yet(people: Project) -> None:
     with pytest.raises(DetectionError, match="has no image detector yet; run `annotator train project0`"):
         active_detectors(people)
-    register(people, Role.IMAGE)
+    register(people, DetectorKind.IMAGE)
     with pytest.raises(DetectionError, match="has no view detector yet"):
         active_detectors(people)
 
 
 def test_weights_without_their_record(people: Project) -> None:
-    for role in Role:
+    for role in DetectorKind:
         register(people, role)
     with pytest.raises(AnnotatorError, match=r"model\.json: no such file"):
         active_detectors(people)
 
 
 def test_weights_that_are_gone(people: Project) -> None:
-    weights = register(people, Role.IMAGE)
+    weights = register(people, DetectorKind.IMAGE)
     weights.unlink()
     with pytest.raises(AnnotatorError, match="run"):
         load_detector(weights)

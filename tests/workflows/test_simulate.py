@@ -19,15 +19,15 @@ from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.workflows.recordings import add_recordings, register_recording
+from annotator.workflows.add_recordings import add_recordings, register_recording
+from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
     MIN_VISIBLE_POINTS,
-    _in_picture,
+    _is_inside,
     draw_frame,
     simulate_recording,
     visible_objects,
 )
-from annotator.workflows.truth import load_truth
 
 
 def simulated(project: Project, kind: BoxKind, every: int = 1):
@@ -105,7 +105,7 @@ def test_a_picture_begins_half_a_pixel_before_its_first_centre() -> None:
     view = PseudoView(np.zeros((3, 4, 3), np.uint8), np.eye(3), 0.1, np.array([1.0, 2.0]), np.zeros((0, 3), np.float32))
     x = np.array([0.94, 0.96, 1.34, 1.36, 1.1, 1.1, 1.1, 1.1])
     y = np.array([2.1, 2.1, 2.1, 2.1, 1.94, 1.96, 2.24, 2.26])
-    seen = _in_picture(view, np.stack([x, y, np.ones(8)], axis=1))
+    seen = _is_inside(view, np.stack([x, y, np.ones(8)], axis=1))
     assert seen.tolist() == [False, True, True, False] * 2
 
 
@@ -217,7 +217,7 @@ def test_masks_alone_have_no_true_boxes_to_draw(people: Project, own_copy: Calla
 
 def test_masks_alone_name_no_class(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
     project = make_project(masks_only(own_copy("people")), classes=("person", "robot"))
-    with pytest.raises(ConfigError, match="which of person, robot"):
+    with pytest.raises(ConfigError, match=r"class of an object \(person, robot\) is unknown"):
         simulated(project, BoxKind.SILHOUETTE)
 
 
@@ -232,7 +232,7 @@ def test_a_recording_without_truth(people: Project, own_copy: Callable[[str], Pa
 
 def test_truth_of_other_classes_only(make_project: Callable[..., Project], generated: Path) -> None:
     project = make_project(generated / "people", classes=("robot",))
-    with pytest.raises(ConfigError, match="brings no true boxes of robot"):
+    with pytest.raises(ConfigError, match="no visible true boxes of robot"):
         simulated(project, BoxKind.BOX)
 
 

@@ -8,7 +8,7 @@ from importlib import import_module
 from annotator.geometry import kernels as of_geometry
 from annotator.geometry.kernels.points_in_box import points_in_box
 from annotator.rcv import kernels as of_rcv
-from annotator.rcv.seeds import is_warm
+from annotator.rcv.warm_start import is_warm
 from annotator.workflows.warm_up import warm_up
 
 

@@ -1,67 +1,104 @@
-/** Requests to the server: JSON in, JSON out; everything that goes wrong is an ApiError with a message for the operator. */
+/** Requests to the server: JSON in, JSON out. Every failure is an ApiError with a message for the operator. */
 
-export class ApiError extends Error {
-  /**
-   * @param {number} status HTTP status, 0 where the server did not answer.
-   * @param {string} kind the server's class name of the error.
-   * @param {object} body the whole answer; with 409 `state` is what is there now and `changes` what was sent.
-   */
-  constructor(status, kind, message, body = {}) {
-    super(message);
-    this.name = "ApiError";
-    this.status = status;
-    this.kind = kind;
-    this.body = body;
-  }
-
-  /** Somebody else has changed the frame: `body.state` is theirs. */
-  get isStale() {
-    return this.status === 409 && this.kind === "StaleRevisionError" && Boolean(this.body.state);
-  }
-}
+import { ApiError, isAborted } from "./errors.js";
 
 /**
- * @param {object} effort see effort.js.
- * @param {() => void} onSignedOut called with each 401.
+ * The caller names the type of the answer; the server's routes define it (see `Api`).
+ *
+ * @param {EffortCounter} effort
+ * @param {() => unknown} onSignedOut called with each 401.
  */
 export function createApi(effort, onSignedOut) {
+  /**
+   * @template T
+   * @param {string} method
+   * @param {string} path
+   * @param {unknown} body
+   * @param {RequestOptions} [options]
+   * @returns {Promise<T>}
+   */
   async function request(method, path, body, options = {}) {
-    const init = { method, headers: { Accept: "application/json" }, credentials: "same-origin", signal: options.signal };
-    if (body !== undefined) {
-      init.headers["Content-Type"] = "application/json";
-      init.body = JSON.stringify(body);
-    }
+    /** @type {Record<string, string>} */
+    const headers = { Accept: "application/json" };
+    if (body !== undefined) headers["Content-Type"] = "application/json";
     let response;
     try {
-      response = await fetch(path, init);
+      const text = body === undefined ? undefined : JSON.stringify(body);
+      response = await fetch(path, {
+        method,
+        headers,
+        credentials: "same-origin",
+        signal: options.signal,
+        body: text,
+      });
     } catch (error) {
-      if (error.name === "AbortError") throw error;
-      throw new ApiError(0, "NoAnswer", "The server does not answer. What was saved is safe; try again when it is back.");
+      if (isAborted(error)) throw error;
+      throw new ApiError(0, "NoAnswer", "The server does not answer. Saved work is safe; try again when it is back.");
     }
     const answer = await readJson(response);
     if (response.ok) return answer;
     if (response.status === 401) onSignedOut();
-    const { kind = "HttpError", message = `The server answered ${response.status} ${response.statusText}` } = answer?.error ?? {};
+    const { kind = "HttpError", message = `The server answered ${response.status} ${response.statusText}` } =
+      answer?.error ?? {};
     throw new ApiError(response.status, kind, message, answer ?? {});
   }
 
   return {
+    /**
+     * @template T
+     * @param {string} path
+     * @param {RequestOptions} [options]
+     * @returns {Promise<T>}
+     */
     get: (path, options) => request("GET", path, undefined, options),
-    post: (path, body = {}, options = {}) => request("POST", path, body, options),
-    put: (path, body = {}, options = {}) => request("PUT", path, body, options),
-    patch: (path, body = {}, options = {}) => request("PATCH", path, body, options),
-    del: (path, options = {}) => request("DELETE", path, undefined, options),
 
-    /** A POST that carries the effort since the last acknowledged change. */
-    async change(path, body, options = {}) {
+    /**
+     * @template T
+     * @param {string} path
+     * @param {object} [body]
+     * @param {RequestOptions} [options]
+     * @returns {Promise<T>}
+     */
+    post: (path, body = {}, options = {}) => request("POST", path, body, options),
+
+    /**
+     * @template T
+     * @param {string} path
+     * @param {object} body
+     * @returns {Promise<T>}
+     */
+    put: (path, body) => request("PUT", path, body),
+
+    /**
+     * @template T
+     * @param {string} path
+     * @param {object} body
+     * @returns {Promise<T>}
+     */
+    patch: (path, body) => request("PATCH", path, body),
+
+    /** @param {string} path */
+    del: (path) => request("DELETE", path, undefined),
+
+    /**
+     * A POST that carries the effort since the last acknowledged change.
+     *
+     * @template T
+     * @param {string} path
+     * @param {object} body
+     * @returns {Promise<T>}
+     */
+    async change(path, body) {
       const sent = effort.peek();
-      const answer = await request("POST", path, { ...body, effort: sent }, options);
+      /** @type {T} */
+      const answer = await request("POST", path, { ...body, effort: sent });
       effort.acknowledge(sent);
       return answer;
     },
   };
 }
 
+/** @param {Response} response */
 async function readJson(response) {
   if (response.status === 204) return null;
   const text = await response.text();
@@ -72,7 +109,12 @@ async function readJson(response) {
   }
 }
 
-/** The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3. */
+/**
+ * The path of a project's resource: projectPath("hands", "frames", 3) -> /api/projects/hands/frames/3.
+ *
+ * @param {string} project
+ * @param {...(string | number)} parts
+ */
 export function projectPath(project, ...parts) {
   return ["/api/projects", ...[project, ...parts].map((part) => encodeURIComponent(part))].join("/");
 }

@@ -1,58 +1,94 @@
-// A camera as the server describes it, and the outline of a box on its picture; OpenCV's model, px as everywhere
-// (the centre of the first pixel is (0, 0)).
-//
-// camera: {fx, fy, cx, cy, distortion: [0, 4, 5, 8, 12 or 14 coefficients], width, height}
+// Projection onto the camera's picture, and the outline of a box on it, by OpenCV's camera model. The distortion has
+// 0, 4, 5, 8, 12 or 14 coefficients.
 
 import { EDGES, corners } from "./box3d.js";
 
-/** What lies nearer to the camera is not on the picture, metres. */
+/** Nothing nearer to the camera than this is on the picture, metres. */
 const NEAR_M = 0.1;
-/** Straight edges are bent by a lens: each is followed in so many steps. */
+/** A lens bends straight edges: each is drawn as this many segments. */
 const STEPS = 16;
 
-/** Where a point of the camera frame appears, px; null behind the camera or beyond what the lens model reaches. */
+/**
+ * A point's px; null if it is behind the camera or outside the range of the lens model.
+ *
+ * @param {Camera} camera
+ * @param {Vector} point
+ */
 export function project(camera, [x, y, z]) {
   if (!(z > 0)) return null;
   const seen = distorted(camera, x / z, y / z);
   return seen && [seen[0] * camera.fx + camera.cx, seen[1] * camera.fy + camera.cy];
 }
 
-/** Whether the picture bends straight lines. */
-export const isBent = (camera) => camera.distortion.some((value) => value !== 0);
+/**
+ * Whether the picture bends straight lines.
+ *
+ * @param {Camera} camera
+ */
+const isBent = (camera) => camera.distortion.some((value) => value !== 0);
 
-/** Lines (lists of two or more px) along the edges of a box, cut at the near plane and at the picture's border. */
+/**
+ * Lines of two or more px along the edges of a box, cut at the near plane and at the picture's border.
+ *
+ * @param {Camera} camera
+ * @param {Box3D} box
+ */
 export function outline(camera, box) {
   const points = corners(box);
   return EDGES.flatMap(([a, b]) => line(camera, points[a], points[b]));
 }
 
-/** The parts of a straight line of the camera frame that are on the picture: lists of px. */
+/**
+ * The parts of a straight line in the camera frame that are on the picture.
+ *
+ * @param {Camera} camera
+ * @param {Vector} from
+ * @param {Vector} to
+ */
 export function line(camera, from, to) {
   const ends = cutNear(from, to);
   if (!ends) return [];
   const count = isBent(camera) ? STEPS : 1;
-  const px = Array.from({ length: count + 1 }, (_, i) => project(camera, between(...ends, i / count)));
+  const [near, far] = ends;
+  const px = Array.from({ length: count + 1 }, (_, i) => project(camera, between(near, far, i / count)));
+  /** @type {Line[]} */
   const parts = [];
   for (let i = 0; i < count; i += 1) {
-    const part = px[i] && px[i + 1] && cutToPicture(camera, px[i], px[i + 1]);
+    const [a, b] = [px[i], px[i + 1]];
+    const part = a && b && cutToPicture(camera, a, b);
     if (!part) continue;
     const last = parts.at(-1);
-    const goesOn = last && last.at(-1)[0] === part[0][0] && last.at(-1)[1] === part[0][1];
-    if (goesOn) last.push(part[1]);
+    const end = last?.at(-1);
+    if (last && end && end[0] === part[0][0] && end[1] === part[0][1]) last.push(part[1]);
     else parts.push(part);
   }
   return parts;
 }
 
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ * @param {number} share
+ */
 const between = (a, b, share) => a.map((value, i) => value + share * (b[i] - value));
 
+/**
+ * @param {Vector} a
+ * @param {Vector} b
+ */
 function cutNear(a, b) {
   if (a[2] < NEAR_M && b[2] < NEAR_M) return null;
   const crossing = () => between(a, b, (NEAR_M - a[2]) / (b[2] - a[2]));
   return [a[2] < NEAR_M ? crossing() : a, b[2] < NEAR_M ? crossing() : b];
 }
 
-// Liang and Barsky's cut of a line to a rectangle.
+/**
+ * The part of a line that is in the picture (Liang-Barsky clipping); null if there is none.
+ *
+ * @param {Camera} camera
+ * @param {Point} a
+ * @param {Point} b
+ */
 function cutToPicture(camera, a, b) {
   const low = [-0.5, -0.5];
   const high = [camera.width - 0.5, camera.height - 0.5];
@@ -71,6 +107,11 @@ function cutToPicture(camera, a, b) {
   return [enter === 0 ? a : between(a, b, enter), leave === 1 ? b : between(a, b, leave)];
 }
 
+/**
+ * @param {Camera} camera
+ * @param {number} x
+ * @param {number} y
+ */
 function distorted(camera, x, y) {
   if (!isBent(camera)) return [x, y];
   const k = [...camera.distortion, ...Array(14).fill(0)].slice(0, 14);
@@ -85,16 +126,28 @@ function distorted(camera, x, y) {
   return tx || ty ? tilted(bent, tx, ty) : bent;
 }
 
+/**
+ * @param {number[]} options
+ * @param {number} q
+ */
 const radialFactor = ([a, b, c], q) => 1 + q * (a + q * (b + q * c));
 
+/** @type {WeakMap<Camera, number>} */
 const reaches = new WeakMap();
 
-/** Up to which squared radius the radial model grows: beyond it, points far off the picture would land in it. */
+/**
+ * The squared radius up to which the radial model increases. Points beyond it, far outside the picture, would be
+ * projected into it.
+ *
+ * @param {Camera} camera
+ */
 function reach(camera) {
-  if (!reaches.has(camera)) reaches.set(camera, findReach(camera));
-  return reaches.get(camera);
+  const known = reaches.get(camera) ?? findReach(camera);
+  reaches.set(camera, known);
+  return known;
 }
 
+/** @param {Camera} camera */
 function findReach({ distortion }) {
   const [k1, k2, , , k3 = 0, k4 = 0, k5 = 0, k6 = 0] = distortion;
   // no picture reaches further than about 84 degrees off its axis
@@ -110,10 +163,16 @@ function findReach({ distortion }) {
   return Infinity;
 }
 
-// The tilted sensor of OpenCV's model: turned about x by tx, then about y by ty, and seen from the lens again.
+/**
+ * The tilted sensor of OpenCV's model: turned about x by tx, then about y by ty, and projected through the lens again.
+ *
+ * @param {Point} point
+ * @param {number} tx
+ * @param {number} ty
+ */
 function tilted([x, y], tx, ty) {
   const [cx, sx, cy, sy] = [Math.cos(tx), Math.sin(tx), Math.cos(ty), Math.sin(ty)];
-  // rows of R = Ry(-ty)-like . Rx(-tx)-like, as the calibration module's text gives them
+  // the rows of the rotation in the documentation of OpenCV's calibration module
   const r = [
     [cy, sy * sx, -sy * cx],
     [0, cx, sx],

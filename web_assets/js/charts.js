@@ -1,14 +1,18 @@
-/** Charts by plotly, whose bundled script is fetched from this server the first time one is drawn. */
+/** Charts, drawn by plotly. Its script comes from the server and is loaded when the first chart is drawn. */
+
+import { messageOf } from "./errors.js";
 
 const SCRIPT = "/assets/vendor/plotly.min.js";
 
+/** @type {Promise<Plotly> | null} */
 let loading = null;
 
 function loadPlotly() {
   loading ??= new Promise((resolve, reject) => {
     const script = document.createElement("script");
     script.src = SCRIPT;
-    script.onload = () => (window.Plotly ? resolve(window.Plotly) : reject(new Error("the chart library did not start")));
+    script.onload = () =>
+      window.Plotly ? resolve(window.Plotly) : reject(new Error("the chart library did not start"));
     script.onerror = () => reject(new Error("the chart library could not be loaded"));
     document.head.append(script);
   }).catch((error) => {
@@ -18,27 +22,42 @@ function loadPlotly() {
   return loading;
 }
 
-/** The theme's colours as they are now: a probe resolves what CSS variables hold. */
+/** The theme's present colours: the computed colour of a probe element is the resolved CSS variable. */
 function themeColors() {
   const probe = document.createElement("i");
   document.body.append(probe);
+  /** @param {string} name */
   const read = (name) => {
     probe.style.color = `var(--${name})`;
     return getComputedStyle(probe).color;
   };
-  const names = ["text", "muted", "line", "accent", "good", "warn", "bad", "proposed", "accepted", "edited", "rejected"];
+  const names = [
+    "text",
+    "muted",
+    "line",
+    "accent",
+    "good",
+    "warn",
+    "bad",
+    "proposed",
+    "accepted",
+    "edited",
+    "rejected",
+  ];
   const colors = Object.fromEntries(names.map((name) => [name, read(name)]));
   probe.remove();
   return colors;
 }
 
 /**
- * A chart in `host` that follows the theme and the size of its place.
+ * A chart in `host` that follows the theme and the size of the host.
  *
- * @param {(colors: object) => {traces: object[], layout: object}} make is asked again at each draw.
+ * @param {HTMLElement} host
+ * @param {(colors: Record<string, string>) => Chart} make is called again at each draw.
  * @returns {{draw(): Promise<void>, destroy(): void}}
  */
 export function createChart(host, make) {
+  /** @type {Plotly | null} */
   let plotly = null;
   let ended = false;
 
@@ -46,7 +65,7 @@ export function createChart(host, make) {
     try {
       plotly ??= await loadPlotly();
     } catch (error) {
-      host.textContent = `No chart: ${error.message}. The table has the same numbers.`;
+      host.textContent = `No chart: ${messageOf(error)}. The table has the same numbers.`;
       return;
     }
     if (ended || !host.isConnected) return;

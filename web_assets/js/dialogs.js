@@ -1,24 +1,32 @@
-/** Modal dialogs: a form in a <dialog>, which traps the focus and closes with Escape by itself. */
+/** Modal dialogs: a form in a <dialog>, which keeps the focus inside and closes with Escape. */
 
 import { h, iconButton } from "./dom.js";
+import { messageOf } from "./errors.js";
 
 /**
  * Shows a dialog until one of its actions is done.
  *
+ * @template [T=string]
+ * @param {object} options
  * @param {string} options.title
  * @param {Node[]} options.content
- * @param {{label: string, value: string, kind?: string}[]} options.actions the last one is what Enter does.
- * @param {(value: string, form: HTMLFormElement) => any} [options.submit] what an action does, may be async; its result is
- *     the dialog's. An exception keeps the dialog open and is shown in it.
- * @param {boolean} [options.required] no closing without an action.
- * @returns {Promise<any>} null where it was closed.
+ * @param {{label: string, value: string, kind?: string}[]} options.actions Enter triggers the last one.
+ * @param {(value: string, form: HTMLFormElement) => T | Promise<T>} [options.submit] performs an action; its
+ *     result is the dialog's. If it throws, the dialog stays open and shows the error.
+ * @param {boolean} [options.required] it cannot be closed without an action.
+ * @param {boolean} [options.wide]
+ * @param {string | null} [options.testid]
+ * @returns {Promise<T | null>} null if it was closed without an action.
  */
-export function openDialog({ title, content, actions, submit = (value) => value, required = false, wide = false, testid = null }) {
+export function openDialog({ title, content, actions, submit, required = false, wide = false, testid = null }) {
   return new Promise((resolve) => {
     const problem = h("p", { class: "error-box", role: "alert", hidden: true });
-    const buttons = actions.map(({ label, value, kind }, index) =>
-      h("button", { type: "submit", value, class: kind ?? (index === actions.length - 1 ? "primary" : ""), "data-testid": `dialog-${value}` }, label),
-    );
+    const buttons = actions.map(({ label, value, kind }, index) => {
+      const look = kind ?? (index === actions.length - 1 ? "primary" : "");
+      return h("button", { type: "submit", value, class: look, "data-testid": `dialog-${value}` }, label);
+    });
+    const last = buttons[buttons.length - 1];
+    const dialog = h("dialog", { class: wide ? "wide" : "", "aria-label": title, "data-testid": testid });
     const close = required ? null : iconButton("close", "Close", () => dialog.close());
     const form = h(
       "form",
@@ -27,28 +35,29 @@ export function openDialog({ title, content, actions, submit = (value) => value,
       h("div", { class: "content" }, content, problem),
       h("footer", {}, buttons),
     );
-    const dialog = h("dialog", { class: wide ? "wide" : "", "aria-label": title, "data-testid": testid }, form);
+    dialog.append(form);
+    /** @type {T | null} */
     let result = null;
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
-      const value = (event.submitter ?? buttons.at(-1)).value;
+      const { value } = buttons.find((button) => button === event.submitter) ?? last;
       for (const button of buttons) button.disabled = true;
       problem.hidden = true;
       try {
-        result = await submit(value, form);
+        result = submit ? await submit(value, form) : /** @type {T} */ (value);
         dialog.close();
       } catch (error) {
-        problem.textContent = error.message;
+        problem.textContent = messageOf(error);
         problem.hidden = false;
       } finally {
         for (const button of buttons) button.disabled = false;
       }
     });
-    // Enter in a field does the last action, which is the first one of a row of buttons for the browser.
+    // the browser would trigger the first action
     form.addEventListener("keydown", (event) => {
-      if (event.key === "Enter" && event.target.tagName === "INPUT") {
+      if (event.key === "Enter" && event.target instanceof HTMLInputElement) {
         event.preventDefault();
-        form.requestSubmit(buttons.at(-1));
+        form.requestSubmit(last);
       }
     });
     dialog.addEventListener("cancel", (event) => {
@@ -60,22 +69,33 @@ export function openDialog({ title, content, actions, submit = (value) => value,
     });
     document.body.append(dialog);
     dialog.showModal();
-    (form.querySelector("[autofocus]") ?? buttons.at(-1)).focus();
+    const first = form.querySelector("[autofocus]");
+    (first instanceof HTMLElement ? first : last).focus();
   });
 }
 
-/** A question with two answers; true where it is confirmed. */
+/**
+ * A question with two answers; true if it is confirmed.
+ *
+ * @param {string} title
+ * @param {string} text
+ * @param {string} action
+ * @param {string} [kind]
+ */
 export async function confirm(title, text, action, kind = "primary") {
-  const actions = [{ label: "Cancel", value: "no" }, { label: action, value: "yes", kind }];
+  const actions = [
+    { label: "Cancel", value: "no" },
+    { label: action, value: "yes", kind },
+  ];
   return (await openDialog({ title, content: [h("p", {}, text)], actions })) === "yes";
 }
 
 /**
- * What cannot be saved: the operator stays with it, tries again, or gives it up.
+ * Asks about something that cannot be saved: the operator can stay, try again, or discard it.
  *
- * @param {{text: string, retry: () => any, discard: () => void}} unsaved
- * @param {() => object | null} look what is unsaved by now.
- * @returns {Promise<boolean>} true where nothing is left that could be lost.
+ * @param {Unsaved} unsaved
+ * @param {() => Unsaved | null} look returns what is still unsaved.
+ * @returns {Promise<boolean>} true if nothing is unsaved any more.
  */
 export async function askUnsaved(unsaved, look) {
   const choice = await openDialog({
@@ -83,7 +103,7 @@ export async function askUnsaved(unsaved, look) {
     testid: "unsaved-dialog",
     content: [h("p", {}, unsaved.text)],
     actions: [
-      { label: "Discard and go on", value: "discard", kind: "danger" },
+      { label: "Discard and continue", value: "discard", kind: "danger" },
       { label: "Stay here", value: "stay", kind: "" },
       { label: "Try again", value: "retry" },
     ],
@@ -98,8 +118,13 @@ export async function askUnsaved(unsaved, look) {
   return choice === "discard" || choice === "retry";
 }
 
-/** The key table. */
+/**
+ * The key table.
+ *
+ * @param {Keys} keys
+ */
 export function keyTableDialog(keys) {
+  /** @type {Map<string, import("./keys.js").KeyRow[]>} */
   const groups = new Map();
   for (const row of keys.table) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
   const sections = [...groups].map(([group, rows]) =>
@@ -107,7 +132,11 @@ export function keyTableDialog(keys) {
       "section",
       {},
       h("h3", {}, group),
-      h("dl", {}, rows.flatMap((row) => [h("dt", {}, keyCaps(row)), h("dd", {}, row.label)])),
+      h(
+        "dl",
+        {},
+        rows.flatMap((row) => [h("dt", {}, keyCaps(row)), h("dd", {}, row.label)]),
+      ),
     ),
   );
   return openDialog({
@@ -119,7 +148,11 @@ export function keyTableDialog(keys) {
   });
 }
 
+/** @param {import("./keys.js").KeyRow} row */
 function keyCaps(row) {
   const names = row.shown ?? row.keys;
-  return names.flatMap((name, index) => [index > 0 && !row.shown ? " or " : " ", ...name.split(/(?<=.)\+/).map((part) => h("kbd", {}, part))]);
+  return names.flatMap((name, index) => [
+    index > 0 && !row.shown ? " or " : " ",
+    ...name.split(/(?<=.)\+/).map((part) => h("kbd", {}, part)),
+  ]);
 }

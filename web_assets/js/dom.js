@@ -1,31 +1,59 @@
-/** Small helpers that make elements. Nothing here ever parses HTML, so no text can become markup. */
+/** Makes elements. Nothing here parses HTML, so no text can become markup. */
 
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
- * An element: h("button", {class: "primary", onclick: fn, disabled: true}, "Save").
- * A function becomes a listener, true an empty attribute, null and false nothing; `value` and `checked` are set as properties.
+ * An element: h("button", {class: "primary", onclick: fn, disabled: true}, "Save"). A function becomes a listener and
+ * true an empty attribute; null and false are left out; `value` and `checked` are set as properties.
+ *
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} tag
+ * @param {Attributes} [attributes]
+ * @param {...(Child | Child[])} children
+ * @returns {HTMLElementTagNameMap[K]}
  */
 export function h(tag, attributes, ...children) {
   return fill(document.createElement(tag), attributes, children);
 }
 
-/** The same in SVG. */
+/**
+ * The same in SVG.
+ *
+ * @template {keyof SVGElementTagNameMap} K
+ * @param {K} tag
+ * @param {Attributes} [attributes]
+ * @param {...(Child | Child[])} children
+ * @returns {SVGElementTagNameMap[K]}
+ */
 export function s(tag, attributes, ...children) {
   return fill(document.createElementNS(SVG, tag), attributes, children);
 }
 
-function fill(element, attributes, children) {
-  for (const [name, value] of Object.entries(attributes ?? {})) setAttribute(element, name, value);
-  element.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
+/**
+ * @template {Element} T
+ * @param {T} element
+ * @param {Attributes} [attributes]
+ * @param {(Child | Child[])[]} [children]
+ */
+function fill(element, attributes = {}, children = []) {
+  for (const [name, value] of Object.entries(attributes)) setAttribute(element, name, value);
+  for (const child of children.flat()) {
+    if (child !== null && child !== undefined && child !== false) element.append(child);
+  }
   return element;
 }
 
+/**
+ * @param {Element} element
+ * @param {string} name
+ * @param {AttributeValue} value
+ */
 function setAttribute(element, name, value) {
   if (value === null || value === undefined || value === false) return;
-  if (typeof value === "function") element.addEventListener(name.replace(/^on/, ""), value);
-  else if (name === "value" || name === "checked") element[name] = value;
-  else element.setAttribute(name, value === true ? "" : value);
+  if (typeof value === "function")
+    element.addEventListener(name.replace(/^on/, ""), /** @type {EventListener} */ (value));
+  else if (name === "value" || name === "checked") Object.assign(element, { [name]: value });
+  else element.setAttribute(name, value === true ? "" : String(value));
 }
 
 const GLYPHS = {
@@ -45,17 +73,49 @@ const GLYPHS = {
   lock: "M4 7.5h8V14H4ZM5.5 7.5V5a2.5 2.5 0 0 1 5 0v2.5",
 };
 
-/** A line icon of 16 x 16; it is decoration, so the control around it needs its own label. */
+/**
+ * A line icon of 16 x 16. It is decoration: the control around it needs a label of its own.
+ *
+ * @param {keyof typeof GLYPHS} name
+ */
 export function glyph(name) {
   return s("svg", { class: "glyph", viewBox: "0 0 16 16", "aria-hidden": "true" }, s("path", { d: GLYPHS[name] }));
 }
 
-/** A button that shows only an icon; the label is its tooltip and its accessible name. */
+/**
+ * A button that shows only an icon; the label is its tooltip and its accessible name.
+ *
+ * @param {keyof typeof GLYPHS} icon
+ * @param {string} label
+ * @param {() => unknown} onclick
+ * @param {Attributes} [more]
+ */
 export function iconButton(icon, label, onclick, more = {}) {
-  return h("button", { type: "button", class: "icon quiet", title: label, "aria-label": label, onclick, ...more }, glyph(icon));
+  return h(
+    "button",
+    { type: "button", class: "icon quiet", title: label, "aria-label": label, onclick, ...more },
+    glyph(icon),
+  );
 }
 
-/** 1 -> "1 frame", 2 -> "2 frames". */
+/**
+ * 1 -> "1 frame", 2 -> "2 frames".
+ *
+ * @param {number} number
+ * @param {string} word
+ * @param {string} [plural]
+ */
 export function count(number, word, plural = `${word}s`) {
   return `${number.toLocaleString("en")} ${number === 1 ? word : plural}`;
+}
+
+/**
+ * An element of index.html.
+ *
+ * @param {string} id
+ */
+export function elementById(id) {
+  const element = document.getElementById(id);
+  if (element === null) throw new Error(`the page has no element #${id}`);
+  return element;
 }

@@ -1,9 +1,10 @@
 /**
- * The effort that goes into labels, counted as SAnE counts it: actions, and seconds in which the operator was at work.
+ * The effort that labels cost, measured as in SAnE: actions, and seconds of work.
  *
- * An action is one finished drag, one key or one click that changes something; looking around is none. Time runs from one
- * sign of life (pointer, wheel, key) to the next, and a pause of any length counts as at most 30 s. What the server has
- * acknowledged is taken off, so nothing is counted twice and nothing is lost with a refused request.
+ * An action is one finished drag, key press or click that changes something; looking around does not count.
+ * Time is counted from one input event (pointer, wheel, key) to the next, and each pause counts as at most 30 s. The
+ * effort that the server has acknowledged is subtracted, so that nothing is counted twice or lost with a refused
+ * request.
  */
 
 const LONGEST_PAUSE_S = 30;
@@ -12,12 +13,12 @@ const SIGNS = ["pointerdown", "pointermove", "wheel", "keydown"];
 export function createEffort(now = () => performance.now() / 1000) {
   let actions = 0;
   let seconds = 0;
-  let last_s = now();
+  let lastS = now();
 
   function alive() {
     const time = now();
-    seconds += Math.min(time - last_s, LONGEST_PAUSE_S);
-    last_s = time;
+    seconds += Math.min(time - lastS, LONGEST_PAUSE_S);
+    lastS = time;
   }
 
   return {
@@ -27,31 +28,39 @@ export function createEffort(now = () => performance.now() / 1000) {
       actions += n;
     },
 
-    /** Time runs on: something was done, though it changes nothing. */
+    /** Counts the time since the last input event. */
     alive,
 
-    /** Watches a window or document for signs of life. */
+    /**
+     * Listens to the input events of a window.
+     *
+     * @param {Window} target
+     */
     watch(target) {
       for (const name of SIGNS) target.addEventListener(name, alive, { capture: true, passive: true });
     },
 
-    /** What there is now, to be sent along with a change. */
+    /** The effort so far, to be sent with a change. */
     peek() {
       alive();
       return { actions, seconds: Math.round(seconds * 1000) / 1000 };
     },
 
-    /** Takes off what the server has acknowledged. */
+    /**
+     * Subtracts what the server has acknowledged.
+     *
+     * @param {Api.Effort} sent
+     */
     acknowledge(sent) {
       actions = Math.max(0, actions - sent.actions);
       seconds = Math.max(0, seconds - sent.seconds);
     },
 
-    /** Gives up what was counted: another frame was opened, and its objects did not cost this. */
+    /** Discards the effort so far: it was not spent on the next frame's objects. */
     reset() {
       actions = 0;
       seconds = 0;
-      last_s = now();
+      lastS = now();
     },
   };
 }

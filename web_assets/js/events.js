@@ -1,35 +1,42 @@
-/** The server's live messages over one WebSocket that is opened again whenever it breaks. */
+/** The server's live messages, over one WebSocket, which is reopened whenever the connection is lost. */
 
 const FIRST_WAIT_MS = 400;
 const LONGEST_WAIT_MS = 8000;
 
-/**
- * Types of messages: frame, presence, job, viewport (as the server sends them), and of our own: `connection` (true or
- * false) and `reconnected` (messages may have been missed: read again what is shown).
- */
+/** See `Messages` for the types of messages and their contents. */
 export function createEvents() {
+  /** @type {Map<string, Set<(message: never) => unknown>>} */
   const listeners = new Map();
+  /** @type {WebSocket | null} */
   let socket = null;
+  /** @type {string | null} */
   let project = null;
-  let open_frame = null;
-  let wait_ms = FIRST_WAIT_MS;
+  /** @type {number | null} */
+  let shownFrame = null;
+  let waitMs = FIRST_WAIT_MS;
   let timer = 0;
-  let was_connected = false;
+  let wasConnected = false;
 
+  /**
+   * @template {keyof Messages} K
+   * @param {K} type
+   * @param {Messages[K]} message
+   */
   function emit(type, message) {
-    for (const fn of [...(listeners.get(type) ?? [])]) fn(message);
+    for (const fn of [...(listeners.get(type) ?? [])]) fn(/** @type {never} */ (message));
   }
 
-  function connect() {
+  /** @param {string} name */
+  function connect(name) {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const mine = new WebSocket(`${scheme}://${location.host}/api/events?project=${encodeURIComponent(project)}`);
+    const mine = new WebSocket(`${scheme}://${location.host}/api/events?project=${encodeURIComponent(name)}`);
     socket = mine;
     mine.onopen = () => {
-      wait_ms = FIRST_WAIT_MS;
+      waitMs = FIRST_WAIT_MS;
       emit("connection", true);
-      if (open_frame !== null) tell({ type: "open", project, frame: open_frame });
-      if (was_connected) emit("reconnected", null);
-      was_connected = true;
+      if (shownFrame !== null) send({ type: "open", project, frame: shownFrame });
+      if (wasConnected) emit("reconnected", null);
+      wasConnected = true;
     };
     mine.onmessage = ({ data }) => {
       const message = JSON.parse(data);
@@ -38,40 +45,55 @@ export function createEvents() {
     mine.onclose = () => {
       if (socket !== mine) return;
       emit("connection", false);
-      timer = setTimeout(connect, wait_ms);
-      wait_ms = Math.min(wait_ms * 2, LONGEST_WAIT_MS);
+      timer = setTimeout(connect, waitMs, name);
+      waitMs = Math.min(waitMs * 2, LONGEST_WAIT_MS);
     };
   }
 
-  function tell(message) {
+  /** @param {object} message */
+  function send(message) {
     if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
   }
 
   return {
-    /** Calls `fn(message)` for each message of a type. Returns the function that ends this. */
+    /**
+     * Calls `fn(message)` for each message of a type. Returns a function that removes this listener.
+     *
+     * @template {keyof Messages} K
+     * @param {K} type
+     * @param {(message: Messages[K]) => unknown} fn
+     */
     on(type, fn) {
-      if (!listeners.has(type)) listeners.set(type, new Set());
-      listeners.get(type).add(fn);
-      return () => listeners.get(type).delete(fn);
+      const known = listeners.get(type) ?? new Set();
+      listeners.set(type, known.add(fn));
+      return () => known.delete(fn);
     },
 
-    /** Listens to a project (null: to none). */
+    /**
+     * Receives the messages of a project; null: of none.
+     *
+     * @param {string | null} name
+     */
     follow(name) {
       if (name === project) return;
       project = name;
-      open_frame = null;
-      was_connected = false;
+      shownFrame = null;
+      wasConnected = false;
       clearTimeout(timer);
       const old = socket;
       socket = null;
       old?.close();
-      if (project !== null) connect();
+      if (name !== null) connect(name);
     },
 
-    /** Tells the others which frame is open here; null: none. */
+    /**
+     * Reports which frame is open on this page, for the other pages; null: none.
+     *
+     * @param {number | null} frame
+     */
     openFrame(frame) {
-      open_frame = frame;
-      tell(frame === null ? { type: "close" } : { type: "open", project, frame });
+      shownFrame = frame;
+      send(frame === null ? { type: "close" } : { type: "open", project, frame });
     },
   };
 }

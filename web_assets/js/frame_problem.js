@@ -1,36 +1,59 @@
-/** What stands in the place of a picture where a frame cannot be read: the server's message, and what to do. */
+/** Shown in place of the picture of a frame that cannot be read: the server's message, and what to do. */
 
 import { h } from "./dom.js";
+import { messageOf } from "./errors.js";
 
-/** So many frames of the list are asked for at once. */
+/** Number of frames that one request for the list returns. */
 const PAGE = 1000;
 
 /**
- * @param {HTMLElement} host the panel's place for the picture.
- * @param {{onRetry: () => void, onStep: (which: "previous" | "next") => void}} what the buttons do.
+ * @param {HTMLElement} host the element that contains the picture.
+ * @param {{onRetry: () => void, onStep: (which: Direction) => void}} actions what the buttons do.
  */
 export function createFrameProblem(host, { onRetry, onStep }) {
   const text = h("p", { class: "error-box" });
+  /**
+   * @param {string} label
+   * @param {() => unknown} onclick
+   * @param {string} testid
+   */
   const button = (label, onclick, testid) => h("button", { type: "button", onclick, "data-testid": testid }, label);
   const root = h(
     "div",
     { class: "frame-problem", role: "alert", hidden: true, "data-testid": "frame-problem" },
     h("h3", {}, "This frame cannot be shown"),
     text,
-    h("p", { class: "help" }, "What is saved of it is safe. Put right what the message says and try again, or go on with another frame."),
-    h("div", { class: "row" }, button("Try again", onRetry, "frame-retry"), button("Previous frame", () => onStep("previous"), "frame-previous"), button("Next frame", () => onStep("next"), "frame-next")),
+    h(
+      "p",
+      { class: "help" },
+      "Its saved boxes are safe. Solve the problem and try again, or go on with another frame.",
+    ),
+    h(
+      "div",
+      { class: "row" },
+      button("Try again", onRetry, "frame-retry"),
+      button("Previous frame", () => onStep("previous"), "frame-previous"),
+      button("Next frame", () => onStep("next"), "frame-next"),
+    ),
   );
   host.append(root);
   return {
+    /** @param {unknown} error */
     show(error) {
-      text.textContent = error.message;
+      text.textContent = messageOf(error);
       root.hidden = false;
     },
     hide: () => (root.hidden = true),
   };
 }
 
-/** The frame before or after one that nobody can read, in its recording; null where there is none. */
+/**
+ * The frame before or after one that cannot be read, in the same recording; null if there is none.
+ *
+ * @param {App} app
+ * @param {number} id
+ * @param {Direction} which
+ */
 export async function frameBeside(app, id, which) {
   let before = null;
   for (let offset = 0, total = 1; offset < total; offset += PAGE) {

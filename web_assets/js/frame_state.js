@@ -1,78 +1,117 @@
 /**
- * The state of the open frame, and the one rule by which another state takes its place.
+ * The state of the open frame, and the one rule for replacing it: an older revision never replaces a newer one.
  *
- * Answers overtake each other: that to a save, to an undo, to a question because somebody else has saved. Each state carries
- * the frame's revision, which grows with every change; an older one never replaces a newer one. What others save is told by
- * events. One that comes while something of one's own is on its way is remembered, and looked at after that (`isBehind`).
+ * The answers to saves, undos and reads may arrive in any order; each state has the frame's revision, which grows with
+ * every change. Events report what others save. If an event arrives while a change of this page is being sent, it is
+ * remembered, and the frame is read again afterwards (`isBehind`).
  */
 
-/** So many times a frame is read again that somebody changes while it is being read. */
+/** Maximum number of times that a frame is read if others keep changing it meanwhile. */
 const MOST_READS = 4;
 
+/** @param {App} app */
 export function createFrameState(app) {
   const { state } = app;
-  /** Frame id -> the newest revision that events told of. */
+  /**
+   * Frame id -> the newest revision that an event has reported.
+   *
+   * @type {Map<number, number>}
+   */
   const heard = new Map();
-  let has_missed = false;
+  let hasMissed = false;
 
-  // ids are counted in each project, and the picture's address names the project, too
-  const isSame = (a, b) => Boolean(a && b) && a.frame.id === b.frame.id && a.image.url === b.image.url;
-  const isTold = (frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
+  // each project counts its frames from 1; the address of the picture names the project
+  /**
+   * @param {FrameState | null} a
+   * @param {FrameState | null} b
+   */
+  const isSame = (a, b) => a !== null && b !== null && a.frame.id === b.frame.id && a.image.url === b.image.url;
+  /** @param {FrameState} frame */
+  const isOutdated = (frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
 
   const frames = {
-    /** True where others have saved, or may have saved, something newer than what is shown. */
+    /** True if others have saved, or may have saved, a newer state. */
     get isBehind() {
-      return state.frame !== null && (has_missed || isTold(state.frame));
+      return state.frame !== null && (hasMissed || isOutdated(state.frame));
     },
 
-    /** A state of the open frame; resolves to false where it is an older one, or another frame's, and is not taken. */
+    /**
+     * Takes a state of the open frame. Returns false, and ignores the state, if it is older or of another frame.
+     *
+     * @param {FrameState} frame
+     */
     take(frame) {
-      if (!isSame(frame, state.frame) || frame.frame.revision < state.frame.frame.revision) return false;
+      const open = state.frame;
+      if (open === null || !isSame(frame, open) || frame.frame.revision < open.frame.revision) return false;
       state.set({ frame });
       return true;
     },
 
-    /** Reads a frame and opens it. */
+    /**
+     * Reads a frame and opens it.
+     *
+     * @param {number} id
+     * @param {RequestOptions} options
+     */
     async open(id, options) {
+      /** @returns {Promise<FrameState>} */
       const read = () => app.api.get(app.path("frames", id), options);
       let frame = await read();
-      for (let reads = 1; reads < MOST_READS && isTold(frame); reads += 1) frame = await read();
-      has_missed = false;
-      if (!frames.take(frame)) state.set({ frame: isSame(frame, state.frame) ? state.frame : frame });
-      return state.frame;
+      for (let reads = 1; reads < MOST_READS && isOutdated(frame); reads += 1) frame = await read();
+      hasMissed = false;
+      // the open frame may be newer than the answer
+      if (!isSame(frame, state.frame)) state.set({ frame });
+      else if (!frames.take(frame)) state.set({ frame: state.frame });
+      return currentFrame(app);
     },
 
-    /** Reads the open frame again where it is behind. It is not taken where `isWelcome()` says no by then; it stays behind. */
+    /** Reads the open frame again if it is behind. If `isWelcome()` is false by then, the answer is ignored. */
     async refresh(isWelcome = () => true) {
       if (!frames.isBehind) return;
-      const had_missed = has_missed;
-      has_missed = false;
+      const hadMissed = hasMissed;
+      hasMissed = false;
       try {
-        const frame = await app.api.get(app.path("frames", state.frame.frame.id));
+        /** @type {FrameState} */
+        const frame = await app.api.get(app.path("frames", currentFrame(app).frame.id));
         if (isWelcome()) frames.take(frame);
-        else has_missed ||= had_missed;
+        else hasMissed ||= hadMissed;
       } catch (error) {
-        has_missed ||= had_missed;
+        hasMissed ||= hadMissed;
         throw error;
       }
     },
 
-    /** An event: somebody, perhaps oneself, has saved. */
+    /**
+     * Handles an event: a frame has a new revision, perhaps saved by this page.
+     *
+     * @param {Messages["frame"]} options
+     */
     hear({ frame, revision }) {
       heard.set(frame, Math.max(heard.get(frame) ?? -1, revision));
     },
 
     /** Events may have been missed. */
     miss() {
-      has_missed = true;
+      hasMissed = true;
     },
 
-    /** No frame is open: another project, or one that cannot be read. */
-    close(is_other_project = false) {
-      if (is_other_project) heard.clear();
-      has_missed = false;
+    /** No frame is open any more: it cannot be read, or another project was opened. */
+    close(isOtherProject = false) {
+      if (isOtherProject) heard.clear();
+      hasMissed = false;
       state.set({ frame: null });
     },
   };
   return frames;
+}
+
+/**
+ * The open frame's state.
+ *
+ * @param {Pick<App, "state">} app
+ * @throws {Error} no frame is open.
+ */
+export function currentFrame({ state }) {
+  if (state.frame === null) throw new Error("no frame is open");
+  return state.frame;
 }

@@ -1,30 +1,15 @@
 /**
- * The page: makes the `app` object that every mode gets, and mounts the mode that the address names.
+ * The page: makes the `app` object, which every mode gets, and mounts the mode that the address names.
  *
- * A mode is a module with `mount(root, app) -> {unmount(), route?(route), flush?(), unsaved?()}`: `route` is called in place
- * of a new mount where only the frame or the query of the address changed; `flush` ends what is being saved; `unsaved` says
- * what would be lost, {text, retry(), discard()}, or null. A mode asks `mayLeave` before it shows another frame.
- *
- * app = {
- *   api, effort, events, keys, state, toast,
- *   viewport,                    js/viewport.js
- *   go(hash, given?),            follows an address (router.makeHash makes one)
- *   given,                       what the mode before has for the next one to begin with: {project, frame, image_box}, or null
- *   path(...parts),              the open project's resource: app.path("frames", 3)
- *   refreshProject(),            reads the project's summary again into state.project
- *   frames,                      js/frame_state.js: which state of the open frame is the newest
- *   loadFrame(id),               reads a frame into state.frame and tells the others that it is open here
- *   undo(), redo(),
- *   mayLeave(),                  saves; resolves to false where something cannot be saved, and the operator stays with it
- *   stay(frame),                 the address names again what is shown
- * }
- * state: operator, version, route, project, frame (FrameState), presence ({frame id: names}), jobs, connected.
+ * A mode is a module with `mount(root, app)`, which returns a `Mounted`. A mode asks `app.mayLeave` before it
+ * shows another frame.
  */
 
 import { createApi, projectPath } from "./api.js";
 import { askUnsaved, confirm, keyTableDialog } from "./dialogs.js";
-import { h } from "./dom.js";
+import { elementById, h } from "./dom.js";
 import { createEffort } from "./effort.js";
+import { ApiError, isAborted, messageOf } from "./errors.js";
 import { createEvents } from "./events.js";
 import { createFrameState } from "./frame_state.js";
 import { createKeys } from "./keys.js";
@@ -36,6 +21,7 @@ import { toast } from "./toasts.js";
 import { mountTopbar } from "./topbar.js";
 import { createViewport } from "./viewport.js";
 
+/** @type {Record<string, string>} */
 const MODULES = {
   start: "./start/start.js",
   label: "./label/label.js",
@@ -46,53 +32,79 @@ const MODULES = {
   checks: "./checks/checks.js",
 };
 
-const work = document.getElementById("work");
+const work = elementById("work");
 const app = createApp();
+/** @type {Mounted | null} */
 let mounted = null;
 let visit = 0;
-let frame_request = null;
+/** @type {AbortController | null} */
+let frameRequest = null;
 
 function createApp() {
   const effort = createEffort();
-  const state = createState({ operator: null, version: "", route: parseHash(""), project: null, frame: null, presence: {}, jobs: [], connected: true });
-  const made = { effort, state, toast, events: createEvents(), keys: createKeys(), viewport: null };
-  made.api = createApi(effort, () => signIn(made));
-  made.frames = createFrameState(made);
-  return Object.assign(made, {
+  const state = createState({
+    operator: null,
+    version: "",
+    route: parseHash(""),
+    project: null,
+    frame: null,
+    presence: {},
+    jobs: [],
+    connected: true,
+  });
+  /** @type {App} */
+  const made = {
+    api: createApi(effort, () => signIn(made)),
+    effort,
+    events: createEvents(),
+    get frames() {
+      return frames;
+    },
+    keys: createKeys(),
+    state,
+    viewport: null,
     given: null,
+    toast,
     go(hash, given = null) {
       made.given = given;
       if (location.hash === hash) void follow();
       else location.hash = hash;
     },
-    path: (...parts) => projectPath(state.route.project, ...parts),
+    path: (...parts) => projectPath(state.route.project ?? "", ...parts),
     refreshProject,
     loadFrame,
     mayLeave,
     stay: (frame) => comeBack({ ...state.route, frame }),
     undo: () => travel("undo"),
     redo: () => travel("redo"),
-  });
+  };
+  const frames = createFrameState(made);
+  return made;
 }
 
 async function refreshProject() {
   const name = app.state.route.project;
   if (name === null) return;
+  /** @type {Api.ProjectInfo} */
   const project = await app.api.get(projectPath(name));
   if (app.state.route.project === name) app.state.set({ project });
 }
 
-/** The newest call wins: the answer to an older one is dropped. */
+/**
+ * Loads and opens a frame. A newer call cancels older ones.
+ *
+ * @param {number} id
+ */
 async function loadFrame(id) {
-  frame_request?.abort();
-  frame_request = new AbortController();
+  frameRequest?.abort();
+  frameRequest = new AbortController();
   try {
-    const frame = await app.frames.open(id, { signal: frame_request.signal });
+    const frame = await app.frames.open(id, { signal: frameRequest.signal });
     app.events.openFrame(id);
     return frame;
   } catch (error) {
-    if (error.name !== "AbortError") {
-      // what is shown must not be taken for it
+    if (!isAborted(error)) {
+      // the previous frame must not be mistaken for this one
       app.events.openFrame(null);
       app.frames.close();
     }
@@ -100,73 +112,82 @@ async function loadFrame(id) {
   }
 }
 
-/** Saves what the mode has open. Where something cannot be saved, the operator says what becomes of it. */
+/** Saves the unsaved work of the mode. If something cannot be saved, the operator decides. */
 async function mayLeave() {
   await mounted?.flush?.();
   const unsaved = mounted?.unsaved?.() ?? null;
   return unsaved === null || askUnsaved(unsaved, () => mounted?.unsaved?.() ?? null);
 }
 
+/** @param {Omit<Route, "query">} options */
 function comeBack({ project, mode, frame }) {
-  // the mode that it was for is not opened
+  // `given` was for a mode that is not opened
   app.given = null;
   history.replaceState(null, "", project === null ? "#/" : makeHash(project, mode, frame));
   app.state.set({ route: parseHash(location.hash) });
 }
 
-/** Undo or redo; where somebody else has changed the same since, the operator may pass over that step. */
+/**
+ * Undo or redo. If others have changed the same box since, the operator may skip that step.
+ *
+ * @param {"undo" | "redo"} direction
+ * @param {boolean} [skip]
+ */
 async function travel(direction, skip = false) {
-  if (app.state.route.project === null) return;
+  const { mode, project } = app.state.route;
+  if (project === null) return;
   try {
     if (!(await mayLeave())) return;
     app.effort.action();
+    /** @type {Api.StepOut} */
     const { frame, state, done } = await app.api.change(app.path(direction), { skip });
-    toast(`${direction === "undo" ? "Undone" : "Done again"}: ${done}`);
-    const { mode, project } = app.state.route;
+    toast(`${direction === "undo" ? "Undone" : "Redone"}: ${done}`);
     if (app.state.frame?.frame.id === frame) app.frames.take(state);
     else if (mode === "label" || mode === "review") app.go(makeHash(project, mode, frame));
   } catch (error) {
-    if (error.status !== 409) toast(error);
+    if (!(error instanceof ApiError) || error.status !== 409) toast(error);
     else if (error.body.frame === undefined || skip) toast(error, "warn");
-    else if (await confirm("This cannot be taken back any more", error.message, `Skip it and ${direction} the step before`)) await travel(direction, true);
+    else if (await confirm(`Cannot ${direction} this step`, error.message, `Skip it and ${direction} the one before`))
+      await travel(direction, true);
   }
 }
 
 /** Mounts what the address names. */
 async function follow() {
-  const own_visit = ++visit;
+  const ownVisit = ++visit;
   const before = app.state.route;
   const route = parseHash(location.hash);
-  const is_same_mode = route.project === before.project && route.mode === before.mode && Boolean(mounted?.route);
-  if (!is_same_mode && !(await mayLeave())) {
-    if (own_visit === visit) comeBack(before);
+  const isSameMode = route.project === before.project && route.mode === before.mode && Boolean(mounted?.route);
+  if (!isSameMode && !(await mayLeave())) {
+    if (ownVisit === visit) comeBack(before);
     return;
   }
-  if (own_visit !== visit) return;
+  if (ownVisit !== visit) return;
   app.state.set({ route });
   if (route.project !== before.project) {
-    frame_request?.abort();
+    frameRequest?.abort();
     app.frames.close(true);
     app.state.set({ project: null, presence: {} });
     app.events.follow(route.project);
   }
-  if (is_same_mode) {
-    mounted.route(route);
+  if (isSameMode) {
+    mounted?.route?.(route);
     return;
   }
   leave();
   try {
     if (route.project !== null && app.state.project === null) await refreshProject();
+    /** @type {Mode} */
     const module = await import(MODULES[route.mode]);
-    if (own_visit !== visit) return;
+    if (ownVisit !== visit) return;
     work.replaceChildren();
     app.keys.setMode(route.mode);
-    // What was done on other pages is not the cost of the next box.
+    // time spent in other modes does not count for the next box
     app.effort.reset();
     document.title = route.project ? `${route.project} · ${route.mode} · annotator` : "annotator";
-    mounted = module.mount(work, app) ?? null;
+    mounted = module.mount(work, /** @type {ModeApp} */ (app));
   } catch (error) {
-    if (own_visit === visit) showProblem(error, route);
+    if (ownVisit === visit) showProblem(error, route);
   }
 }
 
@@ -180,20 +201,50 @@ function leave() {
   work.replaceChildren();
 }
 
+/**
+ * @param {unknown} error
+ * @param {Route} route
+ */
 function showProblem(error, route) {
-  if (error.name !== "ApiError") console.error(error);
+  if (!(error instanceof ApiError)) console.error(error);
   const retry = h("button", { type: "button", class: "primary", onclick: () => follow() }, "Try again");
   const back = h("a", { class: "button", href: "#/" }, "All projects");
-  const title = error.status === 404 ? `There is no project '${route.project}'` : "This page could not be opened";
-  work.replaceChildren(h("div", { class: "page" }, h("h1", {}, title), h("p", { class: "error-box", role: "alert", "data-testid": "page-problem" }, error.message), h("div", { class: "row" }, retry, back)));
+  const isMissing = error instanceof ApiError && error.status === 404;
+  const title = isMissing ? `There is no project '${route.project}'` : "This page could not be opened";
+  work.replaceChildren(
+    h(
+      "div",
+      { class: "page" },
+      h("h1", {}, title),
+      h("p", { class: "error-box", role: "alert", "data-testid": "page-problem" }, messageOf(error)),
+      h("div", { class: "row" }, retry, back),
+    ),
+  );
 }
 
-/** A button pressed with the mouse keeps no focus, so that Space, Tab and Enter go on being the mode's. */
+/**
+ * Removes the focus from a button that was pressed with the mouse, so that Space, Tab and Enter stay keys of the mode.
+ *
+ * @param {MouseEvent} event
+ */
 function releaseMouseFocus(event) {
-  if (event.detail > 0 && event.target.closest("button") && !event.target.closest("dialog")) event.target.closest("button").blur();
+  if (event.detail === 0 || !(event.target instanceof Element) || event.target.closest("dialog")) return;
+  event.target.closest("button")?.blur();
+}
+
+/** Loads the jobs. An error is not shown: the page works without the list, and events add the jobs later. */
+async function loadJobs() {
+  try {
+    /** @type {Api.JobList} */
+    const { jobs } = await app.api.get("/api/jobs");
+    app.state.set({ jobs });
+  } catch (error) {
+    console.debug(`jobs: ${messageOf(error)}`);
+  }
 }
 
 async function start() {
+  const topbar = elementById("topbar");
   applyTheme();
   app.effort.watch(window);
   app.keys.listen(window);
@@ -202,27 +253,31 @@ async function start() {
     redo: () => void app.redo(),
     help: () => void keyTableDialog(app.keys),
     regions: () => {
-      const in_bar = document.activeElement?.closest("#topbar");
-      (in_bar ? work : document.querySelector("#topbar nav a, #topbar a"))?.focus();
+      const isInBar = topbar.contains(document.activeElement);
+      const target = isInBar ? work : topbar.querySelector("nav a, a");
+      if (target instanceof HTMLElement) target.focus();
     },
   });
   document.addEventListener("click", releaseMouseFocus);
   window.addEventListener("beforeunload", (event) => {
-    // what can still be sent is on its way while the browser asks
+    // sent while the browser shows its question
     void mounted?.flush?.();
     if (mounted?.unsaved?.()) event.preventDefault();
   });
   window.addEventListener("unhandledrejection", ({ reason }) => {
-    if (reason?.name !== "AbortError") toast(reason instanceof Error ? reason : new Error(String(reason)));
+    toast(reason instanceof Error ? reason : new Error(String(reason)));
   });
-  // before any mode listens: it then finds what was told
+  // registered before all other listeners, so that events are recorded before the modes handle them
   app.events.on("frame", app.frames.hear);
   app.events.on("reconnected", app.frames.miss);
   app.events.on("presence", ({ frames }) => app.state.set({ presence: frames }));
-  app.events.on("job", ({ job }) => app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }));
+  app.events.on("job", ({ job }) =>
+    app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
+  );
   app.events.on("connection", (connected) => app.state.set({ connected }));
-  mountTopbar(document.getElementById("topbar"), app);
+  mountTopbar(topbar, app);
   try {
+    /** @type {Api.Session} */
     const session = await app.api.get("/api/session");
     app.state.set({ operator: session.operator, version: session.version });
     if (!session.operator) await signIn(app);
@@ -231,7 +286,7 @@ async function start() {
     return;
   }
   app.viewport = createViewport(app);
-  app.api.get("/api/jobs").then(({ jobs }) => app.state.set({ jobs }), () => {});
+  void loadJobs();
   window.addEventListener("hashchange", follow);
   await follow();
 }

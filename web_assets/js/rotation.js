@@ -1,45 +1,93 @@
-// Vectors, rotation matrices and quaternions: plain arrays, pure functions.
+// Vectors and rotation matrices: plain arrays, pure functions.
 //
-// A vector is [x, y, z]. A matrix is three rows; for a box's rotation its columns are the box axes in the camera
-// frame. Quaternions are [w, x, y, z]. Angles are radians.
+// A vector is [x, y, z]. A matrix is three rows; the columns of a box's rotation are its axes in the camera frame.
+// Angles are radians.
 
-export const IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+export const IDENTITY = [
+  [1, 0, 0],
+  [0, 1, 0],
+  [0, 0, 1],
+];
 
+/**
+ * @param {Vector} a
+ * @param {Vector} b
+ */
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+/**
+ * @param {Vector} a
+ * @param {Vector} b
+ */
 export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+/**
+ * @param {Vector} a
+ * @param {number} factor
+ */
 export const scale = (a, factor) => [a[0] * factor, a[1] * factor, a[2] * factor];
+/**
+ * @param {Vector} a
+ * @param {Vector} b
+ */
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+/** @param {Vector} a */
 export const length = (a) => Math.hypot(a[0], a[1], a[2]);
 
+/**
+ * @param {Vector} a
+ * @param {Vector} b
+ */
 export function cross(a, b) {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
-/** The vector with length 1. */
+/**
+ * The vector with length 1.
+ *
+ * @param {Vector} a
+ */
 export const unit = (a) => scale(a, 1 / length(a));
 
-/** matrix . vector */
-export const apply = (matrix, vector) => matrix.map((row) => dot(row, vector));
-
+/** @param {Matrix} m */
 export const transpose = (m) => [0, 1, 2].map((i) => [m[0][i], m[1][i], m[2][i]]);
 
-/** Column `i` of a matrix: a box axis in the camera frame. */
+/**
+ * Column `i` of a matrix: a box axis in the camera frame.
+ *
+ * @param {Matrix} m
+ * @param {number} i
+ */
 export const column = (m, i) => [m[0][i], m[1][i], m[2][i]];
 
-/** The matrix with these columns. */
+/**
+ * The matrix with these columns.
+ *
+ * @param {Vector} x
+ * @param {Vector} y
+ * @param {Vector} z
+ */
 export const fromColumns = (x, y, z) => transpose([x, y, z]);
 
-/** a . b */
+/**
+ * a . b
+ *
+ * @param {Matrix} a
+ * @param {Matrix} b
+ */
 export function multiply(a, b) {
   const columns = transpose(b);
   return a.map((row) => columns.map((other) => dot(row, other)));
 }
 
-/** The rotation by `angle_rad` about a unit vector, right-handed (Rodrigues' formula). */
-export function aboutAxis(axis, angle_rad) {
+/**
+ * The rotation by `angleRad` about a unit vector, right-handed (Rodrigues' formula).
+ *
+ * @param {Vector} axis
+ * @param {number} angleRad
+ */
+export function aboutAxis(axis, angleRad) {
   const [x, y, z] = axis;
-  const c = Math.cos(angle_rad);
-  const s = Math.sin(angle_rad);
+  const c = Math.cos(angleRad);
+  const s = Math.sin(angleRad);
   const t = 1 - c;
   return [
     [c + x * x * t, x * y * t - z * s, x * z * t + y * s],
@@ -48,7 +96,11 @@ export function aboutAxis(axis, angle_rad) {
   ];
 }
 
-/** The nearest-looking proper rotation: Gram-Schmidt on the columns, z last. Undoes the rounding of many products. */
+/**
+ * Gram-Schmidt on the columns, z last: removes the rounding errors of many products.
+ *
+ * @param {Matrix} m
+ */
 export function orthonormal(m) {
   const x = unit(column(m, 0));
   const y0 = column(m, 1);
@@ -56,51 +108,33 @@ export function orthonormal(m) {
   return fromColumns(x, y, cross(x, y));
 }
 
-export function fromQuaternion([w, x, y, z]) {
-  const n = Math.hypot(w, x, y, z);
-  const [a, b, c, d] = [w / n, x / n, y / n, z / n];
-  return [
-    [1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)],
-    [2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b)],
-    [2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)],
-  ];
-}
-
-/** [w, x, y, z] with w >= 0. The biggest of the four is found first, so that nothing is divided by almost zero. */
-export function toQuaternion(m) {
-  const trace = m[0][0] + m[1][1] + m[2][2];
-  const squares = [trace, m[0][0], m[1][1], m[2][2]];
-  const i = squares.indexOf(Math.max(...squares));
-  let q;
-  if (i === 0) {
-    q = [1 + trace, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
-  } else if (i === 1) {
-    q = [m[2][1] - m[1][2], 1 + 2 * m[0][0] - trace, m[0][1] + m[1][0], m[0][2] + m[2][0]];
-  } else if (i === 2) {
-    q = [m[0][2] - m[2][0], m[0][1] + m[1][0], 1 + 2 * m[1][1] - trace, m[1][2] + m[2][1]];
-  } else {
-    q = [m[1][0] - m[0][1], m[0][2] + m[2][0], m[1][2] + m[2][1], 1 + 2 * m[2][2] - trace];
-  }
-  const n = Math.hypot(...q) * (q[0] < 0 ? -1 : 1);
-  return q.map((value) => value / n);
-}
-
-/** The angle between two rotations, radians. */
+/**
+ * The angle between two rotations, radians.
+ *
+ * @param {Matrix} a
+ * @param {Matrix} b
+ */
 export function angleBetween(a, b) {
   const relative = multiply(transpose(a), b);
   const cosine = (relative[0][0] + relative[1][1] + relative[2][2] - 1) / 2;
-  const [x, y, z] = [relative[2][1] - relative[1][2], relative[0][2] - relative[2][0], relative[1][0] - relative[0][1]];
+  const [x, y, z] = [
+    relative[2][1] - relative[1][2],
+    relative[0][2] - relative[2][0],
+    relative[1][0] - relative[0][1],
+  ];
   return Math.atan2(Math.hypot(x, y, z) / 2, cosine);
 }
 
 /**
- * Columns: forward, left and up of the scene in the camera frame. Forward is the camera's viewing direction made
- * level; where the camera looks along the vertical, its own upper edge takes that part.
+ * The scene's axes as columns in the camera frame: forward, left, up. Forward is the camera's viewing direction, made
+ * level; if the camera looks straight up or down, it is the direction of the picture's upper edge.
  *
- * @param up the scene's up direction in the camera frame, or null where it is unknown: then up is the picture's.
+ * @param {Vector | null} up the scene's up direction in the camera frame; null if it is unknown: then the
+ *     picture's.
  */
-export function sceneFrame(up) {
+function sceneAxes(up) {
   const z = unit(up ?? [0, -1, 0]);
+  /** @param {Vector} direction */
   const level = (direction) => subtract(direction, scale(z, dot(z, direction)));
   const ahead = level([0, 0, 1]);
   const x = unit(length(ahead) > 1e-3 ? ahead : level([0, -1, 0]));
@@ -109,20 +143,32 @@ export function sceneFrame(up) {
 
 /**
  * Yaw, pitch and roll of a rotation, radians: R = scene . Rz(yaw) . Ry(pitch) . Rx(roll). Yaw turns about the scene's
- * up and is 0 where the x axis points away from the camera; pitch lowers the x axis' end; roll turns about x.
+ * up and is 0 where the x axis points away from the camera; a positive pitch lowers the x axis; roll turns about x.
+ *
+ * @param {Matrix} rotation
+ * @param {Vector | null} up
  */
 export function toAngles(rotation, up) {
-  const m = multiply(transpose(sceneFrame(up)), rotation);
+  const m = multiply(transpose(sceneAxes(up)), rotation);
   const pitch = Math.asin(Math.max(-1, Math.min(1, -m[2][0])));
   if (Math.abs(m[2][0]) > 1 - 1e-9) {
-    // x is vertical: yaw and roll turn about the same line, all of it is called yaw
+    // x is vertical: yaw and roll are about the same axis, and the whole rotation counts as yaw
     return { yaw: Math.atan2(-m[0][1], m[1][1]), pitch, roll: 0 };
   }
   return { yaw: Math.atan2(m[1][0], m[0][0]), pitch, roll: Math.atan2(m[2][1], m[2][2]) };
 }
 
-/** The rotation of `toAngles`. */
+/**
+ * The rotation of `toAngles`.
+ *
+ * @param {Angles} angles
+ * @param {Vector | null} up
+ */
 export function fromAngles({ yaw, pitch, roll }, up) {
+  /**
+   * @param {number} axis
+   * @param {number} angle
+   */
   const turn = (axis, angle) => aboutAxis(IDENTITY[axis], angle);
-  return orthonormal(multiply(sceneFrame(up), multiply(turn(2, yaw), multiply(turn(1, pitch), turn(0, roll)))));
+  return orthonormal(multiply(sceneAxes(up), multiply(turn(2, yaw), multiply(turn(1, pitch), turn(0, roll)))));
 }

@@ -1,4 +1,6 @@
-/** Two versions of a frame: what somebody else has saved, and what was to be saved here. The operator decides; nothing is lost. */
+/**
+ * Two versions of a frame: that of others, which is saved, and the operator's own. The operator chooses one.
+ */
 
 import { openDialog } from "./dialogs.js";
 import { count, h, s } from "./dom.js";
@@ -9,47 +11,73 @@ const MINE = "#ff5d8f";
 /**
  * Shows both versions until one is chosen.
  *
- * @param {object} theirs FrameState: what the server has now.
- * @param {object} mine {text: [lines], boxes: [Box2D], outlines: [segments]}: what was to be saved, drawn over theirs.
- * @returns {Promise<"theirs"|"mine">} mine: put on top of theirs.
+ * @param {{theirs: FrameState, mine: Mine}} versions the server's present state, and the state that was to be saved.
+ * @returns {Promise<string | null>} "theirs", or "mine": to be saved on top of theirs.
  */
 export function askVersion({ theirs, mine }) {
   const authors = [...new Set(theirs.labels.map(({ author }) => author))].filter(Boolean);
-  const counts = `${count(theirs.image_boxes?.boxes.length ?? 0, "box", "boxes")} on the image, ${count(theirs.labels.length, "box", "boxes")} in 3D${authors.length ? ` (by ${authors.join(", ")})` : ""}`;
+  const onImage = count(theirs.image_boxes?.boxes.length ?? 0, "box", "boxes");
+  const in3D = count(theirs.labels.length, "box", "boxes");
+  const by = authors.length ? ` (by ${authors.join(", ")})` : "";
+  const counts = `${onImage} on the image, ${in3D} in 3D${by}`;
   return openDialog({
     title: "Somebody changed this frame first",
     testid: "stale-dialog",
     wide: true,
     required: true,
     content: [
-      h("p", {}, "Your last change was made on an older version and is not saved yet. Both versions are here; choose how to go on."),
+      h(
+        "p",
+        {},
+        "Your last change was made on an older version and is not saved yet. Choose between the two versions.",
+      ),
       h(
         "div",
         { class: "versions" },
-        h("figure", {}, h("figcaption", {}, h("strong", {}, "Saved now")), picture(theirs, null), h("p", { class: "help" }, counts)),
         h(
           "figure",
           {},
-          h("figcaption", {}, h("strong", {}, "Yours, on top of it")),
+          h("figcaption", {}, h("strong", {}, "Saved now")),
+          picture(theirs, null),
+          h("p", { class: "help" }, counts),
+        ),
+        h(
+          "figure",
+          {},
+          h("figcaption", {}, h("strong", {}, "Your version, on top of it")),
           picture(theirs, mine),
-          h("ul", { class: "help" }, mine.text.map((line) => h("li", {}, line))),
+          h(
+            "ul",
+            { class: "help" },
+            mine.text.map((line) => h("li", {}, line)),
+          ),
         ),
       ),
     ],
     actions: [
-      { label: "Take theirs", value: "theirs", kind: "" },
-      { label: "Put mine on top", value: "mine" },
+      { label: "Keep theirs", value: "theirs", kind: "" },
+      { label: "Save mine on top", value: "mine" },
     ],
   });
 }
 
-/** A frame's image with its boxes, small; `mine` is drawn over it where given. */
+/**
+ * A small image of a frame with its boxes; `mine`, if given, is drawn over it.
+ *
+ * @param {FrameState} state
+ * @param {Mine | null} mine
+ */
 function picture(state, mine) {
   const { url, width, height } = state.image;
   const unit = width / 400;
   const svg = s(
     "svg",
-    { class: "picture", viewBox: `-0.5 -0.5 ${width} ${height}`, role: "img", "aria-label": mine ? "Your version" : "The saved version" },
+    {
+      class: "picture",
+      viewBox: `-0.5 -0.5 ${width} ${height}`,
+      role: "img",
+      "aria-label": mine ? "Your version" : "The saved version",
+    },
     s("image", { href: url, x: -0.5, y: -0.5, width, height }),
   );
   for (const box of state.image_boxes?.boxes ?? []) svg.append(rect(box, "#ffffff", unit));
@@ -59,10 +87,28 @@ function picture(state, mine) {
   return svg;
 }
 
+/**
+ * @param {Rect} box
+ * @param {string} stroke
+ * @param {number} width
+ */
 function rect(box, stroke, width) {
-  return s("rect", { x: box.x_min, y: box.y_min, width: box.x_max - box.x_min, height: box.y_max - box.y_min, fill: "none", stroke, "stroke-width": width });
+  return s("rect", {
+    x: box.x_min,
+    y: box.y_min,
+    width: box.x_max - box.x_min,
+    height: box.y_max - box.y_min,
+    fill: "none",
+    stroke,
+    "stroke-width": width,
+  });
 }
 
+/**
+ * @param {Line[]} outline
+ * @param {string} stroke
+ * @param {number} width
+ */
 function lines(outline, stroke, width) {
   const d = (outline ?? []).map(([a, b]) => `M${a.join(" ")}L${b.join(" ")}`).join("");
   return s("path", { d, fill: "none", stroke, "stroke-width": width });

@@ -1,21 +1,31 @@
-/** What the whole page knows. Read `state.name`; write with `state.set({name: value})`; listen with `state.on("name", fn)`. */
+/**
+ * The state shared by the whole page. Read `state.name`, write `state.set({name: value})`, listen with
+ * `state.on("name", fn)`.
+ */
 
+/**
+ * @param {StateValues} initial
+ * @returns {State}
+ */
 export function createState(initial) {
+  /** @type {Map<string, Set<(value: never) => unknown>>} */
   const listeners = new Map();
+  /** @type {State} */
   const state = {
     ...initial,
 
-    /** Sets values and tells their listeners, also when a value is the same object as before. */
+    // listeners are called even if a value is the same object as before
     set(changes) {
       Object.assign(state, changes);
-      for (const name of Object.keys(changes)) for (const fn of [...(listeners.get(name) ?? [])]) fn(state[name]);
+      for (const [name, value] of Object.entries(changes)) {
+        for (const fn of [...(listeners.get(name) ?? [])]) fn(/** @type {never} */ (value));
+      }
     },
 
-    /** Calls `fn(value)` after each set of `name`. Returns the function that ends this. */
     on(name, fn) {
-      if (!listeners.has(name)) listeners.set(name, new Set());
-      listeners.get(name).add(fn);
-      return () => listeners.get(name).delete(fn);
+      const known = listeners.get(name) ?? new Set();
+      listeners.set(name, known.add(fn));
+      return () => known.delete(fn);
     },
   };
   return state;

@@ -1,20 +1,35 @@
-/** Short messages in the corner. An error stays until it is closed or twelve seconds are over. */
+/** Short messages in the corner. An error stays for twelve seconds, or until it is closed. */
 
-import { h, iconButton } from "./dom.js";
+import { elementById, h, iconButton } from "./dom.js";
+import { isAborted, messageOf } from "./errors.js";
 
 const SHOWN_MS = { info: 4000, good: 4000, warn: 8000, error: 12000 };
 
-/** toast("Saved") · toast(error) · toast("text", "warn"): kinds are info, good, warn and error. */
+/**
+ * toast("Saved") · toast(error) · toast("text", "warn"): kinds are info, good, warn and error.
+ *
+ * @param {unknown} message an error, or a text.
+ * @param {keyof typeof SHOWN_MS} [kind]
+ */
 export function toast(message, kind) {
-  const is_error = message instanceof Error;
-  if (is_error && message.name === "AbortError") return;
-  const shown = kind ?? (is_error ? "error" : "info");
-  const text = is_error ? message.message : message;
-  const host = document.getElementById("toasts");
-  for (const old of host.children) if (old.dataset.text === text) old.remove();
-  const note = h("div", { class: `toast ${shown}`, "data-testid": `toast-${shown}`, "data-text": text, role: shown === "error" ? "alert" : null }, h("span", {}, text));
+  if (isAborted(message)) return;
+  const isError = message instanceof Error;
+  const shown = kind ?? (isError ? "error" : "info");
+  const text = messageOf(message);
+  const host = elementById("toasts");
+  for (const old of host.children) if (old.getAttribute("data-text") === text) old.remove();
+  const note = h(
+    "div",
+    {
+      class: `toast ${shown}`,
+      "data-testid": `toast-${shown}`,
+      "data-text": text,
+      role: shown === "error" ? "alert" : null,
+    },
+    h("span", {}, text),
+  );
   note.append(iconButton("close", "Close this message", () => note.remove()));
   host.append(note);
-  while (host.children.length > 5) host.firstElementChild.remove();
+  while (host.children.length > 5) host.firstElementChild?.remove();
   setTimeout(() => note.remove(), SHOWN_MS[shown]);
 }

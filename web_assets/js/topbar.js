@@ -1,4 +1,7 @@
-/** The bar at the top: where one is, the modes, undo and redo, who else is here, running work, theme, keys, operator. */
+/**
+ * The bar at the top: project, modes, frame, other operators who have it open, connection, job, undo and redo, theme,
+ * keys, operator.
+ */
 
 import { confirm, keyTableDialog } from "./dialogs.js";
 import { glyph, h, iconButton } from "./dom.js";
@@ -16,30 +19,53 @@ const TABS = [
 ];
 const WITH_FRAME = new Set(["label", "review"]);
 
+/**
+ * @param {HTMLElement} root
+ * @param {App} app
+ */
 export function mountTopbar(root, app) {
-  const parts = [brand(), tabs(app), where(app), h("span", { class: "grow" }), connection(app), jobs(app), history(app), tools(app)];
+  const parts = [
+    brand(),
+    tabs(app),
+    where(app),
+    h("span", { class: "grow" }),
+    connection(app),
+    jobs(app),
+    history(app),
+    tools(app),
+  ];
   root.replaceChildren(...parts);
 }
 
 function brand() {
-  return h("a", { class: "brand", href: "#/", title: "All projects", "data-testid": "home" }, h("img", { src: "/assets/icon.svg", alt: "" }), "annotator");
+  return h(
+    "a",
+    { class: "brand", href: "#/", title: "All projects", "data-testid": "home" },
+    h("img", { src: "/assets/icon.svg", alt: "" }),
+    "annotator",
+  );
 }
 
+/** @param {App} app */
 function tabs(app) {
   const project = h("span", { class: "project ellipsis" });
   const nav = h("nav", { "aria-label": "Modes" });
   const box = h("div", { class: "row where" }, h("span", { class: "divider" }), project, nav);
   const show = () => {
-    const { route } = app.state;
-    box.hidden = route.project === null;
-    if (route.project === null) return;
-    project.textContent = route.project;
-    project.title = route.project;
+    const { mode: current, project: name } = app.state.route;
+    box.hidden = name === null;
+    if (name === null) return;
+    project.textContent = name;
+    project.title = name;
     const frame = app.state.frame?.frame.id ?? null;
     nav.replaceChildren(
       ...TABS.map(([mode, label]) => {
-        const href = makeHash(route.project, mode, WITH_FRAME.has(mode) ? frame : null);
-        return h("a", { href, "aria-current": mode === route.mode ? "page" : null, "data-testid": `mode-${mode}` }, label);
+        const href = makeHash(name, mode, WITH_FRAME.has(mode) ? frame : null);
+        return h(
+          "a",
+          { href, "aria-current": mode === current ? "page" : null, "data-testid": `mode-${mode}` },
+          label,
+        );
       }),
     );
   };
@@ -49,39 +75,64 @@ function tabs(app) {
   return box;
 }
 
-/** Recording, position and neighbours of the open frame, and who else has it open. */
+/**
+ * Recording, position and neighbours of the open frame, and the other operators who have it open.
+ *
+ * @param {App} app
+ */
 function where(app) {
   const name = h("span", { class: "name ellipsis muted", "data-testid": "recording-name" });
   const position = h("span", { class: "number", "data-testid": "frame-position" });
   const others = h("span", { class: "presence ellipsis", "data-testid": "presence" });
+  /** @param {Direction} which */
   const step = (which) => () => {
     const { frame, route } = app.state;
-    if (frame?.frame[which] != null) app.go(makeHash(route.project, route.mode, frame.frame[which]));
+    const target = frame?.frame[which] ?? null;
+    if (route.project !== null && target !== null) app.go(makeHash(route.project, route.mode, target));
   };
   const previous = iconButton("previous", "Previous frame in time", step("previous"));
   const next = iconButton("next", "Next frame in time", step("next"));
-  const lock = h("span", { title: "Finalised: automatic passes leave this frame alone", class: "muted" }, glyph("lock"));
-  const box = h("div", { class: "where" }, h("span", { class: "divider" }), name, previous, position, next, lock, others);
+  const lock = h(
+    "span",
+    { title: "Finalised: automatic passes do not change this frame", class: "muted" },
+    glyph("lock"),
+  );
+  const box = h(
+    "div",
+    { class: "where" },
+    h("span", { class: "divider" }),
+    name,
+    previous,
+    position,
+    next,
+    lock,
+    others,
+  );
   const show = () => {
     const { route, frame, project, presence, operator } = app.state;
-    box.hidden = frame === null || !WITH_FRAME.has(route.mode);
-    if (box.hidden) return;
+    const isHidden = frame === null || !WITH_FRAME.has(route.mode);
+    box.hidden = isHidden;
+    if (isHidden) return;
     const recording = project?.recordings.find(({ id }) => id === frame.frame.recording);
     name.textContent = frame.frame.recording_name;
     name.title = `${frame.frame.recording_name}, frame ${frame.frame.key}`;
-    position.textContent = `${frame.frame.index + 1}${recording ? ` / ${recording.frames}` : ""}`;
+    position.textContent = `${(frame.frame.index ?? 0) + 1}${recording ? ` / ${recording.frames}` : ""}`;
     previous.disabled = frame.frame.previous === null;
     next.disabled = frame.frame.next === null;
     lock.hidden = !frame.frame.finalised;
-    const names = (presence[frame.frame.id] ?? frame.open_by ?? []).filter((other) => other !== operator);
-    others.textContent = names.length ? `also open: ${names.join(", ")}` : "";
+    const names = (presence[frame.frame.id] ?? frame.open_by).filter((other) => other !== operator);
+    others.textContent = names.length ? `also opened by ${names.join(", ")}` : "";
     others.title = others.textContent;
   };
-  for (const key of ["route", "frame", "project", "presence"]) app.state.on(key, show);
+  app.state.on("route", show);
+  app.state.on("frame", show);
+  app.state.on("project", show);
+  app.state.on("presence", show);
   show();
   return box;
 }
 
+/** @param {App} app */
 function history(app) {
   const undo = iconButton("undo", "Undo (Ctrl+Z)", () => app.undo(), { "data-testid": "undo" });
   const redo = iconButton("redo", "Redo (Ctrl+Shift+Z)", () => app.redo(), { "data-testid": "redo" });
@@ -91,8 +142,8 @@ function history(app) {
     const known = app.state.frame?.history;
     describe(undo, "Undo", "Ctrl+Z", known?.undo);
     describe(redo, "Redo", "Ctrl+Shift+Z", known?.redo);
-    redo.disabled = Boolean(known) && !known.redo;
-    undo.disabled = Boolean(known) && !known.undo;
+    undo.disabled = known !== undefined && !known.undo;
+    redo.disabled = known !== undefined && !known.redo;
   };
   app.state.on("route", show);
   app.state.on("frame", show);
@@ -100,28 +151,42 @@ function history(app) {
   return box;
 }
 
+/**
+ * @param {HTMLElement} button
+ * @param {string} verb
+ * @param {string} key
+ * @param {string | null | undefined} what
+ */
 function describe(button, verb, key, what) {
   const text = what ? `${verb}: ${what} (${key})` : `${verb} (${key})`;
   button.title = text;
   button.setAttribute("aria-label", text);
 }
 
+/** @param {App} app */
 function connection(app) {
   const note = h("span", { class: "offline", role: "status" });
   app.state.on("connected", (connected) => (note.textContent = connected ? "" : "no connection, trying again …"));
   return note;
 }
 
-/** The running job, or the first one that waits. */
+/**
+ * The running job, or the first one that waits.
+ *
+ * @param {App} app
+ */
 function jobs(app) {
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const text = h("span", {});
   const link = h("a", { class: "jobs", "data-testid": "job-indicator" }, text, bar);
   const show = () => {
-    const running = app.state.jobs.find(({ state }) => state === "running") ?? app.state.jobs.find(({ state }) => state === "queued");
+    const running =
+      app.state.jobs.find(({ state }) => state === "running") ??
+      app.state.jobs.find(({ state }) => state === "queued");
     link.hidden = !running;
     if (!running) return;
-    link.href = running.kind === "import" ? "#/" : makeHash(running.project, running.kind === "export" ? "export" : "train");
+    link.href =
+      running.kind === "import" ? "#/" : makeHash(running.project, running.kind === "export" ? "export" : "train");
     link.title = `${running.kind} in ${running.project}: ${running.stage}`;
     text.textContent = running.state === "queued" ? `${running.kind} waits` : running.kind;
     if (running.total > 0) bar.value = running.done / running.total;
@@ -132,15 +197,23 @@ function jobs(app) {
   return link;
 }
 
+/** @param {App} app */
 function tools(app) {
   const theme = iconButton("theme", "", () => showTheme(switchTheme()), { "data-testid": "theme" });
+  /** @param {string} name */
   const showTheme = (name) => {
     theme.title = `Theme: ${name}`;
     theme.setAttribute("aria-label", theme.title);
   };
   showTheme(currentTheme());
   const help = iconButton("help", "Keys (?)", () => keyTableDialog(app.keys), { "data-testid": "help" });
-  const operator = h("button", { type: "button", class: "quiet", title: "Sign out", "data-testid": "operator", onclick: () => leave(app) });
+  const operator = h("button", {
+    type: "button",
+    class: "quiet",
+    title: "Sign out",
+    "data-testid": "operator",
+    onclick: () => leave(app),
+  });
   app.state.on("operator", (name) => {
     operator.textContent = name ?? "";
     operator.hidden = !name;
@@ -149,6 +222,8 @@ function tools(app) {
   return h("div", { class: "row" }, theme, help, operator);
 }
 
+/** @param {App} app */
 async function leave(app) {
-  if (await confirm("Sign out", `You work as ${app.state.operator}. Everything is saved.`, "Sign out")) await signOut(app);
+  if (await confirm("Sign out", `You are signed in as ${app.state.operator}. Everything is saved.`, "Sign out"))
+    await signOut(app);
 }

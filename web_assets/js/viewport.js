@@ -1,49 +1,59 @@
 /**
- * The 3D view: viser's own page in an iframe of this origin, of which there is one for the whole visit.
+ * The 3D view: viser's own page in an iframe of this origin. One view serves all modes.
  *
- * `element` is only the place of the view in a mode's layout: the iframe itself lies over it in a layer of the page, since
- * an iframe that is moved to another parent starts anew (seconds). Keys that are pressed in the iframe go to the page's key
- * table and never to viser, whose W A S D Q E and arrows would move the camera.
+ * `element` only reserves the view's place in a mode's layout. The iframe is in a layer above it, because an iframe
+ * that is moved to another parent is reloaded, which takes seconds. Keys pressed in the iframe go to the page's key
+ * table and never to viser, whose W A S D Q E and arrow keys would move the camera.
  */
 
 import { h } from "./dom.js";
+import { ApiError } from "./errors.js";
+
+/** @typedef {{ project: string, scene: Scene3D }} Wanted */
 
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
-// Drawn at most without a graphics card: a frame takes a processor some 5 us a point. The server draws the few larger.
+// Points without a graphics card: a processor needs about 5 us a point. Fewer points are drawn larger.
 const SOFTWARE_POINTS = 10000;
-// And each pixel counts: so many are drawn for one of the screen's, along each side (a setting of viser's page).
+// Pixels drawn for each pixel of the screen along a side, without a graphics card (a setting of viser's page).
 const SOFTWARE_PIXELS = 0.65;
-const NO_WEBGL = "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it; for the 3D view turn on hardware acceleration, or use another browser.";
-// viser's own panel and notes; nothing in them is for an operator.
-const STYLE = ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } canvas { cursor: default !important; outline: none; }";
+const NO_WEBGL =
+  "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it. " +
+  "For the 3D view, turn on hardware acceleration or use another browser.";
+// hides viser's own panel and notes
+const STYLE =
+  ".mantine-Paper-root, [data-floating-window], .mantine-Notifications-root { display: none !important; } " +
+  "canvas { cursor: default !important; outline: none; }";
 
-/**
- * createViewport(app) -> {
- *   element,               put it where the 3D view shall be (it fills its parent)
- *   show(scene),           the body of PUT /api/workbench/ID/scene; the newest wins. Call it again when labels have changed
- *   on(event, handler),    -> function that ends it. Events: `box` {uid, box, final}, `select` {uid}, `shown` {shown_points,
- *                          points, ms}, `state` (opening | ready | lost | unsupported)
- *   id, state,             of the workbench; null before it is open
- *   graphics,              who draws: "card", "software", or "none"
- *   focus(), detach(), destroy()
- * }
- */
+/** @param {Pick<App, "api" | "effort" | "events" | "keys" | "state">} app */
 export function createViewport(app) {
+  /** @type {Map<string, Set<(value: never) => unknown>>} */
   const listeners = new Map();
   const note = h("p", { class: "viewport-note", role: "status", "data-testid": "viewport-note" });
   const element = h("div", { class: "viewport-place", "data-testid": "viewport" }, note);
   const layer = h("div", { class: "viewport-layer", hidden: true });
   const place = { text: "" };
+  /** @type {HTMLIFrameElement | null} */
   let frame = null;
+  /**
+   * The open viewport of the server.
+   *
+   * @type {(Api.OpenedViewport & { project: string }) | null}
+   */
   let bench = null;
+  /** @type {Wanted | null} */
   let wanted = null;
+  /**
+   * The scene that the server shows.
+   *
+   * @type {Wanted | null}
+   */
   let last = null;
   let busy = false;
+  /** @type {ViewportState} */
   let state = "opening";
   let retry = 0;
-  let gone = false;
 
   Object.assign(element.style, { position: "absolute", inset: "0", display: "grid", placeItems: "center" });
   Object.assign(note.style, { maxWidth: "36em", padding: "0 2em", textAlign: "center", color: "#c3c9d4" });
@@ -52,25 +62,30 @@ export function createViewport(app) {
 
   const observer = new ResizeObserver(follow);
   observer.observe(element);
-  const timer = setInterval(follow, FOLLOW_MS);
-  const endings = [
-    app.events.on("viewport", receive),
-    app.events.on("reconnected", showAgain),
-    listen(window, "resize", follow),
-    listen(window, "scroll", follow, { capture: true, passive: true }),
-    listen(window, "pagehide", leave),
-    () => clearInterval(timer),
-    () => clearTimeout(retry),
-    () => observer.disconnect(),
-  ];
+  setInterval(follow, FOLLOW_MS);
+  app.events.on("viewport", receive);
+  app.events.on("reconnected", showAgain);
+  window.addEventListener("resize", follow);
+  window.addEventListener("scroll", follow, { capture: true, passive: true });
+  window.addEventListener("pagehide", leave);
   const graphics = lookAtGraphics();
   if (graphics === "none") say("unsupported", NO_WEBGL);
 
+  /**
+   * @template {keyof ViewportEvents} K
+   * @param {K} event
+   * @param {ViewportEvents[K]} value
+   */
   function emit(event, value) {
-    for (const fn of [...(listeners.get(event) ?? [])]) fn(value);
+    for (const fn of [...(listeners.get(event) ?? [])]) fn(/** @type {never} */ (value));
   }
 
-  /** What the place says while there is no picture. */
+  /**
+   * Changes the state; `text` is shown while there is no picture.
+   *
+   * @param {ViewportState} next
+   * @param {string} [text]
+   */
   function say(next, text = "") {
     const changed = state !== next;
     state = next;
@@ -80,7 +95,7 @@ export function createViewport(app) {
     if (changed) emit("state", next);
   }
 
-  /** Puts the iframe over its place; hides it where that is not in the page, or there is nothing to see yet. */
+  /** Puts the iframe over its place. Hides it while the place is not on the page, or there is nothing to see. */
   function follow() {
     const rect = element.isConnected ? element.getBoundingClientRect() : null;
     const seen = rect !== null && rect.width > 1 && rect.height > 1 && frame !== null;
@@ -90,29 +105,36 @@ export function createViewport(app) {
     place.text = text;
     layer.hidden = !seen;
     if (!seen) return;
-    // viser starts only where it has a size, so it is there and not yet seen
+    // viser starts only in an iframe that has a size, so until then it is transparent instead of hidden
     layer.style.opacity = ready ? "1" : "0";
     layer.style.pointerEvents = ready ? "auto" : "none";
-    for (const [side, px] of [["left", rect.left], ["top", rect.top], ["width", rect.width], ["height", rect.height]]) layer.style[side] = `${px}px`;
+    const { left, top, width, height } = rect;
+    Object.assign(layer.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
   }
 
+  /**
+   * Shows a scene, in place of older ones that are not shown yet. Must be called again when labels have changed.
+   *
+   * @param {Scene3D} scene
+   */
   function show(scene) {
-    if (state === "unsupported" || gone) return;
-    wanted = { project: app.state.route.project, scene };
+    const { project } = app.state.route;
+    if (state === "unsupported" || project === null) return;
+    wanted = { project, scene };
     void work();
   }
 
-  /** Sends what is wanted until nothing newer is. One request at a time: a newer scene waits for the answer to an older. */
+  /** Sends the wanted scene, one request at a time: a newer scene waits for the answer to an older one. */
   async function work() {
     if (busy) return;
     busy = true;
     clearTimeout(retry);
     try {
-      while (wanted !== null && wanted.project !== null && !gone) await step();
+      while (wanted !== null) await step(wanted);
     } catch (error) {
-      if (error.name !== "ApiError") throw error;
+      if (!(error instanceof ApiError)) throw error;
       if (error.status === 404 && bench !== null) {
-        // the server was started anew, or had too many open
+        // the server was restarted, or has closed the viewport because too many were open
         forget();
         again();
       } else {
@@ -124,23 +146,26 @@ export function createViewport(app) {
     }
   }
 
-  async function step() {
-    const { project, scene } = wanted;
+  /** @param {Wanted} newest */
+  async function step(newest) {
+    const { project, scene } = newest;
     if (bench !== null && bench.project !== project) leave();
     if (bench === null) {
       say("opening", "Opening the 3D view …");
-      bench = { project, ...(await app.api.post("/api/workbench", { project })) };
-      start(bench.url);
+      /** @type {Api.OpenedViewport} */
+      const opened = await app.api.post("/api/workbench", { project });
+      bench = { project, ...opened };
+      start(opened.url);
       return;
     }
-    const newest = wanted;
     const detail = graphics === "software" ? { most_points: SOFTWARE_POINTS } : {};
+    /** @type {Api.SceneAnswer} */
     const answer = await app.api.put(`/api/workbench/${bench.id}/scene`, { ...detail, ...scene });
-    // "back to the first view" is done once
+    // the view is reset once, not each time that the scene is shown again
     last = { project, scene: { ...scene, reset_view: false } };
     if (wanted === newest) wanted = null;
     connected(answer.connected);
-    // the event that says so may be missed where the page's own socket is just being opened
+    // the event may be missed while the page's own socket is being opened
     if (!answer.connected) retry = setTimeout(showAgain, ASK_MS);
     emit("shown", answer);
   }
@@ -150,34 +175,43 @@ export function createViewport(app) {
     retry = setTimeout(work, RETRY_MS);
   }
 
-  /** The server may have been started anew, and knows nothing of this workbench. */
+  /** Shows the scene again, since a restarted server does not have this viewport. */
   function showAgain() {
     if (last !== null && last.project === app.state.route.project) wanted ??= last;
     void work();
   }
 
+  /** @param {boolean} yes */
   function connected(yes) {
     if (yes) say("ready");
-    else if (state === "ready") say("opening", "The 3D view connects again …");
+    else if (state === "ready") say("opening", "Reconnecting the 3D view …");
   }
 
+  /** @param {ViewportMessage} message */
   function receive(message) {
     if (message.workbench !== bench?.id) return;
     if (message.event === "connected") connected(message.connected);
-    else emit(message.event, message);
+    else if (message.event === "box") emit("box", message);
+    else emit("select", message);
   }
 
-  /** A new iframe for a new workbench. */
+  /**
+   * Makes a new iframe for a new viewport.
+   *
+   * @param {string} url
+   */
   function start(url) {
     frame?.remove();
-    frame = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
-    Object.assign(frame.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
-    frame.addEventListener("load", () => prepare(frame));
-    frame.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE_PIXELS}` : url;
-    layer.append(frame);
+    const fresh = h("iframe", { title: "3D view", "data-testid": "viewport-frame", tabindex: "-1" });
+    Object.assign(fresh.style, { position: "absolute", inset: "0", width: "100%", height: "100%", border: "0" });
+    fresh.addEventListener("load", () => prepare(fresh));
+    fresh.src = graphics === "software" ? `${url}?fixedDpr=${SOFTWARE_PIXELS}` : url;
+    frame = fresh;
+    layer.append(fresh);
     follow();
   }
 
+  /** @param {HTMLIFrameElement} loaded */
   function prepare(loaded) {
     const view = loaded.contentWindow;
     if (view === null || view.location.href === "about:blank") return;
@@ -186,13 +220,16 @@ export function createViewport(app) {
     view.document.head.append(style);
     app.keys.listen(view);
     app.effort.watch(view);
-    // after the key table: whatever it has left is not for viser either
-    for (const name of ["keydown", "keyup", "keypress"]) view.addEventListener(name, keep, { capture: true });
+    // registered after the key table's listener; keeps all keys from viser
+    view.addEventListener("keydown", keep, { capture: true });
+    view.addEventListener("keyup", keep, { capture: true });
+    view.addEventListener("keypress", keep, { capture: true });
   }
 
+  /** @param {KeyboardEvent} event */
   function keep(event) {
     event.stopImmediatePropagation();
-    // what scrolls or leaves the iframe
+    // keys that scroll the page or leave the iframe
     if (/^( |Arrow.*|Page.*|Home|End)$/.test(event.key)) event.preventDefault();
   }
 
@@ -203,21 +240,31 @@ export function createViewport(app) {
     follow();
   }
 
-  /** Closes the workbench; the server would do it a minute later by itself. */
+  /** Closes the viewport; otherwise the server closes it a minute later. */
   function leave() {
     if (bench === null) return;
-    fetch(`/api/workbench/${bench.id}`, { method: "DELETE", keepalive: true, credentials: "same-origin" }).catch(() => {});
+    fetch(`/api/workbench/${bench.id}`, { method: "DELETE", keepalive: true, credentials: "same-origin" }).catch(
+      () => {},
+    );
     forget();
   }
 
   return {
     element,
     show,
+    /**
+     * Calls `handler(value)` for each event. Returns a function that removes this handler.
+     *
+     * @template {keyof ViewportEvents} K
+     * @param {K} event
+     * @param {(value: ViewportEvents[K]) => unknown} handler
+     */
     on(event, handler) {
-      if (!listeners.has(event)) listeners.set(event, new Set());
-      listeners.get(event).add(handler);
-      return () => listeners.get(event).delete(handler);
+      const known = listeners.get(event) ?? new Set();
+      listeners.set(event, known.add(handler));
+      return () => known.delete(handler);
     },
+    /** The viewport's id; null before it is open. */
     get id() {
       return bench?.id ?? null;
     },
@@ -225,33 +272,20 @@ export function createViewport(app) {
       return state;
     },
     graphics,
-    /** Keys work either way; this is for a pointer that shall turn the view with the wheel. */
-    focus() {
-      frame?.contentWindow?.focus();
-    },
-    /** Takes the view out of the page; it stays connected and comes back at once. */
+    /** Takes the view out of the page. It stays connected, so that it comes back at once. */
     detach() {
       if (element.contains(document.activeElement) || document.activeElement === frame) window.focus();
       element.remove();
       follow();
     },
-    destroy() {
-      gone = true;
-      leave();
-      for (const end of endings) end();
-      element.remove();
-      layer.remove();
-      listeners.clear();
-    },
   };
 }
 
-function listen(target, name, fn, options) {
-  target.addEventListener(name, fn, options);
-  return () => target.removeEventListener(name, fn, options);
-}
-
-/** "card", "software" (a processor draws, so each point counts), or "none". */
+/**
+ * What renders the view: "card" (a graphics card), "software" (the processor), or "none".
+ *
+ * @returns {"card" | "software" | "none"}
+ */
 function lookAtGraphics() {
   const context = document.createElement("canvas").getContext("webgl2");
   if (context === null) return "none";

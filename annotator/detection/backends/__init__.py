@@ -1,1 +1,1 @@
-"""What runs a trained network: torch, OpenVINO or ONNX Runtime, each behind the same `Network`."""
+"""Inference backends for trained networks: torch, OpenVINO and ONNX Runtime, each behind the same `Network`."""

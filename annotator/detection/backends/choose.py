@@ -1,4 +1,4 @@
-"""Which backend runs a detector."""
+"""Chooses the backend that runs a detector."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ LOG = logging.getLogger("annotator.detectors")
 
 
 def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> Network:
-    """The network of a weights file on the backend that is asked for; with auto on the fastest that can be used.
+    """Opens a weights file on the configured backend; "auto" and "fastest" take the fastest usable one.
 
-    That is torch where there is a CUDA device, else OpenVINO on x86 processors, else ONNX Runtime, else torch; with
-    fastest, OpenVINO computes in half precision where the processor has instructions for it. With both, one that cannot
-    run this network is passed over, and the log says why.
+    The order is: torch with a CUDA device, OpenVINO on x86 processors, ONNX Runtime, torch. With "fastest", OpenVINO
+    computes in half precision where the CPU supports it. With "auto" and "fastest", a backend that cannot run this
+    network is skipped, and the reason is logged.
 
     Raises:
         ConfigError: the backend cannot use the device.
-        DetectionError: unusable weights or device; or the backend that was asked for cannot run them.
-        MissingExtraError: it is not installed.
+        DetectionError: the weights or the device are unusable, or the configured backend cannot run the network.
+        MissingExtraError: the configured backend is not installed.
     """
     choices = _choices(config)
     for backend in choices[:-1]:
         try:
-            return _opened(weights, weights_sha256, config, backend)
+            return _open_and_log(weights, weights_sha256, config, backend)
         except AnnotatorError as error:
             if find_spec("torch") is None:
                 raise
-            LOG.warning("%s: not run on %s: %s", weights, backend, error)
-    return _opened(weights, weights_sha256, config, choices[-1])
+            LOG.warning("%s: cannot run on %s: %s", weights, backend, error)
+    return _open_and_log(weights, weights_sha256, config, choices[-1])
 
 
-def _opened(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
+def _open_and_log(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
     network = _open(weights, weights_sha256, config, backend)
     LOG.info("%s: runs on %s", weights, network.backend)
     return network
 
 
 def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
-    # Each is imported where it is used: none of them loads the packages of another.
+    # Imported where used, so that one backend does not load the packages of another.
     if backend in ("openvino", "openvino-bf16"):
         from annotator.detection.backends.openvino_api import computes_bfloat16
         from annotator.detection.backends.openvino_network import OpenVinoNetwork
@@ -62,7 +62,7 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
     if backend == "onnxruntime":
         from annotator.detection.backends.onnx_network import OnnxNetwork
 
-        if find_spec("onnxruntime") is None:  # told before the work of an export
+        if find_spec("onnxruntime") is None:  # reported before the slow export
             raise MissingExtraError("onnxruntime", "onnx")
         export = _exported(weights, weights_sha256, backend)
         return OnnxNetwork(export.facts, export.parts, config.threads)
@@ -74,25 +74,25 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
 
 def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
     key = export_key(kind, weights_sha256)
-    found = find_export(weights, kind, key)
-    if found is not None:
-        return found
+    cached = find_export(weights, kind, key)
+    if cached is not None:
+        return cached
     with one_at_a_time():
-        found = find_export(weights, kind, key)  # by now somebody else's
-        if found is None:
+        cached = find_export(weights, kind, key)  # another process may have finished it meanwhile
+        if cached is None:
             from annotator.detection.backends.export import export
 
-            LOG.info("%s: converted for %s, once", weights, kind)
+            LOG.info("%s: converting for %s; the result is reused", weights, kind)
             facts, parts = export(weights, kind)
-            found = Export(facts, parts)
-            keep_export(weights, kind, key, found)
-    return found
+            cached = Export(facts, parts)
+            keep_export(weights, kind, key, cached)
+    return cached
 
 
 def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
-    """Backends to try, fastest first; the last one may fail.
+    """Backends to try, fastest first. Errors of the last one are raised, not logged.
 
-    With fastest, openvino-bf16 stands for openvino where the processor has no bfloat16.
+    With "fastest", openvino-bf16 is listed even where the CPU has no bfloat16; it is then replaced by openvino.
     """
     other_device = config.device not in ("auto", "cpu")
     if config.backend not in ("auto", "fastest"):
@@ -109,11 +109,60 @@ def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
     return (*faster, "torch")
 
 
+def chosen(config: DetectorConfig) -> tuple[Backend, str]:
+    """The backend that `open_network` takes for a network that every backend can run, and the reason.
+
+    Loads the packages of each candidate until one loads without an error.
+
+    Raises:
+        ConfigError: the backend cannot use the device.
+        DetectionError: no backend can be loaded.
+    """
+    choices, reasons = _choices(config), list[str]()
+    if config.device == "auto":
+        reasons.append("there is a CUDA device" if has_cuda() else "no CUDA device that detectors can use")
+    for backend in choices:
+        try:
+            return _loaded(backend, reasons), "; ".join(reasons)
+        except AnnotatorError as error:
+            reasons.append(f"{backend} cannot be used: {error}")
+    raise DetectionError("; ".join(reasons))
+
+
+def _loaded(backend: Backend, reasons: list[str]) -> Backend:
+    """Loads the packages of a backend and appends the reasons; returns openvino for openvino-bf16 without bfloat16."""
+    if backend in ("openvino", "openvino-bf16"):
+        from annotator.detection.backends.openvino_api import computes_bfloat16, openvino
+
+        openvino()
+        reasons.append("OpenVINO is the fastest on x86 processors")
+        if backend == "openvino-bf16":
+            has_bfloat16 = computes_bfloat16()
+            reasons.append("this processor supports bfloat16" if has_bfloat16 else "this processor has no bfloat16")
+            return backend if has_bfloat16 else "openvino"
+    elif backend == "onnxruntime":
+        from annotator.detection.backends.onnx_api import onnxruntime
+
+        onnxruntime()
+        if find_spec("openvino") is None:
+            reasons.append("OpenVINO is not installed")
+        reasons.append("ONNX Runtime is faster than torch on processors")
+    else:
+        from annotator.detection.ultralytics_api import api
+
+        api()
+        if not has_cuda():
+            reasons.append("neither OpenVINO nor ONNX Runtime with onnx can be used")
+    return backend
+
+
 @lru_cache(maxsize=1)
 def has_cuda() -> bool:
-    """Whether torch can use an NVIDIA device. Torch, which takes seconds to load, is asked only where the driver's own
-    library knows of one."""
-    if not _driver_devices():
+    """Whether torch can use an NVIDIA device.
+
+    Torch takes seconds to load, so it is loaded only where the NVIDIA driver lists a device.
+    """
+    if not driver_devices():
         return False
     from annotator.detection.ultralytics_api import api
 
@@ -123,8 +172,8 @@ def has_cuda() -> bool:
         return False
 
 
-def _driver_devices() -> int:
-    """How many devices the NVIDIA driver shows to this process (CUDA driver API: cuInit, cuDeviceGetCount)."""
+def driver_devices() -> int:
+    """Number of devices that the NVIDIA driver shows to this process (CUDA driver API: cuInit, cuDeviceGetCount)."""
     try:
         driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:

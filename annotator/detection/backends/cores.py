@@ -1,7 +1,7 @@
-"""How backends for the processor share its cores out among pictures.
+"""Distributes images over the cores of the CPU.
 
-Pictures are computed by themselves, or together with others where that is known to change nothing: so an answer cannot
-depend on what else is asked, and a runtime needs few shapes a canvas.
+Each image is computed alone, or in a batch where that is known to give the same bits. So the output for an image
+does not depend on the other images, and a runtime needs few input shapes per canvas size.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from jaxtyping import UInt8
 
 from annotator.detection.backends.network import Answer, Batch
 
-Picture = UInt8[np.ndarray, "1 _ _ 3"]
+Image = UInt8[np.ndarray, "1 _ _ 3"]
 
 
 def usable_cores() -> int:
-    """How many cores this process may use, which is fewer than there are where it has been confined."""
+    """Number of cores this process may use; fewer than the machine has where its CPU affinity is restricted."""
     if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def side_by_side(pictures: int, threads: int) -> bool:
-    """Whether so many pictures are done sooner with a core each than one after another on all cores."""
-    return threads > 1 and pictures > 1 and 4 * pictures > threads
+def side_by_side(images: int, threads: int) -> bool:
+    """Whether this number of images is done sooner with one core each than one after another on all cores."""
+    return threads > 1 and images > 1 and 4 * images > threads
 
 
-def single(batches: Sequence[Batch]) -> list[Picture]:
-    """The pictures of some batches, each as a batch of its own."""
+def single(batches: Sequence[Batch]) -> list[Image]:
+    """Splits batches into batches of one image."""
     return [batch[index : index + 1] for batch in batches for index in range(len(batch))]
 
 
 def rejoined(answers: Iterable[Answer], batches: Sequence[Batch]) -> list[Answer]:
-    """The answers about parts of batches, in order, one answer a batch again."""
-    each = iter(answers)
+    """Joins answers for consecutive parts of the batches into one answer per batch."""
+    remaining = iter(answers)
     whole: list[Answer] = []
     for batch in batches:
         parts: list[Answer] = []
         while sum(len(part) for part in parts) < len(batch):
-            parts.append(next(each))
+            parts.append(next(remaining))
         whole.append(np.concatenate(parts))
     return whole

@@ -1,4 +1,4 @@
-"""A trained network in the file formats of other runtimes; this needs torch, running the result does not."""
+"""Exports a trained network to the file formats of other runtimes. The export needs torch; running it does not."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from annotator.detection.backends.raw_network import raw_network
 from annotator.detection.ultralytics_api import api
 from annotator.types.errors import DetectionError
 
-# Of the picture that is sent through the network while it is recorded. Its sides differ from each other and from the
-# number of pictures, so that no axis can be taken for another one.
+# Input that the network is traced with. Its axes have different lengths, so that the tracer cannot confuse them.
 EXAMPLE_SHAPE = (2, 64, 96, 3)
-# The newest that all versions of the packages write and read which pyproject.toml allows.
+# The newest opset that every package version allowed by pyproject.toml reads and writes.
 ONNX_OPSET = 17
-# Torch's way of recording a network has a newer relative, which cannot leave the sizes of these networks open.
-RECORDING_IS_OLD = (
+# Deprecation warnings of TorchScript. Its successor cannot export these networks with dynamic sizes.
+DEPRECATION_WARNINGS = (
     r"`torch\.jit\.",
     "You are using the legacy TorchScript-based ONNX export",
     "The feature will be removed",
@@ -29,27 +28,28 @@ RECORDING_IS_OLD = (
 
 
 def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, bytes]]:
-    """A network's facts, and the content of its files by name: network.xml and network.bin, or network.onnx.
+    """Converts a network; returns its facts and the file contents by name.
 
-    The graph takes batches of any number and size of pictures.
+    The files are network.xml and network.bin for OpenVINO, network.onnx for ONNX Runtime. The graph accepts any batch
+    size and any image size that is a multiple of the stride.
 
     Raises:
         DetectionError: the weights cannot be used, a package is missing, or the network cannot be converted.
     """
     torch = api().torch
     module, facts = raw_network(weights, torch.device("cpu"))
-    module.model.model[-1].dynamic = True  # anchors follow the picture's size instead of being recorded
+    module.model.model[-1].dynamic = True  # anchors follow the image's size instead of being recorded
     try:
         with TemporaryDirectory() as temporary, warnings.catch_warnings():
-            # Recording runs Python code that asks about shapes; torch warns of each such place.
+            # Tracing runs Python code that branches on shapes; torch warns of each such place.
             warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
-            for message in RECORDING_IS_OLD:
+            for message in DEPRECATION_WARNINGS:
                 warnings.filterwarnings("ignore", message)
             _WRITERS[kind](module, torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8), Path(temporary))
             return facts, {path.name: path.read_bytes() for path in sorted(Path(temporary).iterdir())}
     except DetectionError:
         raise
-    except Exception as error:  # torch and the converters raise many kinds
+    except Exception as error:  # torch and the converters raise many types
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise DetectionError(
             f"{weights}: cannot be converted for {kind} ({reason}); use --backend torch for this model"
@@ -60,10 +60,10 @@ def _write_openvino(module: Any, example: Any, folder: Path) -> None:
     runtime, torch = openvino(), api().torch
     sum_up_edges(module)
     with torch.inference_mode():
-        recorded = torch.jit.trace(module, example, strict=False, check_trace=False)
-    model = runtime.convert_model(recorded, example_input=example)
+        traced = torch.jit.trace(module, example, strict=False, check_trace=False)
+    model = runtime.convert_model(traced, example_input=example)
     model.reshape([-1, -1, -1, 3])
-    # Weights as they are: halves of them would save disk space and cost accuracy.
+    # float16 weights would save disk space but cost accuracy.
     file = folder / "network.xml"
     runtime.save_model(model, file, compress_to_fp16=False)
     file.write_bytes(marked(file.read_bytes(), len(module.model.model) - 1))

@@ -1,4 +1,4 @@
-"""Exported networks, kept so that each trained model is converted once."""
+"""Cache of exported networks: each trained model is converted once."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from annotator.types.errors import FormatError
 LOG = logging.getLogger("annotator.detectors")
 
 RECORD, LOCK = "export.json", "exports.lock"
-# To be raised when the same weights and packages would be exported differently.
+# Increase when the export code changes its output for the same weights and packages.
 REVISIONS: Mapping[ExportKind, int] = {"openvino": 2, "onnxruntime": 1}
-# An export is made anew where one of those that made it has another version.
+# An export is repeated when the version of one of these packages changes.
 PACKAGES: Mapping[ExportKind, tuple[str, ...]] = {
     "openvino": ("torch", "ultralytics-opencv-headless", "openvino"),
     "onnxruntime": ("torch", "ultralytics-opencv-headless", "onnx"),
@@ -35,7 +35,7 @@ class Export:
     """A converted network.
 
     Attributes:
-        facts: what is known of it.
+        facts: its classes, stride and kind of output.
         parts: the content of its files, by name.
     """
 
@@ -44,7 +44,7 @@ class Export:
 
 
 class _Record(BaseModel):
-    """What lies beside the files: whose export it is, and their SHA-256 by name."""
+    """Content of `export.json`: the key of the export, the network's facts and the SHA-256 of each file by name."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -54,18 +54,18 @@ class _Record(BaseModel):
 
 
 def export_key(kind: ExportKind, weights_sha256: str) -> str:
-    """What an export follows from: the weights, the packages' versions and this program's way to export."""
+    """Cache key of an export: SHA-256 of the weights' digest, the package versions and the revision of the export."""
     versions = {name: _version(name) for name in PACKAGES[kind]}
-    told = json.dumps([REVISIONS[kind], kind, weights_sha256, versions], sort_keys=True)
-    return hashlib.sha256(told.encode()).hexdigest()
+    inputs = json.dumps([REVISIONS[kind], kind, weights_sha256, versions], sort_keys=True)
+    return hashlib.sha256(inputs.encode()).hexdigest()
 
 
 @contextmanager
 def one_at_a_time() -> Iterator[None]:
-    """Held while a network is converted, by one of a user's processes: workers start together, one a core, and the
-    memory of torch for each of them at once is more than a machine may have.
+    """Lock that lets one process of the user convert at a time.
 
-    A killed process gives it back. Where no locks can be had, nobody waits.
+    Workers start together, one per core. If each loaded torch at once, the machine could run out of memory. The
+    operating system releases the lock when a process dies. Without file locks (Windows), there is no waiting.
     """
     try:
         import fcntl
@@ -83,19 +83,19 @@ def one_at_a_time() -> Iterator[None]:
 
 
 def find_export(weights: Path, kind: ExportKind, key: str) -> Export | None:
-    """A kept export, beside the weights or in the user's cache; None where there is none that is whole."""
+    """Reads the export from the folder beside the weights or from the user's cache; None if neither holds it intact."""
     for folder in _places(weights, kind, key):
-        found = _read(folder, key)
-        if found is not None:
-            return found
+        export = _read(folder, key)
+        if export is not None:
+            return export
     return None
 
 
 def keep_export(weights: Path, kind: ExportKind, key: str, export: Export) -> None:
-    """Keeps an export beside the weights; where nothing can be written there, in the user's cache.
+    """Stores an export beside the weights, or in the user's cache where that folder is not writable.
 
-    What cannot be kept at all is told in the log: it will be made anew each time. Two processes may keep the same at
-    once; the first one's stays.
+    If both fail, a warning is logged, and the export is repeated each time. If two processes store the same export at
+    once, the first one wins.
     """
     problems = []
     for folder in _places(weights, kind, key):
@@ -103,10 +103,12 @@ def keep_export(weights: Path, kind: ExportKind, key: str, export: Export) -> No
             _write(folder, key, export)
             return
         except (FormatError, OSError) as error:
-            if _read(folder, key) is not None:  # somebody else was faster
+            if _read(folder, key) is not None:  # another process was faster
                 return
             problems.append(str(error))
-    LOG.warning("%s: its export for %s is not kept and will be made anew: %s", weights, kind, "; ".join(problems))
+    LOG.warning(
+        "%s: cannot store its export for %s, so it is repeated each time: %s", weights, kind, "; ".join(problems)
+    )
 
 
 def _places(weights: Path, kind: ExportKind, key: str) -> tuple[Path, Path]:
@@ -122,11 +124,11 @@ def _read(folder: Path, key: str) -> Export | None:
         parts = {name: (folder / name).read_bytes() for name in record.files if Path(name).name == name}
     except (OSError, ValidationError) as error:
         if folder.exists():
-            LOG.warning("%s: cannot be read (%s); it is made anew", folder, type(error).__name__)
+            LOG.warning("%s: cannot be read (%s); exporting again", folder, type(error).__name__)
         return None
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in parts.items()}
     if record.key != key or digests != record.files:
-        LOG.warning("%s: damaged; it is made anew", folder)
+        LOG.warning("%s: damaged; exporting again", folder)
         return None
     return Export(record.facts, parts)
 
@@ -134,7 +136,7 @@ def _read(folder: Path, key: str) -> Export | None:
 def _write(folder: Path, key: str, export: Export) -> None:
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in export.parts.items()}
     record = _Record(key=key, facts=export.facts, files=digests)
-    with new_folder(folder, lambda there: _read(there, key) is None) as part:
+    with new_folder(folder, lambda existing: _read(existing, key) is None) as part:
         for name, content in export.parts.items():
             (part / name).write_bytes(content)
         (part / RECORD).write_text(record.model_dump_json(indent=1), encoding="utf-8")

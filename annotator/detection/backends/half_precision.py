@@ -1,8 +1,8 @@
-"""What stays in single precision where OpenVINO computes a network in half: what scores and edges come from.
+"""Keeps parts of the detection head in single precision where OpenVINO computes a network in bfloat16.
 
-OpenVINO keeps what follows the last convolutions as it is, and layers that are marked as precise. With what is
-done here edges are off by a third as much, and scores by two thirds, in next to no more time
-(docs/detector_backends.md).
+OpenVINO keeps the layers after the last convolutions in single precision, and also layers that are marked as precise.
+The changes made here reduce the error of box edges to a third and that of scores to two thirds, at almost no cost in
+time (docs/detector_backends.md).
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from annotator.detection.ultralytics_api import api
 
 LOG = logging.getLogger("annotator.detectors")
 
-# As OpenVINO names it in its files, in a layer's `rt_info`.
+# Attribute of a layer's `rt_info` in OpenVINO's files.
 PRECISE = {"name": "precise", "version": "0"}
-# Activations and biases go with the convolution that they follow. They are not marked themselves: activations of the
-# whole network share a name, since ultralytics has one module for all of them.
+# Activations and biases take the precision of the convolution before them. They cannot be marked themselves: all
+# activations of the network share one name, since ultralytics has one module for all of them.
 CONVOLUTIONS = ("Convolution", "GroupConvolution")
-# A layer's name begins with its place in the module; the detecting layer's edges are `cv2`, scale by scale, two
-# convolutions and the last one. Its first two are the most expensive ones of that layer.
+# A layer's name begins with its path in the module. In the detection head, `cv2` predicts the box edges: three
+# convolutions per scale. The first two are the most expensive ones of the head and stay in half precision.
 HALF_IN_HEAD = r"(?:one2one_)?cv2\.\d+\.[01]\."
 
 
 def sum_up_edges(module: Any) -> None:
-    """Has a raw network's detecting layer find the expected distance of an edge by a sum in place of a convolution.
+    """Replaces the convolution that computes the expected edge distances in the detection head by a weighted sum.
 
-    A convolution with fixed weights is the same, but OpenVINO would compute it, and the shares before it, in half
-    precision.
+    The result is the same (the convolution's weights are the distances), but OpenVINO would compute a convolution, and
+    the softmax before it, in half precision.
     """
     torch = api().torch
     head = module.model.model[-1]
-    if not hasattr(head.dfl, "c1"):  # an answer is a distance by itself, as in YOLO26
+    if not hasattr(head.dfl, "c1"):  # the head predicts the distance directly, as in YOLO26
         return
 
     class Expected(torch.nn.Module):  # type: ignore[name-defined]
@@ -44,36 +44,36 @@ def sum_up_edges(module: Any) -> None:
             self.register_buffer("distances", torch.arange(bins, dtype=torch.float32).view(1, 1, bins, 1))
 
         def forward(self, logits: Any) -> Any:
-            pictures, _, anchors = logits.shape
-            shares = logits.view(pictures, 4, self.bins, anchors).softmax(2)
+            images, _, anchors = logits.shape
+            shares = logits.view(images, 4, self.bins, anchors).softmax(2)
             return (shares * self.distances).sum(2)
 
     head.dfl = Expected(head.dfl.c1)
 
 
 def marked(network: bytes, head: int) -> bytes:
-    """OpenVINO's XML of a network with its precise layers marked.
+    """OpenVINO's XML of a network, with the layers that must stay in single precision marked.
 
-    Where they are named in another way, as a later version may, nothing is marked and the log says so: in single
-    precision the network is the same without.
+    If no layer has the expected name (a later version may name them differently), the XML is returned unchanged and a
+    warning is logged. The marks have no effect in single precision.
 
     Args:
-        network: content of its XML file.
-        head: the detecting layer's number in the module.
+        network: content of the XML file.
+        head: index of the detection head in the module.
     """
     root = ElementTree.fromstring(network)
     in_head = re.compile(rf"__module\.model\.model\.{head}\.(?!{HALF_IN_HEAD})")
-    found = [
+    precise_layers = [
         layer
         for layer in root.iterfind("layers/layer")
         if layer.get("type") in CONVOLUTIONS and in_head.match(layer.get("name", ""))
     ]
-    if not found:
-        LOG.warning("the detecting layer is not found in OpenVINO's file; in bfloat16 its boxes are less exact")
+    if not precise_layers:
+        LOG.warning("the detection head is not found in OpenVINO's file; boxes in bfloat16 are less exact")
         return network
-    for layer in found:
-        facts = layer.find("rt_info")
-        if facts is None:
-            facts = ElementTree.SubElement(layer, "rt_info")
-        ElementTree.SubElement(facts, "attribute", PRECISE)
+    for layer in precise_layers:
+        runtime_info = layer.find("rt_info")
+        if runtime_info is None:
+            runtime_info = ElementTree.SubElement(layer, "rt_info")
+        ElementTree.SubElement(runtime_info, "attribute", PRECISE)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)

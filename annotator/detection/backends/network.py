@@ -1,4 +1,4 @@
-"""What every backend makes of a weights file."""
+"""The interface that every backend implements."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from annotator.detection.config import Backend
 # Backends that run a converted copy of the weights.
 ExportKind = Literal["openvino", "onnxruntime"]
 
-# (n, height, width, RGB), and (n, 4 + classes, anchors); of several in a list each has its own lengths.
+# Input (n, height, width, RGB) and raw prediction (n, 4 + classes, anchors); sizes may differ from batch to batch.
 Batch = UInt8[np.ndarray, "_ _ _ 3"]
 Answer = Float32[np.ndarray, "_ _ _"]
 
 
 class NetworkFacts(BaseModel):
-    """What the rest of the detector needs to know of a network.
+    """Properties of a network that pre- and post-processing need.
 
     Attributes:
         labels: class names, in the order of the class numbers.
-        stride: sides of pictures must be multiples of this, pixels.
-        end2end: whether it answers each object once, so that its boxes need no suppression.
+        stride: height and width of images must be multiples of this, pixels.
+        end2end: whether the network predicts each object once, so that no non-maximum suppression is needed.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -37,26 +37,26 @@ class NetworkFacts(BaseModel):
 
 @runtime_checkable
 class Network(Protocol):
-    """A trained network, ready to run. Threads may share it."""
+    """A trained network, ready to run; thread-safe."""
 
     @property
     def backend(self) -> Backend:
-        """What runs it."""
+        """Name of the backend."""
 
     @property
     def facts(self) -> NetworkFacts:
-        """Its classes and stride."""
+        """Its classes, stride and kind of output."""
 
     @property
     def device(self) -> str:
-        """Where it runs, as torch names devices: "cpu", "cuda", "cuda:1", "mps"."""
+        """Device in torch's notation: "cpu", "cuda", "cuda:1", "mps"."""
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """One raw answer a batch of pictures, as `selection.candidates` reads it.
+        """One raw prediction per batch, in the layout that `selection.candidates` reads.
 
         Args:
-            batches: each of one canvas size, (n, height, width, RGB); all of them at once, so that cores that have
-                nothing left of one size begin with the next.
+            batches: one per canvas size, (n, height, width, RGB). Passed together, so that a core that has finished
+                its share of one size can start on the next.
 
         Raises:
             DetectionError: the backend fails, such as for lack of memory.

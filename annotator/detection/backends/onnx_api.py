@@ -1,4 +1,4 @@
-"""The one door to ONNX Runtime: what is switched off before it loads."""
+"""The only module that imports ONNX Runtime; switches off its telemetry first."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import Any
 
 from annotator.types.errors import MissingExtraError
 
-# Read as it loads: its official builds report to a service on the network, and keep an id and a database in the user's
-# home, unless this is set.
+# Read on import. Unless it is set, the official builds send telemetry and keep an id and a database in the user's home.
 SWITCH = "ORT_DISABLE_TELEMETRY"
 
 

@@ -1,4 +1,4 @@
-"""A network on ONNX Runtime: where OpenVINO is not to be had."""
+"""A network on ONNX Runtime, for machines without OpenVINO."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from annotator.detection.backends.cores import Picture, rejoined, side_by_side, single, usable_cores
+from annotator.detection.backends.cores import Image, rejoined, side_by_side, single, usable_cores
 from annotator.detection.backends.network import Answer, Batch, NetworkFacts
 from annotator.detection.backends.onnx_api import onnxruntime
 from annotator.detection.config import Backend
 from annotator.types.errors import DetectionError
 
-ERRORS_ONLY = 3
+ERRORS_ONLY = 3  # ONNX Runtime's log severity
 
 
 class OnnxNetwork:
-    """A network on the processor, through ONNX Runtime.
+    """A network that ONNX Runtime runs on the CPU.
 
     Attributes:
         backend: "onnxruntime".
         device: "cpu".
-        facts: its classes and stride.
+        facts: its classes, stride and kind of output.
     """
 
     backend: Backend = "onnxruntime"
@@ -31,9 +31,9 @@ class OnnxNetwork:
     def __init__(self, facts: NetworkFacts, parts: Mapping[str, bytes], threads: int | None) -> None:
         """
         Args:
-            facts: what is known of it.
-            parts: network.onnx of its export.
-            threads: None: all cores that the process may use.
+            facts: its classes, stride and kind of output.
+            parts: files of its export: network.onnx.
+            threads: CPU threads; None: all cores that the process may use.
 
         Raises:
             DetectionError: ONNX Runtime cannot read the export.
@@ -53,21 +53,22 @@ class OnnxNetwork:
         Raises:
             DetectionError: ONNX Runtime fails.
         """
-        pictures = single(batches)
-        many = side_by_side(len(pictures), self._threads)
+        images = single(batches)
+        many = side_by_side(len(images), self._threads)
         session = self._session(1 if many else self._threads)
 
-        def one(picture: Picture) -> Answer:
-            answer: Answer = session.run(None, {"pixels": picture})[0]
+        def predict_one(image: Image) -> Answer:
+            answer: Answer = session.run(None, {"pixels": image})[0]
             return answer
 
         try:
-            return rejoined(self._pool.map(one, pictures) if many and self._pool else map(one, pictures), batches)
+            answers = self._pool.map(predict_one, images) if many and self._pool else map(predict_one, images)
+            return rejoined(answers, batches)
         except Exception as error:
             raise DetectionError(f"ONNX Runtime cannot run the detector ({error}); use the backend torch") from error
 
     def _session(self, threads: int) -> Any:
-        """One that gives so many threads to a picture."""
+        """The session that computes an image with this number of threads; created on first use."""
         with self._lock:
             if threads not in self._sessions:
                 self._sessions[threads] = _open(self._content, threads)
@@ -80,10 +81,10 @@ def _open(content: bytes, threads: int) -> Any:
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = ERRORS_ONLY
-    # By default threads that wait spin, which takes the cores from everybody else.
+    # By default waiting threads spin, which takes the cores from other work.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         return runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # its own kinds, by cause
+    except Exception as error:  # ONNX Runtime has its own exception types
         reason = str(error).strip().splitlines()[0]
         raise DetectionError(f"ONNX Runtime cannot read the exported detector ({reason})") from error

@@ -1,4 +1,4 @@
-"""The one door to OpenVINO: what is switched off before it loads."""
+"""The only module that imports OpenVINO; switches off its telemetry first."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from annotator.types.errors import DetectionError
 
-# Imported by OpenVINO as it loads, it reports to a service on the network and keeps an id in the user's home. Where it
-# cannot be imported, OpenVINO does without.
+# OpenVINO imports this package when it loads. The package sends telemetry and keeps an id in the user's home. OpenVINO
+# works without it.
 TELEMETRY = "openvino_telemetry"
 
 _LOCK = threading.Lock()
@@ -22,17 +22,17 @@ def openvino() -> Any:
     """The module `openvino`, loaded on the first call.
 
     Raises:
-        DetectionError: it is missing or broken.
+        DetectionError: OpenVINO is missing or broken.
     """
     with _LOCK:
         return _load()
 
 
 def computes_bfloat16() -> bool:
-    """Whether the processor has instructions for bfloat16 (AVX512-BF16, AMX, AVX2-VNNI-2), and OpenVINO uses them.
+    """Whether the CPU has instructions for bfloat16 (AVX512-BF16, AMX, AVX2-VNNI-2) and OpenVINO uses them.
 
     Raises:
-        DetectionError: it is missing or broken.
+        DetectionError: OpenVINO is missing or broken.
     """
     runtime = openvino()
     try:
@@ -46,17 +46,17 @@ def computes_bfloat16() -> bool:
 def _load() -> Any:
     hidden = TELEMETRY not in sys.modules
     if hidden:
-        sys.modules[TELEMETRY] = None  # type: ignore[assignment]  # the import system's way to say: not there
+        sys.modules[TELEMETRY] = None  # type: ignore[assignment]  # None makes an import of it fail
     try:
         import openvino as module
-        import openvino.tools.ovc.convert_impl  # what would otherwise load with the first conversion
+        import openvino.tools.ovc.convert_impl  # the first conversion would import it, after telemetry is unhidden
     except ImportError as error:
         raise DetectionError(f"OpenVINO cannot be loaded ({error}); run: pip install openvino") from error
     finally:
         if hidden:
             del sys.modules[TELEMETRY]
-    # Its bindings set up their use of numpy on first use, and two threads that come first together wait for each other
-    # for ever: one holds Python's lock, the other the bindings' own.
+    # The bindings initialise their use of numpy on first use. Two threads that do this at the same time deadlock: one
+    # holds Python's lock, the other the bindings' own. So it is done here.
     module.Type.u8.to_dtype()
     _ = module.Tensor(np.zeros(1, np.uint8)).data
     return module

@@ -1,8 +1,7 @@
-"""A network on OpenVINO: the fastest of the backends on x86 processors.
+"""A network on OpenVINO, the fastest backend on x86 processors.
 
-A canvas size is compiled by itself when it first comes, for one picture and for several together. The same network
-compiled once for all sizes costs about half as much again a picture (docs/detector_backends.md), and a detector sees
-few sizes.
+The network is compiled for each canvas size on first use, for single images and for batches. Compiled once with
+dynamic sizes, it takes about 1.5 times as long per image (docs/detector_backends.md), and a detector uses few sizes.
 """
 
 from __future__ import annotations
@@ -25,21 +24,22 @@ from annotator.types.errors import DetectionError
 
 LOG = logging.getLogger("annotator.detectors")
 
-# So many compiled sizes are kept, about 30 MB each for a nano model; the one that was not used for longest goes.
+# Maximum number of cached compiled input shapes, about 30 MB each for a nano model; the least recently used one is
+# dropped.
 MAX_COMPILED = 24
-# Small pictures are computed so many together, which takes a fifth to a quarter less time than one by one. Larger ones
-# gain nothing by it.
+# Batch sizes for small images, which take 20 to 25 % less time in a batch than one by one. Larger images gain
+# nothing.
 TOGETHER = (6, 3)
 SMALL_PX = 128 * 128
-# A stream is a picture in work. Each has buffers of its own, so machines of many cores give it several.
+# A stream computes one request at a time and has its own buffers. On machines with more cores, a stream gets several.
 MAX_STREAMS = 8
-# Pictures under way for each stream: one in work and one that waits for it.
+# Requests in flight per stream: one that is computed and one that waits.
 IN_FLIGHT = 2
 
 
 @dataclass(frozen=True, eq=False)
 class _Request:
-    """A request with numpy's views of its memory, which are made once: making them takes longer than filling them."""
+    """An inference request with numpy views of its buffers, created once: that takes longer than filling them."""
 
     request: Any
     pixels: np.ndarray
@@ -47,12 +47,12 @@ class _Request:
 
 
 class OpenVinoNetwork:
-    """A network on the processor, through OpenVINO.
+    """A network that OpenVINO runs on the CPU.
 
     Attributes:
         backend: "openvino", or "openvino-bf16" in half precision.
         device: "cpu".
-        facts: its classes and stride.
+        facts: its classes, stride and kind of output.
     """
 
     device = "cpu"
@@ -62,10 +62,10 @@ class OpenVinoNetwork:
     ) -> None:
         """
         Args:
-            facts: what is known of it.
-            parts: network.xml and network.bin of its export.
-            threads: None: all cores that the process may use.
-            bfloat16: compute in it, with what `half_precision` leaves out.
+            facts: its classes, stride and kind of output.
+            parts: files of its export: network.xml and network.bin.
+            threads: CPU threads; None: all cores that the process may use.
+            bfloat16: compute in bfloat16, except the layers that `half_precision` keeps in single precision.
 
         Raises:
             DetectionError: OpenVINO is missing or cannot read the export.
@@ -76,15 +76,15 @@ class OpenVinoNetwork:
         self._core = openvino().Core()
         try:
             self._model = self._core.read_model(parts["network.xml"], parts["network.bin"])
-        except Exception as error:  # RuntimeError and others, by version
+        except Exception as error:  # the type depends on OpenVINO's version
             raise DetectionError(f"OpenVINO cannot read the exported detector ({_reason(error)})") from error
-        # One call at a time: it keeps all cores busy by itself.
+        # One call at a time: a single call uses all cores.
         self._lock = threading.Lock()
         self._compiled: OrderedDict[tuple[tuple[int, ...], int], list[_Request]] = OrderedDict()
         self._joins: dict[tuple[tuple[int, ...], int], bool] = {}
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`; sizes that come for the first time are compiled before.
+        """As `Network.predict`; new canvas sizes are compiled first.
 
         Raises:
             DetectionError: OpenVINO fails.
@@ -101,7 +101,7 @@ class OpenVinoNetwork:
             ) from error
 
     def _lengths(self, batch: Batch, streams: int) -> list[int]:
-        """How many pictures of a batch are computed together in each of its parts: as many parts for each stream."""
+        """Lengths of the parts that a batch is cut into; each stream gets the same number of parts of each length."""
         left, lengths = len(batch), list[int]()
         if left // streams >= min(TOGETHER) and self._may_join(batch.shape[1:], streams):
             for together in TOGETHER:
@@ -111,60 +111,60 @@ class OpenVinoNetwork:
         return lengths + [1] * left
 
     def _may_join(self, size: tuple[int, ...], streams: int) -> bool:
-        """Whether pictures of a size have the same answers together as alone, to the bit: tried once.
+        """Whether images of a size get the same output in a batch as alone, to the bit; tested once per size.
 
-        They have where the runtime adds up in the same order for one picture as for several, which it does not promise.
+        This holds where the runtime adds in the same order for one image as for several, which is not guaranteed.
         """
         if size[0] * size[1] > SMALL_PX:
             return False
         if (size, streams) not in self._joins:
-            some = np.random.default_rng(0).integers(0, 256, (max(TOGETHER), *size), np.uint8)
-            self._requests({(n, *size) for n in (*TOGETHER, 1)}, streams)  # compiles them side by side
-            alone = np.concatenate(list(self._run(single([some]), streams)))
-            answers = [answer for n in TOGETHER for answer in self._run([some[:n]], streams)]
+            noise = np.random.default_rng(0).integers(0, 256, (max(TOGETHER), *size), np.uint8)
+            self._requests({(n, *size) for n in (*TOGETHER, 1)}, streams)  # compiles the shapes in parallel
+            alone = np.concatenate(list(self._run(single([noise]), streams)))
+            answers = [answer for n in TOGETHER for answer in self._run([noise[:n]], streams)]
             self._joins[size, streams] = all(np.array_equal(answer, alone[: len(answer)]) for answer in answers)
             if not self._joins[size, streams]:
-                LOG.info("pictures of %s are computed one by one: together their answers differ", size)
+                LOG.info("images of size %s are computed one by one: in a batch their output differs", size)
         return self._joins[size, streams]
 
     def _run(self, parts: Sequence[Batch], streams: int) -> Iterator[Answer]:
-        """One answer a part. As many are under way as keep all streams busy while the oldest answer is taken."""
+        """One answer per part, in order. Enough requests are in flight to keep all streams busy meanwhile."""
         free = self._requests({part.shape for part in parts}, streams)
-        under_way: deque[tuple[tuple[int, ...], _Request]] = deque()
+        in_flight: deque[tuple[tuple[int, ...], _Request]] = deque()
 
         def oldest() -> Answer:
-            shape, request = under_way.popleft()
+            shape, request = in_flight.popleft()
             request.request.wait()
             free[shape].append(request)
             return request.answer.copy()
 
         try:
             for part in parts:
-                if len(under_way) == IN_FLIGHT * streams:
+                if len(in_flight) == IN_FLIGHT * streams:
                     yield oldest()
                 request = free[part.shape].pop()
                 request.pixels[...] = part
                 request.request.start_async()
-                under_way.append((part.shape, request))
-            while under_way:
+                in_flight.append((part.shape, request))
+            while in_flight:
                 yield oldest()
         finally:
-            for _, request in under_way:  # after a failure
+            for _, request in in_flight:  # after a failure
                 request.request.wait()
 
     def _requests(self, shapes: set[tuple[int, ...]], streams: int) -> dict[tuple[int, ...], list[_Request]]:
-        """The requests of each of the shapes; shapes that are new are compiled side by side."""
+        """The requests of each shape; new shapes are compiled in parallel."""
         new = [shape for shape in sorted(shapes) if (shape, streams) not in self._compiled]
         if new:
             with ThreadPoolExecutor(min(self._threads, len(new))) as pool:
-                made = pool.map(lambda shape: self._compile(shape, streams), new)
-                self._compiled.update({(shape, streams): requests for shape, requests in zip(new, made, strict=True)})
+                compiled = pool.map(lambda shape: self._compile(shape, streams), new)
+                self._compiled.update({(shape, streams): reqs for shape, reqs in zip(new, compiled, strict=True)})
         for shape in shapes:
             self._compiled.move_to_end((shape, streams))
-        found = {shape: list(self._compiled[shape, streams]) for shape in shapes}
+        requests = {shape: list(self._compiled[shape, streams]) for shape in shapes}
         while len(self._compiled) > MAX_COMPILED:
             self._compiled.popitem(last=False)
-        return found
+        return requests
 
     def _compile(self, shape: tuple[int, ...], streams: int) -> list[_Request]:
         model = self._model.clone()
@@ -175,9 +175,9 @@ class OpenVinoNetwork:
             {
                 "NUM_STREAMS": streams,
                 "INFERENCE_NUM_THREADS": self._threads,
-                # Threads bound to cores would wait on one core for those of other sizes and processes.
+                # Pinned threads of several compiled sizes and processes would share one core.
                 "ENABLE_CPU_PINNING": False,
-                # Left to itself, OpenVINO takes half precision where the processor has it.
+                # By default OpenVINO computes in half precision where the CPU supports it.
                 "INFERENCE_PRECISION_HINT": "bf16" if self.backend == "openvino-bf16" else "f32",
             },
         )
@@ -186,7 +186,7 @@ class OpenVinoNetwork:
 
 
 def _cut(batch: Batch, lengths: Sequence[int]) -> list[Batch]:
-    """The parts of a batch, one after the other."""
+    """Cuts a batch into consecutive parts of these lengths."""
     ends = np.cumsum(lengths)
     return [batch[end - length : end] for end, length in zip(ends, lengths, strict=True)]
 

@@ -1,7 +1,7 @@
-"""The part of a YOLO that is the same for all backends: pixels in, raw prediction out.
+"""The part of a YOLO that all backends run: pixels in, raw prediction out.
 
-The network takes bytes as pictures hold them, so that no backend has Python convert them to floats. It ends before
-ultralytics' own choice of boxes: that choice needs no network, and graphs without it are smaller and take any size.
+The input is uint8, so that the conversion to floats is part of the graph. The graph ends before ultralytics' selection
+of boxes: the selection does not need the network, and graphs without it are smaller and accept any size.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from annotator.types.errors import DetectionError
 
 
 def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
-    """A torch module from (n, height, width, 3) uint8 to (n, 4 + classes, anchors) float32, and what is known of it.
+    """A torch module from (n, height, width, 3) uint8 to (n, 4 + classes, anchors) float32, and its facts.
 
-    Its normalisation is folded into the convolutions.
+    Batch normalisation is folded into the convolutions.
 
     Raises:
         DetectionError: the weights cannot be used.
@@ -27,19 +27,18 @@ def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
     head = model.model[-1]
     if type(head).__name__ not in DETECTING_LAYERS:
         raise DetectionError(
-            f"{weights}: holds a model that ends in {type(head).__name__}, not one that detects boxes; "
-            "train the detector again"
+            f"{weights}: not a box detector (its last layer is {type(head).__name__}); train the detector again"
         )
     model = model.fuse(verbose=False).eval().requires_grad_(False)
     end2end = bool(head.end2end)
-    head.export = True  # the answer alone, without what only training needs
-    head.postprocess = _as_it_is
+    head.export = True  # returns the prediction only, without the tensors for training
+    head.postprocess = _unchanged
     labels = tuple(str(model.names[number]) for number in sorted(model.names))
     facts = NetworkFacts(labels=labels, stride=max(int(model.stride.max()), 32), end2end=end2end)
     return _with_pixels(model, end2end), facts
 
 
-def _as_it_is(prediction: Any) -> Any:
+def _unchanged(prediction: Any) -> Any:
     return prediction
 
 
@@ -52,8 +51,8 @@ def _with_pixels(model: Any, end2end: bool) -> Any:
             self.model = model
 
         def forward(self, pixels: Any) -> Any:
-            # The array is laid out picture, row, column, colour: seen as picture, colour, row, column it is
-            # channels-last, the layout that networks are fastest in.
+            # The memory layout is (n, row, column, colour). Permuted to (n, colour, row, column) it is channels-last,
+            # the layout in which networks are fastest.
             answer = self.model(pixels.permute(0, 3, 1, 2).to(next(self.model.parameters()).dtype) / 255)
             return answer.permute(0, 2, 1) if end2end else answer
 

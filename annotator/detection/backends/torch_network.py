@@ -1,4 +1,4 @@
-"""A network on torch: everywhere, and the only backend on a graphics processor."""
+"""A network on torch: runs on every machine, and is the only backend for GPUs."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from annotator.detection.config import Backend
 from annotator.detection.ultralytics_api import api
 from annotator.types.errors import DetectionError
 
-# At most this many pixels of pictures are in the network at once; it bounds the memory, about 1 GB for a nano model.
+# Maximum number of pixels per forward pass; it bounds the memory to about 1 GB for a nano model.
 MAX_BATCH_PX = 32 * 320 * 320
 
 
 class TorchNetwork:
-    """A network on the processor, or on a graphics processor; on CUDA in half precision and as recorded graphs.
+    """A network that torch runs on the CPU or a GPU; on CUDA in half precision and with CUDA graphs.
 
     Attributes:
         backend: "torch".
-        device: where it runs, as torch names it.
-        facts: its classes and stride.
+        device: device in torch's notation.
+        facts: its classes, stride and kind of output.
     """
 
     backend: Backend = "torch"
@@ -35,9 +35,9 @@ class TorchNetwork:
     def __init__(self, weights: Path, device: Any, threads: int | None = None) -> None:
         """
         Args:
-            weights: a detection model of ultralytics.
-            device: a torch device, as `pick_device` gives it.
-            threads: of the processor; None: as many as torch takes.
+            weights: weights file of an ultralytics detection model.
+            device: a torch device, as returned by `pick_device`.
+            threads: CPU threads; None: torch's own number.
 
         Raises:
             DetectionError: the weights cannot be used.
@@ -47,13 +47,13 @@ class TorchNetwork:
         self.device = str(device)
         self._threads = threads
         self._run = module.to(memory_format=api().torch.channels_last)
-        # The network keeps its anchors from one size to the next, and torch's number of threads is everybody's.
+        # The network caches the anchors of the last size, and torch's number of threads is global.
         self._lock = threading.Lock()
         if device.type == "cuda":
             self._run = CudaRunner(decode_in_full_precision(module.half()))
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
-        """As `Network.predict`; at most `MAX_BATCH_PX` are in the network at once.
+        """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass.
 
         Raises:
             DetectionError: torch fails, such as for lack of memory.
@@ -79,7 +79,7 @@ class TorchNetwork:
 
 @contextmanager
 def _threads(number: int | None) -> Iterator[None]:
-    """Holds torch to so many threads of the processor."""
+    """Limits torch to this number of CPU threads; None: no change."""
     if number is None:
         yield
         return

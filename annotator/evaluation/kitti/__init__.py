@@ -1,7 +1,7 @@
 """KITTI's object benchmark: average precision on the image, in bird's-eye view and in 3D, and orientation similarity.
 
-The rules are those of the devkit's own program (devkit_object, `cpp/evaluate_object.cpp`), down to the order in which
-boxes are matched; what it prints is what comes out here.
+It follows the devkit's program (devkit_object, `cpp/evaluate_object.cpp`) exactly, including the order in which boxes
+are matched, and gives the same numbers.
 """
 
 from annotator.evaluation.kitti.protocol import (

@@ -1,9 +1,9 @@
-"""Who gets which detection: the devkit's greedy assignment, for all frames and all score thresholds at once.
+"""The devkit's greedy assignment of detections to true boxes, for all frames and all score thresholds at once.
 
-In every frame the true boxes have their turn in the order of the file. Each takes the detection that it likes best of
-those not yet taken. What it likes does not depend on what others took, nor on the score threshold, which only takes
-detections away: so it is a queue of candidates that is made once, and the assignment walks all queues in step: first
-all frames' first boxes ask their first candidates, at all thresholds, then their second ones, and so on.
+In each frame, the true boxes are processed in the order of the file. Each takes its preferred detection among those not
+yet taken. The order of preference depends neither on earlier assignments nor on the score threshold, which only removes
+detections. So each true box has a fixed queue of candidates, and all frames and thresholds are processed in parallel:
+first the first candidate of each frame's first box, then its second candidate, and so on.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from annotator.evaluation.pairs import place_within
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """What came out, with a column for each threshold.
+    """The result of the assignment, with one column per threshold.
 
     Attributes:
-        pair: for each pair, whether its truth took its detection.
-        truth: for each true row, whether it took any.
-        detection: for each detection, whether it was taken.
+        pair: whether each pair was assigned.
+        truth: whether each true row got a detection.
+        detection: whether each detection was taken.
     """
 
     pair: Bool[np.ndarray, "p t"]
@@ -39,39 +39,39 @@ def assign(
     preference: Sequence[Shaped[np.ndarray, "p"]],
     usable: Bool[np.ndarray, "p t"],
 ) -> Assignment:
-    """Walks the queues.
+    """Assigns detections to true rows.
 
     Args:
-        truth, detection: the two sides of each pair that overlaps enough, row numbers from 0 on. A frame's true rows
-            have their turns in the order of their numbers.
-        frame: of each pair.
-        preference: what each true row prefers, the smallest first, the first column counting most.
-        usable: whether the detection of the pair is there at all, at each of the thresholds.
+        truth, detection: row indices of the pairs that overlap enough, from 0. The true rows of a frame are processed
+            in the order of their indices.
+        frame: frame of each pair.
+        preference: sort keys of each true row's candidates, smallest first; the first array is the primary key.
+        usable: whether the pair's detection passes each threshold.
     """
     columns = usable.shape[1]
     pair = np.zeros((len(truth), columns), bool)
     served = np.zeros((truth.max(initial=-1) + 1, columns), bool)
     taken = np.zeros((detection.max(initial=-1) + 1, columns), bool)
-    for asking in _steps(truth, frame, preference):
-        # one true row a frame, so that no detection is asked twice in a step
-        own, wanted = truth[asking], detection[asking]
-        gets = usable[asking] & ~served[own] & ~taken[wanted]
-        pair[asking] = gets
-        served[own] |= gets
-        taken[wanted] |= gets
+    for step in _steps(truth, frame, preference):
+        # one true row per frame, so no detection occurs twice in a step
+        row, candidate = truth[step], detection[step]
+        assigned = usable[step] & ~served[row] & ~taken[candidate]
+        pair[step] = assigned
+        served[row] |= assigned
+        taken[candidate] |= assigned
     return Assignment(pair, served, taken)
 
 
 def _steps(
     truth: Int[np.ndarray, "p"], frame: Int[np.ndarray, "p"], preference: Sequence[Shaped[np.ndarray, "p"]]
 ) -> list[Int[np.ndarray, "k"]]:
-    """The pairs that are looked at together, step after step."""
+    """The pairs that are processed together, step by step."""
     order = np.lexsort((*reversed(preference), truth, frame))
     place = place_within(truth[order])
-    # the turn of each true row within its frame, counting only rows that have a candidate
+    # the position of each true row within its frame, counting only rows with a candidate
     first = np.flatnonzero(place == 0)
-    turn = np.repeat(place_within(frame[order][first]), np.diff(np.append(first, len(order))))
-    by_step = np.lexsort((place, turn))
-    turn, place = turn[by_step], place[by_step]
-    changes = np.flatnonzero((np.diff(turn) != 0) | (np.diff(place) != 0)) + 1
+    row_in_frame = np.repeat(place_within(frame[order][first]), np.diff(np.append(first, len(order))))
+    by_step = np.lexsort((place, row_in_frame))
+    row_in_frame, place = row_in_frame[by_step], place[by_step]
+    changes = np.flatnonzero((np.diff(row_in_frame) != 0) | (np.diff(place) != 0)) + 1
     return [part for part in np.split(order[by_step], changes) if len(part)]

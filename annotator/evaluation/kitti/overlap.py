@@ -1,4 +1,4 @@
-"""How detections overlap true rows of their frame: on the image, on the ground, in space."""
+"""Overlap of detections with the true rows of their frame: on the image, in bird's-eye view and in 3D."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from jaxtyping import Float64, Int
 
 from annotator.evaluation.kitti.rows import KittiRows
 from annotator.evaluation.pairs import pairs_within
-from annotator.geometry.upright_iou import rectangle_intersection_pairs
+from annotator.geometry.rectangles import rectangle_intersection_pairs
 
-# Detections looked at in one pass, so that memory does not grow with the dataset.
+# Detections per pass, so that memory does not grow with the dataset.
 BLOCK = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
-    """The pairs that overlap at all, ordered by detection and then by truth.
+    """The overlapping pairs, ordered by detection and then by truth.
 
     Attributes:
-        detection, truth: row numbers.
+        detection, truth: row indices.
         iou: of each pair, above 0.
     """
 
@@ -34,17 +34,17 @@ Measure = Callable[[KittiRows, KittiRows], Float64[np.ndarray, "p"]]
 
 
 def overlaps_2d(detections: KittiRows, truth: KittiRows) -> Overlaps:
-    """IoU of the 2D boxes. A box is as wide as right - left; no pixel is added."""
+    """IoU of the 2D boxes; the width of a box is right - left, without an additional pixel."""
     return _overlaps(detections, truth, _iou_2d)
 
 
 def overlaps_bev(detections: KittiRows, truth: KittiRows) -> Overlaps:
-    """IoU of the ground rectangles: length x width in the x-z plane, turned by rotation_y."""
+    """IoU of the ground rectangles: length x width in the x-z plane, rotated by rotation_y."""
     return _overlaps(detections, truth, _iou_bev)
 
 
 def overlaps_3d(detections: KittiRows, truth: KittiRows) -> Overlaps:
-    """IoU of the 3D boxes: the rectangles' intersection times that of the heights [y - h, y] (y points down)."""
+    """IoU of the 3D boxes: intersection of the rectangles times that of the heights [y - h, y]; y points down."""
     return _overlaps(detections, truth, _iou_3d)
 
 
@@ -53,22 +53,22 @@ def covered_share(detections: KittiRows, areas: KittiRows) -> Float64[np.ndarray
     share = np.zeros(len(detections))
     for rows, columns in _blocks(detections, areas):
         a, b = detections.take(rows), areas.take(columns)
-        inner, own = _intersection_2d(a, b), _area_2d(a)
-        np.maximum.at(share, rows, np.divide(inner, own, out=np.zeros(len(own)), where=inner > 0))
+        inner, area = _intersection_2d(a, b), _area_2d(a)
+        np.maximum.at(share, rows, np.divide(inner, area, out=np.zeros(len(area)), where=inner > 0))
     return share
 
 
 def _overlaps(detections: KittiRows, truth: KittiRows, measure: Measure) -> Overlaps:
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for rows, columns in _blocks(detections, truth):
         iou = measure(detections.take(rows), truth.take(columns))
         keep = iou > 0
-        found.append((rows[keep], columns[keep], iou[keep]))
-    return Overlaps(*map(np.concatenate, zip(*found, strict=True)))
+        parts.append((rows[keep], columns[keep], iou[keep]))
+    return Overlaps(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _blocks(a: KittiRows, b: KittiRows) -> Iterator[tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]]:
-    """All pairs of rows of the same frame, part by part."""
+    """All pairs of rows of the same frame, in blocks."""
     for start in range(0, len(a), BLOCK):
         rows, columns = pairs_within(a.frame[start : start + BLOCK], b.frame)
         yield rows + start, columns
@@ -109,13 +109,13 @@ def _ground(rows: KittiRows) -> Float64[np.ndarray, "n 2"]:
 
 
 def _ground_intersection(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
-    """Areas of the rectangles' intersections; 0 where one of the rows has no 3D box."""
+    """Intersection areas of the ground rectangles; 0 if a row has no 3D box."""
     apart = np.hypot(*(a.bottom[:, [0, 2]] - b.bottom[:, [0, 2]]).T)
     reach = 0.5 * (np.hypot(*_ground(a).T) + np.hypot(*_ground(b).T))
     near = (apart < reach) & (a.size > 0).all(axis=1) & (b.size > 0).all(axis=1)
     areas = np.zeros(len(a))
     a, b = a.take(near), b.take(near)
-    # seen with x to the right and z up, rotation_y turns the other way round
+    # with x to the right and z up, rotation_y is clockwise
     sides = [(rows.bottom[:, [0, 2]], -rows.rotation_y, _ground(rows)) for rows in (a, b)]
     areas[near] = rectangle_intersection_pairs(*sides[0], *sides[1])
     return areas

@@ -1,4 +1,4 @@
-"""KITTI's evaluation: which rows count, precision at the sampled recalls, average precision."""
+"""KITTI's evaluation: rows that count, precision at the sampled recalls, average precision."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from annotator.evaluation.kitti.overlap import Overlaps, covered_share, overlaps
 from annotator.evaluation.kitti.rows import KittiRows
 
 DONT_CARE = "DontCare"
-# Classes, and those that are too much alike to count a detection on them as wrong.
+# Classes, and the similar classes on which a detection is not a false positive.
 NEIGHBOURS: Mapping[str, tuple[str, ...]] = {"Car": ("Van",), "Pedestrian": ("Person_sitting",), "Cyclist": ()}
 
 # Easy, moderate, hard.
@@ -25,15 +25,15 @@ MAX_TRUNCATION = (0.15, 0.30, 0.50)
 
 # Samples of a curve: recall 0, 1/40 ... 1.
 SAMPLES = 41
-# Values that stand for "not known" in a result file.
+# Values for "unknown" in a result file.
 NO_ALPHA = -10.0
 NO_PLACE_M = -1000.0
-# The devkit's score of no detection at all: nothing below it is ever matched.
+# The devkit's score of a missing detection; lower scores are never matched.
 NO_DETECTION = -10_000_000.0
 
 
 class Metric(StrEnum):
-    """What is compared, by the names of the results."""
+    """The metrics, by their names in the results."""
 
     BBOX = "bbox"
     BEV = "bev"
@@ -53,7 +53,7 @@ class MinOverlap:
 _STRICT = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
 _LOOSE = {"Car": 0.5, "Pedestrian": 0.25, "Cyclist": 0.25}
 OFFICIAL = MinOverlap(_STRICT, _STRICT, _STRICT)
-# Often given beside the official ones, as by second.pytorch; on the image nothing changes.
+# Also often reported, e.g. by second.pytorch; the thresholds on the image are the official ones.
 RELAXED = MinOverlap(_STRICT, _LOOSE, _LOOSE)
 
 
@@ -62,11 +62,11 @@ class KittiCurve:
     """Precision (orientation similarity for AOS) of one class, metric and difficulty.
 
     Attributes:
-        samples: (41,), 0..1. Sample k is what the k-th threshold gives, and the best from there on; 0 where there is
-            no such threshold. It is not interpolated at recall k / 40.
-        recall: of the thresholds, as many as there are.
-        objects: true objects that count.
-        found: of these, with any detection, whatever its score.
+        samples: (41,), 0..1. Sample k is the best value at the k-th threshold and all later ones; 0 if there is no k-th
+            threshold. It is not interpolated at recall k / 40.
+        recall: at each threshold.
+        objects: number of true objects that count.
+        found: number of these with a detection of any score.
     """
 
     samples: Float64[np.ndarray, "41"]
@@ -76,12 +76,12 @@ class KittiCurve:
 
     @property
     def r11(self) -> float:
-        """Average precision over 11 recalls, with 0 among them (until 2019), percent."""
+        """Average precision over 11 recalls, including 0 (used until 2019), percent."""
         return float(100.0 * self.samples[::4].mean())
 
     @property
     def r40(self) -> float:
-        """Average precision over 40 recalls, without 0 (since 2019), percent."""
+        """Average precision over 40 recalls, excluding 0 (used since 2019), percent."""
         return float(100.0 * self.samples[1:].mean())
 
 
@@ -89,8 +89,8 @@ class KittiCurve:
 class KittiResult:
     """The curves (easy, moderate, hard) by class and metric.
 
-    A class that is never detected is not evaluated, nor is a metric for which no detection of the class has what it
-    takes. AOS is missing where any detection, of any class, has no observation angle.
+    Classes without detections are not evaluated, nor are metrics for which no detection of the class has the required
+    values. AOS is missing if any detection, of any class, has no observation angle.
     """
 
     curves: Mapping[str, Mapping[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]]
@@ -99,11 +99,11 @@ class KittiResult:
 def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOverlap = OFFICIAL) -> KittiResult:
     """Evaluates the detections of all frames (devkit: `main`, `eval_class`).
 
-    A frame takes part by its number alone: what is detected where no true row is counts as false.
+    Detections in frames without true rows count as false positives.
 
     Args:
-        detections: with their scores. Without a real 2D box they are ignored in every metric, for KITTI tells by its
-            height what is too small to count.
+        detections: with scores. Detections without a real 2D box are ignored in all metrics, because KITTI uses the
+            height of the 2D box to decide what is too small to count.
         truth: labels, DontCare areas included.
     """
     detections, truth = detections.by_frame(), truth.by_frame()
@@ -121,18 +121,18 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
             if not (detections.is_of(label) & has_it).any():
                 continue
             excused = covered > needed[label] if metric is Metric.BBOX else np.zeros(len(detections), bool)
-            contest = _Contest(detections, truth, label, needed[label], overlaps, excused)
-            levels = [contest.curves(level) for level in range(len(DIFFICULTIES))]
-            own = curves.setdefault(label, {})
-            own[metric] = (levels[0][0], levels[1][0], levels[2][0])
+            evaluation = _ClassEvaluation(detections, truth, label, needed[label], overlaps, excused)
+            levels = [evaluation.curves(level) for level in range(len(DIFFICULTIES))]
+            of_class = curves.setdefault(label, {})
+            of_class[metric] = (levels[0][0], levels[1][0], levels[2][0])
             if metric is Metric.BBOX and oriented:
-                own[Metric.AOS] = (levels[0][1], levels[1][1], levels[2][1])
+                of_class[Metric.AOS] = (levels[0][1], levels[1][1], levels[2][1])
     return KittiResult(curves)
 
 
 @dataclass(frozen=True, eq=False)
-class _Contest:
-    """One class and metric: `excused` are the detections that are not false even where nothing is found."""
+class _ClassEvaluation:
+    """The evaluation of one class and metric; unmatched `excused` detections are not false positives."""
 
     detections: KittiRows
     truth: KittiRows
@@ -149,11 +149,11 @@ class _Contest:
         enough = (iou > self.needed) & competes[rows] & exists[columns]
         rows, columns, iou = rows[enough], columns[enough], iou[enough]
         score, right = self.detections.score[rows], counts[columns] & valid[rows]
-        # first pass, without a threshold: the surest detection, a small one of any class included
+        # first pass, without a threshold: the detection of highest score, including small ones of any class
         chosen, _, _ = self._assigned(rows, columns, (-score, rows), (score > NO_DETECTION)[:, None])
         scores, objects = score[chosen[:, 0] & right], int(counts.sum())
         thresholds = score_thresholds(scores, objects)
-        # second pass: the largest overlap, and small detections only where there is no other
+        # second pass: the largest overlap; small detections only if there is no other
         preference = (~valid[rows], np.where(valid[rows], -iou, 0.0), rows)
         chosen, served, taken = self._assigned(rows, columns, preference, score[:, None] >= thresholds)
         hits = chosen & right[:, None]
@@ -167,23 +167,23 @@ class _Contest:
         )
 
     def _true_rows(self, level: int) -> tuple[Bool[np.ndarray, "g"], Bool[np.ndarray, "g"]]:
-        """Which true rows count, and which exist at all: to find one that exists and does not count is nothing."""
-        own, neighbour = self.truth.is_of(self.label), self.truth.is_of(*NEIGHBOURS[self.label])
+        """Which true rows count, and which exist; ignored rows (existing, not counting) are neither TP nor FP."""
+        of_class, neighbour = self.truth.is_of(self.label), self.truth.is_of(*NEIGHBOURS[self.label])
         hard = (
             (self.truth.occluded > MAX_OCCLUSION[level])
             | (self.truth.truncated > MAX_TRUNCATION[level])
             | (self.truth.height_px <= MIN_HEIGHT_PX[level])
         )
-        return own & ~hard, own | neighbour
+        return of_class & ~hard, of_class | neighbour
 
     def _detected_rows(self, level: int) -> tuple[Bool[np.ndarray, "d"], Bool[np.ndarray, "d"]]:
-        """Which detections count, and which compete: too small ones of whatever class do, before their class is asked.
+        """Which detections count, and which take part in the matching, including small ones of any class.
 
-        Of truth a height at the limit is too small; of detections it is not.
+        A height equal to the limit is too small for a true row, but not for a detection.
         """
         small = np.abs(self.detections.height_px) < MIN_HEIGHT_PX[level]
-        own = self.detections.is_of(self.label)
-        return own & ~small, own | small
+        of_class = self.detections.is_of(self.label)
+        return of_class & ~small, of_class | small
 
     def _assigned(
         self,
@@ -192,20 +192,20 @@ class _Contest:
         preference: tuple[Shaped[np.ndarray, "p"], ...],
         usable: Bool[np.ndarray, "p t"],
     ) -> tuple[Bool[np.ndarray, "p t"], Bool[np.ndarray, "g t"], Bool[np.ndarray, "d t"]]:
-        """`assign` on the rows that occur in pairs; what it says, for all rows."""
-        known_rows, own_rows = np.unique(rows, return_inverse=True)
-        known_columns, own_columns = np.unique(columns, return_inverse=True)
-        found = assign(own_columns, own_rows, self.truth.frame[columns], preference, usable)
+        """`assign` on the rows that occur in pairs; the result is expanded to all rows."""
+        paired_rows, row_numbers = np.unique(rows, return_inverse=True)
+        paired_columns, column_numbers = np.unique(columns, return_inverse=True)
+        assignment = assign(column_numbers, row_numbers, self.truth.frame[columns], preference, usable)
         served = np.zeros((len(self.truth), usable.shape[1]), bool)
         taken = np.zeros((len(self.detections), usable.shape[1]), bool)
-        served[known_columns], taken[known_rows] = found.truth, found.detection
-        return found.pair, served, taken
+        served[paired_columns], taken[paired_rows] = assignment.truth, assignment.detection
+        return assignment.pair, served, taken
 
     def _wrong(
         self, valid: Bool[np.ndarray, "d"], taken: Bool[np.ndarray, "d t"], thresholds: Float64[np.ndarray, "t"]
     ) -> Int[np.ndarray, "t"]:
-        there = self.detections.score[valid][:, None] >= thresholds
-        return np.asarray((there & ~taken[valid]).sum(axis=0))
+        above = self.detections.score[valid][:, None] >= thresholds
+        return np.asarray((above & ~taken[valid]).sum(axis=0))
 
 
 def score_thresholds(scores: Float64[np.ndarray, "k"], objects: int) -> Float64[np.ndarray, "t"]:
@@ -213,7 +213,7 @@ def score_thresholds(scores: Float64[np.ndarray, "k"], objects: int) -> Float64[
 
     Args:
         scores: of the true positives of the first pass.
-        objects: true objects that count.
+        objects: number of true objects that count.
     """
     chosen, recall = [], 0.0
     ordered = np.sort(scores)[::-1]
@@ -227,12 +227,12 @@ def score_thresholds(scores: Float64[np.ndarray, "k"], objects: int) -> Float64[
 
 
 def _samples(values: Float64[np.ndarray, "t"]) -> Float64[np.ndarray, "41"]:
-    """Each value the best from there on, filled up with 0."""
+    """The running maximum from the end, padded with 0."""
     samples = np.zeros(SAMPLES)
     samples[: len(values)] = np.maximum.accumulate(values[::-1])[::-1]
     return samples
 
 
 def _share(part: Shaped[np.ndarray, "t"], whole: Int[np.ndarray, "t"]) -> Float64[np.ndarray, "t"]:
-    """part / whole, 0 of nothing."""
+    """part / whole; 0 for an empty whole."""
     return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 0)

@@ -1,9 +1,10 @@
-"""labelCloud: a folder of coloured clouds with a JSON file of fully oriented boxes each.
+"""labelCloud: a folder of coloured clouds, each with a JSON file of fully oriented boxes.
 
 model.py        the JSON files
 boxes.py        boxes as centre, sizes and angles, or as corners
-calibration.py  from a cloud's frame to the camera
-write.py        a folder that labelCloud opens; read.py: one that it, or write.py, has written
+calibration.py  transform from a cloud's frame to the camera
+write.py        writes a folder that labelCloud opens
+read.py         reads a folder of labelCloud or of write.py
 """
 
 from annotator.formats.labelcloud.read import LabelCloudFrame, read_labelcloud

@@ -1,9 +1,10 @@
-"""Boxes as labelCloud writes them.
+"""Boxes in labelCloud's form.
 
-Source: labelCloud 1.1.1, `model/bbox.py`, `utils/math3d.py` and `io/labels/`. A box is turned about x, then y, then z
+Source: labelCloud 1.1.1, `model/bbox.py`, `utils/math3d.py` and `io/labels/`. A box is rotated about x, then y, then z
 of the cloud's frame: R = Rz Ry Rx; sizes are full, length along x, width along y, height along z. `centroid_rel` has
 radians in (-pi, pi], `centroid_abs` degrees in 0..360. `vertices` are the corners (-,-,-), (-,+,-), (+,+,-), (+,-,-) in
-signs along the box's x, y, z, then the same four on top. Numbers have eight decimals, as its own settings want.
+signs along the box's x, y, z, then the same four on top. Numbers have eight decimals, as in labelCloud's default
+settings.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from annotator.types import OrientedBox
 DECIMALS = 8
 SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
 CORNERS = np.array([[x, y, z] for z in (-1, 1) for x, y in SIGNS]) / 2
-# Corners of somebody else's box may be rounded to millimetres, or to this share of the box.
+# Tolerance for corners: rounding to millimetres, or this fraction of the box's smallest side.
 OFF_BOX_M, OFF_BOX_SHARE = 2e-3, 1e-2
 
 
 def centroid_object(name: str, box: OrientedBox) -> BoxObject:
-    """A box of the cloud's frame as `centroid_rel`."""
+    """Returns a box of the cloud's frame as `centroid_rel`."""
     return BoxObject(
         name=name,
         centroid=_axes(box.center_m),
@@ -38,16 +39,16 @@ def centroid_object(name: str, box: OrientedBox) -> BoxObject:
 
 
 def vertices_object(name: str, box: OrientedBox) -> BoxObject:
-    """A box of the cloud's frame as its corners."""
+    """Returns a box of the cloud's frame as `vertices`."""
     rows = box.T_camera_box.apply(CORNERS * box.size_m).tolist()
     return BoxObject(name=name, vertices=tuple((_rounded(x), _rounded(y), _rounded(z)) for x, y, z in rows))
 
 
 def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
-    """The box of an object, in the cloud's frame.
+    """Returns the box of an object, in the cloud's frame.
 
     Args:
-        degrees: what its angles are; vertices have none.
+        degrees: True for angles in degrees; not used for vertices.
 
     Raises:
         ValueError: the vertices are not those of a box, in labelCloud's order.
@@ -66,10 +67,10 @@ def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
 
 
 def angles_xyz(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
-    """The angles x, y, z of R = Rz Ry Rx, radians in [-pi, pi].
+    """Returns the angles x, y, z of R = Rz Ry Rx, radians in [-pi, pi].
 
-    Where the box's x axis is vertical, x and z turn about one line and only their sum or difference is known: the
-    later angles are then taken from what the earlier ones have left, so that all three together are exact.
+    If the box's x axis is vertical (gimbal lock), only the sum or difference of x and z is determined. y and x are
+    therefore computed from the rotation that remains after z, so that all three together are exact.
     """
     z = math.atan2(rotation[1, 0], rotation[0, 0])
     rest = Rotation.from_rotvec([0.0, 0.0, -z]).as_matrix() @ rotation
@@ -77,7 +78,7 @@ def angles_xyz(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]
 
 
 def in_degrees(angles: Iterable[float]) -> bool | None:
-    """Whether angles are those of `centroid_abs`; None where nothing tells.
+    """Returns True for degrees (`centroid_abs`), False for radians, None if both are possible.
 
     Raises:
         ValueError: some can only be degrees, others only radians.
@@ -94,19 +95,19 @@ def in_degrees(angles: Iterable[float]) -> bool | None:
 
 
 def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
-    """The box through eight corners, each edge the mean of the four that are parallel."""
+    """Returns the box through eight corners; each side is the mean of its four parallel edges."""
     center = corners.mean(axis=0)
     edges = 2 * np.sign(CORNERS).T @ (corners - center) / 8
     size = np.linalg.norm(edges, axis=1)
     if not (size > 0).all():
-        raise ValueError("vertices lie in a plane")
+        raise ValueError("the vertices lie in one plane")
     axes = (edges / size[:, None]).T
     if np.linalg.det(axes) <= 0:
-        raise ValueError("vertices are not in labelCloud's order (seen from above, the first four go round clockwise)")
+        raise ValueError("the vertices are not in labelCloud's order (seen from above, the first four are clockwise)")
     box = OrientedBox(RigidTransform.from_components(center, Rotation.from_matrix(axes)), size)
     off = float(np.abs(box.T_camera_box.apply(CORNERS * size) - corners).max())
     if off > max(OFF_BOX_M, OFF_BOX_SHARE * float(size.min())):
-        raise ValueError(f"vertices lie up to {off:.3f} m off the corners of a box")
+        raise ValueError(f"the vertices lie up to {off:.3f} m off the corners of a box")
     return box
 
 

@@ -1,4 +1,4 @@
-"""`calib/ID.txt`: from a cloud's frame to the camera, in KITTI's form, which labelCloud keeps in a folder of that name.
+"""`calib/ID.txt`: the transform from a cloud's frame to the camera, in KITTI's form, as labelCloud stores it.
 
 `px = P2 * R0_rect * Tr_velo_to_cam * X`, matrices row by row (KITTI object devkit, readme.txt). P2 may shift rectified
 camera 0 to the colour camera: P2 = K [I | t].
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.bounded import MOST
+from annotator.formats.json_file import MOST
 from annotator.formats.text_folder import text_rows
 from annotator.types import Camera
 from annotator.types.errors import FormatError
@@ -23,7 +23,7 @@ MOST_OFF_ROTATION = 1e-2
 
 
 def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
-    """The text for an ideal camera, all digits; P0 to P3 are that camera, there is no IMU."""
+    """Returns the text for an ideal camera with all digits; P0 to P3 are that camera, the IMU's matrix is identity."""
     P = np.hstack([camera.matrix, np.zeros((3, 1))])
     matrices = {f"P{number}": P for number in range(4)} | {
         "R0_rect": np.eye(3),
@@ -37,12 +37,12 @@ def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
 
 
 def read_calibration_pose(path: Path) -> RigidTransform:
-    """T_camera_cloud of a file.
+    """Returns T_camera_cloud of a file.
 
     Raises:
-        FormatError: it cannot be read, a matrix is missing, has another number of values, or is no rotation.
+        FormatError: the file cannot be read, a matrix is missing, has the wrong number of values or is not a rotation.
     """
-    found: dict[str, Float64[np.ndarray, "r c"]] = {}
+    matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
     for line, (head, *words) in text_rows(path):
         name = head.rstrip(":")
         shape = SHAPES.get(name)
@@ -53,16 +53,16 @@ def read_calibration_pose(path: Path) -> RigidTransform:
         except ValueError as error:
             raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers", line) from error
         if not (np.abs(matrix) <= MOST).all():
-            raise FormatError(path, f"{name} must be finite and not beyond {MOST:g}", line)
-        found[name] = matrix
-    if missing := [name for name in SHAPES if name not in found]:
+            raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
+        matrices[name] = matrix
+    if missing := [name for name in SHAPES if name not in matrices]:
         raise FormatError(path, f"has no {' and no '.join(missing)}")
-    P2, pose = found["P2"], found["R0_rect"] @ found["Tr_velo_to_cam"]
+    P2, pose = matrices["P2"], matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
     R = pose[:, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
-        raise FormatError(path, "R0_rect * Tr_velo_to_cam is no rotation and shift")
+        raise FormatError(path, "R0_rect * Tr_velo_to_cam is not a rotation and translation")
     try:
         shift = np.linalg.solve(P2[:, :3], P2[:, 3])
     except np.linalg.LinAlgError as error:
-        raise FormatError(path, "P2 is the matrix of no camera") from error
+        raise FormatError(path, "P2 is not a camera matrix: its left 3x3 part is singular") from error
     return RigidTransform.from_components(pose[:, 3] + shift, Rotation.from_matrix(R))

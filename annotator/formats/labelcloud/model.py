@@ -1,4 +1,4 @@
-"""The JSON files of labelCloud: `labels/ID.json` of a cloud and `labels/_classes.json` of a project (version 1.1)."""
+"""labelCloud's JSON files: `labels/ID.json` for each cloud and `labels/_classes.json` for a project (version 1.1)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from annotator.formats.bounded import Bounded, Bounded3, BoundedPositive
+from annotator.formats.json_file import Bounded, Bounded3, BoundedPositive
 
 CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
@@ -17,7 +17,7 @@ class _Record(BaseModel):
 
 
 class Axes(_Record):
-    """A value for each axis: metres, or angles."""
+    """One value per axis: metres, or angles."""
 
     x: Bounded
     y: Bounded
@@ -49,7 +49,7 @@ class BoxObject(_Record):
 
 
 class LabelFile(_Record):
-    """The labels of one cloud; where that lies is told, and not asked: labels go by their own file's name."""
+    """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
 
     folder: str = ""
     filename: str = ""
@@ -73,7 +73,7 @@ class Creator(_Record):
 
 
 class ClassesFile(_Record):
-    """The classes, and the form of all label files."""
+    """The classes, and the box form of all label files."""
 
     classes: tuple[ClassEntry, ...]
     default: int = 0

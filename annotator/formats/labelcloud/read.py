@@ -1,4 +1,4 @@
-"""Reads the boxes of a labelCloud project, ours or one that was begun in labelCloud."""
+"""Reads the boxes of a labelCloud project, exported by annotator or created in labelCloud."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.faults import Tell, give_up
 from annotator.formats.frames_csv import read_frames
 from annotator.formats.json_file import read_model
 from annotator.formats.labelcloud.boxes import box_of, in_degrees
 from annotator.formats.labelcloud.calibration import read_calibration_pose
 from annotator.formats.labelcloud.model import CENTROID_ABS, CENTROID_REL, CLASSES_FILE, ClassesFile, LabelFile
 from annotator.formats.labelcloud.write import CALIBRATIONS, LABELS
+from annotator.formats.reading import OnFault, raise_fault
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 
@@ -25,54 +25,54 @@ class LabelCloudFrame:
 
     Attributes:
         boxes: class and box, in the cloud's frame.
-        T_camera_cloud: from the cloud's frame to the camera; None where the project has no calibration.
+        T_camera_cloud: from the cloud's frame to the camera; None without a calibration.
     """
 
     boxes: tuple[tuple[str, OrientedBox], ...]
     T_camera_cloud: RigidTransform | None
 
 
-def read_labelcloud(path: Path, tell: Tell = give_up) -> dict[str, LabelCloudFrame]:
-    """The labels of a project folder (all of its parts, if it is divided), or of a folder of label files, by name.
+def read_labelcloud(path: Path, on_fault: OnFault = raise_fault) -> dict[str, LabelCloudFrame]:
+    """Returns the labels of a project folder with all its parts, or of a folder of label files, by frame name.
 
-    Names are "RECORDING/KEY" where the dataset's frames.csv says so, else the stem of the label file.
+    Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
 
     Args:
-        tell: what becomes of a fault in a label file or a calibration.
+        on_fault: called with the fault of a label file or a calibration; see `OnFault`.
 
     Raises:
-        FormatError: no labels, files that are no labels of labelCloud, or angles whose unit nothing tells.
+        FormatError: no labels, files that are not labelCloud labels, or angles whose unit cannot be determined.
     """
-    found: dict[str, LabelCloudFrame] = {}
+    frames: dict[str, LabelCloudFrame] = {}
     for folder in _label_folders(path):
         origins = read_frames(folder.parent) or read_frames(folder.parent.parent)
-        for stem, frame in _read_folder(folder, tell):
+        for stem, frame in _read_folder(folder, on_fault):
             name = origins[stem].name if stem in origins else stem
-            if name in found:
+            if name in frames:
                 raise FormatError(folder / f"{stem}.json", f"the frame {name} has labels in two folders; import one")
-            found[name] = frame
-    return found
+            frames[name] = frame
+    return frames
 
 
 def _label_folders(path: Path) -> list[Path]:
     folders = [folder for folder in (path / LABELS, *sorted(path.glob(f"*/{LABELS}"))) if folder.is_dir()]
-    found = [folder for folder in folders or [path] if any(_label_files(folder))]
-    if not found:
+    labelled = [folder for folder in folders or [path] if any(_label_files(folder))]
+    if not labelled:
         raise FormatError(path, "has no label file of labelCloud (*.json, here or in labels/)")
-    return found
+    return labelled
 
 
 def _label_files(folder: Path) -> Iterator[Path]:
     return (file for file in sorted(folder.glob("*.json")) if file.name != CLASSES_FILE)
 
 
-def _read_folder(folder: Path, tell: Tell) -> Iterator[tuple[str, LabelCloudFrame]]:
+def _read_folder(folder: Path, on_fault: OnFault) -> Iterator[tuple[str, LabelCloudFrame]]:
     files: dict[Path, LabelFile] = {}
     for file in _label_files(folder):
         try:
             files[file] = read_model(file, LabelFile)
         except FormatError as fault:
-            tell(fault)
+            on_fault(fault)
     degrees = _degrees(folder, files)
     for file, content in files.items():
         boxes = []
@@ -80,33 +80,33 @@ def _read_folder(folder: Path, tell: Tell) -> Iterator[tuple[str, LabelCloudFram
             try:
                 boxes.append((entry.name, box_of(entry, degrees)))
             except ValueError as error:
-                tell(FormatError(file, f"objects.{number}: {error}"))
+                on_fault(FormatError(file, f"objects.{number}: {error}"))
         pose = folder.parent / CALIBRATIONS / f"{file.stem}.txt"
         try:
             T_camera_cloud = _pose_for(boxes, pose) if pose.is_file() else None
         except FormatError as fault:
-            tell(fault)
+            on_fault(fault)
             continue
         yield file.stem, LabelCloudFrame(tuple(boxes), T_camera_cloud)
 
 
 def _pose_for(boxes: Sequence[tuple[str, OrientedBox]], file: Path) -> RigidTransform:
-    """T_camera_cloud of a calibration, which must leave boxes of its cloud within reach."""
+    """Returns T_camera_cloud of a calibration; raises FormatError if it moves a box of the cloud out of range."""
     T = read_calibration_pose(file)
     for number, (_, box) in enumerate(boxes):
         try:
             box.transformed(T)
         except ValueError as error:
-            raise FormatError(file, f"takes objects.{number} of its cloud too far off: {error}") from error
+            raise FormatError(file, f"moves objects.{number} of its cloud out of range: {error}") from error
     return T
 
 
 def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
-    """What the angles of a folder are: as its `_classes.json` says, else as they are themselves, all together."""
+    """True for angles in degrees: from the folder's `_classes.json`, else from the range of all its angles."""
     classes = folder / CLASSES_FILE
-    said = read_model(classes, ClassesFile).format if classes.is_file() else None
-    if said in (CENTROID_ABS, CENTROID_REL):
-        return said == CENTROID_ABS
+    form = read_model(classes, ClassesFile).format if classes.is_file() else None
+    if form in (CENTROID_ABS, CENTROID_REL):
+        return form == CENTROID_ABS
     angles = (
         angle
         for content in files.values()
@@ -115,13 +115,13 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
         for angle in (entry.rotations.x, entry.rotations.y, entry.rotations.z)
     )
     try:
-        found = in_degrees(angles)
+        degrees = in_degrees(angles)
     except ValueError as error:
         raise FormatError(folder, str(error)) from error
-    if found is None:
+    if degrees is None:
         raise FormatError(
             folder,
-            "angles may be radians or degrees here; put labelCloud's _classes.json beside the labels, whose "
-            f'"format" says so ("{CENTROID_REL}" or "{CENTROID_ABS}")',
+            "the angles may be radians or degrees; put labelCloud's _classes.json beside the labels, with "
+            f'"format" "{CENTROID_REL}" (radians) or "{CENTROID_ABS}" (degrees)',
         )
-    return found
+    return degrees

@@ -1,12 +1,12 @@
 """Writes a folder that labelCloud opens, one frame in memory at a time.
 
-    [PART/]pointclouds/ID.ply   the clouds, coloured, z upwards; ID.png (or .jpg) beside: its image folder is the same
+    [PART/]pointclouds/ID.ply   coloured clouds, z up, with ID.png (or .jpg) beside: labelCloud looks for images there
     [PART/]labels/ID.json       the boxes, in the cloud's frame; _classes.json: classes and the form of all labels
-    [PART/]calib/ID.txt         from the cloud's frame to the camera
-    frames.csv                  where each frame came from
+    [PART/]calib/ID.txt         transform from the cloud's frame to the camera
+    frames.csv                  the origin of each frame
 
-labelCloud turns its view, and in its first settings also boxes, about z: so clouds are written in the level frame at
-the camera's place (x ahead, y left, z against gravity). It is started in the folder (or in that of a part).
+labelCloud rotates its viewport, and by default also boxes, about z. Clouds are therefore written in the level frame at
+the camera (x ahead, y left, z against gravity). Start labelCloud in the folder (or in the folder of a part).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Literal
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import new_folder
-from annotator.formats.dataset import DatasetItem, FrameIds
+from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
 from annotator.formats.labelcloud.boxes import centroid_object, vertices_object
 from annotator.formats.labelcloud.calibration import dump_calibration
@@ -36,16 +36,15 @@ from annotator.formats.labelcloud.model import (
 )
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.ply import write_ply
-from annotator.formats.writing import encoded_image, writing
-from annotator.geometry.level import level_pose
-from annotator.geometry.straighten import straightened
+from annotator.geometry.projection import straightened
+from annotator.geometry.transforms import level_pose
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FormatError
 
 CLOUDS, LABELS, CALIBRATIONS = "pointclouds", "labels", "calib"
 NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.TIME)
 LEVEL_FRAME = "level frame at the camera: x ahead, y left, z up, metres"
-# Hues that follow each other by this share of the circle stay apart, however many there are.
+# Golden ratio: hues that differ by this fraction of the circle stay distinct for any number of classes.
 GOLDEN = 0.618034
 
 
@@ -60,18 +59,18 @@ def write_labelcloud(
     image_format: Literal["png", "jpg"] = "png",
     overwrite: bool = False,
 ) -> Mapping[str, int]:
-    """Writes the folder `out`, all or not at all, and returns the number of boxes of each class.
+    """Writes the folder `out` atomically and returns the number of boxes of each class.
 
     Args:
-        items: the frames, read one by one; an error from here leaves nothing behind.
+        items: the frames, read one by one; if reading one raises, nothing is left behind.
         classes: all class names, in order.
-        losses: what the format does not hold is counted here.
-        version: of this program.
-        vertices: boxes as corners instead of centre, sizes and angles.
-        overwrite: an older dataset of this format may be replaced.
+        losses: counts what the format cannot store.
+        version: annotator's version.
+        vertices: write boxes as corners instead of centre, sizes and angles.
+        overwrite: replace an older export of this format.
 
     Raises:
-        FormatError: `out` is taken, there is no frame, one comes twice, or the disk refuses.
+        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
     """
     ids, origins, counts = FrameIds(), list[FrameOrigin](), Counter[str]()
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
@@ -95,7 +94,7 @@ def write_labelcloud(
 
 
 def _is_dataset(folder: Path) -> bool:
-    """True for a former export: a project that was begun in labelCloud has no frames.csv."""
+    """True for an export of annotator: a project created in labelCloud has no frames.csv."""
     return has_frames(folder) and any(
         next(folder.glob(pattern), None) for pattern in (f"{LABELS}/{CLASSES_FILE}", f"*/{LABELS}/{CLASSES_FILE}")
     )
@@ -104,7 +103,7 @@ def _is_dataset(folder: Path) -> bool:
 def _write_frame(
     folder: Path, frame_id: str, item: DatasetItem, vertices: bool, image_format: Literal["png", "jpg"]
 ) -> None:
-    """The frame's four files."""
+    """Writes the frame's four files."""
     for name in (CLOUDS, LABELS, CALIBRATIONS):
         (folder / name).mkdir(parents=True, exist_ok=True)
     T_level_camera = level_pose(item.frame.up)
@@ -131,7 +130,7 @@ def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
 
 
 def _classes(names: Sequence[str], form: str, version: str) -> str:
-    """The text of `_classes.json`; labelCloud wants at least one class."""
+    """Returns the text of `_classes.json`; labelCloud needs at least one class."""
     entries = tuple(ClassEntry(name=name, id=number, color=_color(number)) for number, name in enumerate(names))
     content = ClassesFile(classes=entries, format=form, created_with=Creator(name="annotator", version=version))
     return content.model_dump_json(indent=1) + "\n"

@@ -1,9 +1,10 @@
-"""nuScenes: boxes, scenes and sensors as tables that name each other by tokens.
+"""nuScenes: tables of boxes, scenes and sensors that refer to each other by tokens.
 
 model.py   the tables
-shapes.py  boxes, poses and points as they are written
-tables.py  the rows of a dataset, frame by frame; write.py: the folder that the devkit opens
-read.py    the boxes of datasets, ours and others'
+shapes.py  boxes, poses and points in nuScenes' form
+tables.py  builds the rows of a dataset, frame by frame
+write.py   writes a folder that the devkit opens
+read.py    reads the boxes of any nuScenes dataset
 """
 
 from annotator.formats.nuscenes.read import NuScenesBox, read_nuscenes

@@ -1,7 +1,7 @@
 """The tables of nuScenes, one JSON list of records each, linked by tokens.
 
 Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit): metres, quaternions w x y z, sizes width
-length height, times in microseconds. Fields that neither writing nor reading needs are passed over when reading.
+length height, times in microseconds. Other fields are ignored when reading.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.formats.bounded import Bounded3, Bounded4, BoundedPositive, BoundedTrack
+from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, BoundedTrack
 
 Token = Annotated[str, Field(min_length=1)]
 Vector3 = Bounded3
@@ -40,14 +40,14 @@ class Attribute(Record):
 
 
 class Visibility(Record):
-    """How much of an object is seen."""
+    """A level of visibility of an object."""
 
     level: str
     description: str = ""
 
 
 class Instance(Record):
-    """An object over the samples of its scene. `track_id` is ours: its id in the project."""
+    """An object over the samples of its scene. `track_id` is annotator's extension: the id in the project."""
 
     category_token: Token
     nbr_annotations: int
@@ -64,7 +64,7 @@ class Sensor(Record):
 
 
 class CalibratedSensor(Record):
-    """Where a sensor is on the vehicle: `rotation` and `translation` take its coordinates to the ego frame."""
+    """The pose of a sensor on the vehicle: `rotation` and `translation` map its coordinates to the ego frame."""
 
     sensor_token: Token
     translation: Vector3
@@ -73,7 +73,7 @@ class CalibratedSensor(Record):
 
 
 class EgoPose(Record):
-    """Where the vehicle is: `rotation` and `translation` take the ego frame to the global one."""
+    """The pose of the vehicle: `rotation` and `translation` map the ego frame to the global frame."""
 
     timestamp: int = 0
     rotation: Quaternion
@@ -101,7 +101,7 @@ class Scene(Record):
 
 
 class Linked(Record):
-    """A row that knows its neighbours in time; empty at the ends."""
+    """A row with the tokens of its neighbours in time; empty at the ends."""
 
     prev: str = ""
     next: str = ""
@@ -115,7 +115,7 @@ class Sample(Linked):
 
 
 class SampleData(Linked):
-    """What one sensor measured; `filename` is below the dataset's root."""
+    """The data of one sensor; `filename` is relative to the dataset's root."""
 
     sample_token: Token
     ego_pose_token: Token
@@ -143,7 +143,7 @@ class SampleAnnotation(Linked):
 
 
 class Map(Record):
-    """A picture of the ground that drives belong to."""
+    """A map image of the ground, for a set of drives."""
 
     log_tokens: tuple[str, ...]
     category: Literal["semantic_prior"] = "semantic_prior"

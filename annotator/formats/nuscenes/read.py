@@ -1,4 +1,4 @@
-"""Reads the boxes of nuScenes' tables, ours and others', camera by camera."""
+"""Reads the boxes of nuScenes tables, camera by camera."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import RootModel
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.faults import Tell, give_up
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model
 from annotator.formats.nuscenes.model import (
@@ -25,11 +24,12 @@ from annotator.formats.nuscenes.model import (
     Sensor,
 )
 from annotator.formats.nuscenes.shapes import box_from, pose
+from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 
-# A box is in a picture if a corner of it is, and all are ahead of the camera (devkit: `BoxVisibility.ANY`).
+# A box is in an image if one of its corners is, and all are in front of the camera (devkit: `BoxVisibility.ANY`).
 NEAREST_M = 0.1
 
 Row = TypeVar("Row", bound=Record)
@@ -42,8 +42,8 @@ class NuScenesBox:
     Attributes:
         label: the category's name.
         box: camera frame.
-        track_id: the instance's id in the project it came from; in others' datasets the number of its row, where it
-            is annotated more than once.
+        track_id: the instance's id in the project it was exported from; in other datasets the instance's row number
+            if it has more than one annotation, else None.
     """
 
     label: str
@@ -51,46 +51,47 @@ class NuScenesBox:
     track_id: int | None
 
 
-def read_nuscenes(path: Path, tell: Tell = give_up) -> dict[str, tuple[NuScenesBox, ...]]:
-    """The boxes of every camera's key frames, by name; others' datasets have many cameras: of each, what it sees.
+def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[NuScenesBox, ...]]:
+    """Returns the boxes of each camera's key frames, by frame name.
 
-    Names are "RECORDING/KEY" where frames.csv says so, else the stem of the image's file.
+    In datasets of several cameras each camera has the boxes in its image. Names are "RECORDING/KEY" if the dataset has
+    a frames.csv, else the stem of the image file.
 
     Args:
         path: the dataset's root, or its folder of tables.
-        tell: what becomes of a fault in a box's row.
+        on_fault: called with the fault of a box's row; see `OnFault`.
 
     Raises:
-        FormatError: no tables, rows that do not follow the schema or name rows that are not there, or two images of
-            one name.
+        FormatError: no tables, rows that do not follow the schema or refer to missing rows, or two images with the
+            same name.
     """
     folder = _table_folder(path)
     origins = read_frames(folder.parent)
     labels = _Labels(folder)
-    found: dict[str, tuple[NuScenesBox, ...]] = {}
+    frames: dict[str, tuple[NuScenesBox, ...]] = {}
     for place, row in enumerate(labels.data.values()):
         if not row.is_key_frame or labels.sensor(place, row).modality != "camera":
             continue
         stem = PurePosixPath(row.filename).stem
         name = origins[stem].name if stem in origins else stem
-        if name in found:
-            raise FormatError(folder / "sample_data.json", f"{place}: two images of cameras are called {name}")
-        found[name] = tuple(labels.boxes(place, row, origins, tell))
-    if not found:
+        if name in frames:
+            raise FormatError(folder / "sample_data.json", f"{place}: two camera images are called {name}")
+        frames[name] = tuple(labels.boxes(place, row, origins, on_fault))
+    if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
-    return found
+    return frames
 
 
 def _table_folder(path: Path) -> Path:
     folders = [path] if (path / "sample_data.json").is_file() else sorted(path.glob("v1.0-*/"))
     if len(folders) != 1:
-        several = f"several folders of tables ({', '.join(f.name for f in folders)}); name one of them"
-        raise FormatError(path, f"has {several}" if folders else "has no folder of nuScenes tables (v1.0-*)")
+        several = f"has several folders of tables ({', '.join(f.name for f in folders)}); give the path of one"
+        raise FormatError(path, several if folders else "has no folder of nuScenes tables (v1.0-*)")
     return folders[0]
 
 
 class _Labels:
-    """The tables, and what their rows say together."""
+    """The tables, and the boxes that follow from their rows."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -106,14 +107,14 @@ class _Labels:
             self._of_sample.setdefault(row.sample_token, []).append((place, row))
 
     def sensor(self, place: int, row: SampleData) -> Sensor:
-        """Which sensor measured a row."""
+        """Returns the sensor of a row."""
         calibrated = self._row("sample_data", place, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
         return self._row("sample_data", place, self._sensors, "sensor", calibrated.sensor_token)
 
     def boxes(
-        self, place: int, row: SampleData, origins: Mapping[str, FrameOrigin], tell: Tell
+        self, place: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
     ) -> Iterator[NuScenesBox]:
-        """The boxes of a camera's picture; all of the sample where the dataset is ours, which has one camera."""
+        """Yields the boxes in a camera's image; with `origins` (an export, one camera) all boxes of the sample."""
         calibrated = self._calibrated[row.calibrated_sensor_token]
         ego = self._row("sample_data", place, self._poses, "ego_pose", row.ego_pose_token)
         T_camera_global = (self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)).inv()
@@ -121,7 +122,7 @@ class _Labels:
             try:
                 box = box_from(each.translation, each.rotation, each.size).transformed(T_camera_global)
             except ValueError as error:
-                tell(FormatError(self._folder / "sample_annotation.json", f"{at}: {error}"))
+                on_fault(FormatError(self._folder / "sample_annotation.json", f"{at}: {error}"))
                 continue
             if origins or _is_seen(box, calibrated, row):
                 instance = self._row("sample_annotation", at, self._instances, "instance", each.instance_token)
@@ -143,16 +144,19 @@ class _Labels:
     def _table(self, name: str, model: type[Row]) -> dict[str, Row]:
         path = self._folder / f"{name}.json"
         rows: tuple[Row, ...] = read_model(path, RootModel[tuple[model, ...]]).root  # type: ignore[valid-type]
-        found: dict[str, Row] = {}
+        by_token: dict[str, Row] = {}
         for place, row in enumerate(rows):
-            if row.token in found:
-                raise FormatError(path, f"{place}: the token {row.token} is there twice")
-            found[row.token] = row
-        return found
+            if row.token in by_token:
+                raise FormatError(path, f"{place}: the token {row.token} occurs twice")
+            by_token[row.token] = row
+        return by_token
 
     def _row(self, table: str, place: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
         if token not in rows:
-            raise FormatError(self._folder / f"{table}.json", f"{place}: {other}.json has no token {token}")
+            raise FormatError(
+                self._folder / f"{table}.json",
+                f"{place}: refers to the token {token}, which {other}.json does not have",
+            )
         return rows[token]
 
 

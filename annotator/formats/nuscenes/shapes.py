@@ -1,8 +1,8 @@
-"""Boxes, poses and points as nuScenes writes them.
+"""Boxes, poses and points in nuScenes' form.
 
-Source: nuscenes-devkit, `utils/data_classes.py`: sizes are width, length, height; a box's own x axis points along its
-length, y along its width, z along its height, as ours do; quaternions are w x y z; a scan is float32 x y z intensity
-ring, the intensity in 0..255.
+Source: nuscenes-devkit, `utils/data_classes.py`: sizes are width, length, height; a box's x axis points along its
+length, y along its width, z along its height, as in annotator; quaternions are w x y z; a scan is float32 x y z
+intensity ring, the intensity in 0..255.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ MOST_INTENSITY = 255.0
 
 
 def vector(values: np.ndarray) -> Vector3:
-    """Three numbers as JSON has them, no negative zeros."""
+    """Returns three numbers for JSON, without negative zeros."""
     x, y, z = (values + 0.0).tolist()
     return (x, y, z)
 
 
 def quaternion(rotation: Rotation) -> Quaternion:
-    """w x y z, w not negative."""
+    """Returns w x y z, w not negative."""
     w, x, y, z = (rotation.as_quat(canonical=True, scalar_first=True) + 0.0).tolist()
     return (w, x, y, z)
 
 
 def width_length_height(box: OrientedBox) -> Vector3:
-    """The full sizes in nuScenes' order."""
+    """Returns the full sizes in nuScenes' order."""
     length, width, height = box.size_m.tolist()
     return (width, length, height)
 
 
 def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> OrientedBox:
-    """The box of an annotation, global frame.
+    """Returns the box of an annotation, global frame.
 
     Raises:
-        ValueError: the quaternion has not the length 1.
+        ValueError: the rotation is not a unit quaternion.
     """
     width, length, height = size_wlh
     return OrientedBox(pose(translation, rotation), np.array([length, width, height]))
 
 
 def pose(translation: Vector3, rotation: Quaternion) -> RigidTransform:
-    """A pose; raises ValueError where the quaternion has not the length 1."""
+    """Returns a pose; raises ValueError if the rotation is not a unit quaternion."""
     if not 0.5 < np.linalg.norm(rotation) < 2.0:
-        raise ValueError(f"rotation: {list(rotation)} is no unit quaternion")
+        raise ValueError(f"rotation: {list(rotation)} is not a unit quaternion")
     return RigidTransform.from_components(np.array(translation), Rotation.from_quat(rotation, scalar_first=True))
 
 
 def scan(cloud: PointCloud, T_level_camera: RigidTransform) -> Float32[np.ndarray, "n 5"]:
-    """The points in the level frame with intensity and ring; both 0 where unknown."""
+    """Returns the points in the level frame with intensity (0 if unknown) and ring (0)."""
     intensity = np.zeros(len(cloud)) if cloud.reflectance is None else cloud.reflectance * MOST_INTENSITY
     return np.column_stack([T_level_camera.apply(cloud.xyz_m), intensity, np.zeros(len(cloud))]).astype("<f4")

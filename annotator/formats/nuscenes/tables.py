@@ -1,4 +1,4 @@
-"""The tables of a dataset, put together frame by frame."""
+"""Builds the tables of a dataset, frame by frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.dataset import DatasetItem, FileNames
+from annotator.formats.dataset_writing import DatasetItem, FileNames
 from annotator.formats.nuscenes.model import (
     CalibratedSensor,
     Category,
@@ -35,14 +35,14 @@ from annotator.geometry.occlusion import Sight
 from annotator.geometry.point_index import PointIndex
 from annotator.types import Camera, Label
 
-# The channels that nuScenes' own programs look for.
+# The channels that nuScenes' devkit uses.
 CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
 MAP_FILE = "maps/none.png"
-# nuScenes' levels: from which visible share on.
+# nuScenes' levels with their least visible fraction.
 VISIBILITY = {"1": (0.0, "v0-40"), "2": (0.4, "v40-60"), "3": (0.6, "v60-80"), "4": (0.8, "v80-100")}
-# Tokens are derived under this one: the same project gives the same tables.
+# Namespace of the tokens: the same project gives the same tables.
 NAMESPACE = uuid.UUID("0b9c4a1e-7d55-5f0a-8a57-3a1a5e9be6d2")
-# Samples of unknown time follow each other as nuScenes' do.
+# Interval of samples without a time, as in nuScenes.
 STEP_US = 500_000
 
 Row = TypeVar("Row", bound=Linked)
@@ -50,13 +50,13 @@ Key = tuple[str, str | None]
 
 
 def token(*parts: object) -> str:
-    """32 hexadecimal digits that follow from the parts."""
+    """Returns 32 hexadecimal digits, a hash of the parts."""
     return uuid.uuid5(NAMESPACE, "\n".join(map(repr, parts))).hex
 
 
 @dataclass
 class Tables:
-    """All rows so far; no image and no cloud is kept."""
+    """All rows so far, without images and clouds."""
 
     classes: Sequence[str]
     _samples: dict[Key, list[Sample]] = field(default_factory=dict)
@@ -70,16 +70,16 @@ class Tables:
     _starts_us: set[int] = field(default_factory=set)
 
     def add(self, item: DatasetItem, camera: Camera, T_level_camera: RigidTransform, files: Mapping[str, str]) -> None:
-        """One more frame.
+        """Adds a frame.
 
         Args:
-            camera: ideal.
-            T_level_camera: from the camera to the level frame, which is the ego and the global frame, too.
-            files: of the camera and the LiDAR, by channel, below the dataset's root.
+            camera: an ideal camera.
+            T_level_camera: from the camera to the level frame, which is also the ego frame and the global frame.
+            files: camera and LiDAR file by channel, relative to the dataset's root.
         """
         frame, key = item.frame, (item.recording, item.split)
-        made_up_us = len(self._poses) // 2 * STEP_US
-        time_us = self._shifted(key, made_up_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000)
+        default_us = len(self._poses) // 2 * STEP_US
+        time_us = self._shifted(key, default_us if frame.timestamp_ns is None else frame.timestamp_ns // 1000)
         sample = Sample(
             token=token("sample", item.recording, frame.key), timestamp=time_us, scene_token=token("scene", *key)
         )
@@ -106,7 +106,7 @@ class Tables:
         self._annotate(item, sample, T_level_camera)
 
     def finish(self) -> dict[str, Sequence[Record]]:
-        """The rows of every table, by its name."""
+        """Returns the rows of every table, by the table's name."""
         names = self.scene_names()
         logs = {key: token("log", *key) for key in names}
         annotations = {row.token: row for rows in self._annotations.values() for row in linked(rows)}
@@ -130,7 +130,7 @@ class Tables:
         }
 
     def scene_names(self) -> dict[Key, str]:
-        """A scene is a recording, or what one part of the dataset has of it."""
+        """Returns the name of each scene; a scene is a recording, or the frames of it in one part of the dataset."""
         parts = Counter(recording for recording, _ in self._samples)
         names = FileNames()
         return {
@@ -139,8 +139,8 @@ class Tables:
         }
 
     def _shifted(self, key: Key, time_us: int) -> int:
-        """The time, some microseconds later in scenes that would begin when another does: the devkit lists them by
-        that time, and cannot where two are the same."""
+        """Returns the time, shifted by some microseconds if another scene begins at the same time: the devkit sorts
+        scenes by their start and fails on equal ones."""
         if key not in self._shifts_us:
             start_us = next(each for each in count(time_us) if each not in self._starts_us)
             self._starts_us.add(start_us)
@@ -148,7 +148,7 @@ class Tables:
         return time_us + self._shifts_us[key]
 
     def _calibrated(self, channel: str, T_ego_sensor: RigidTransform, camera: Camera) -> str:
-        """The token of a sensor in its place; equal ones are one row."""
+        """Adds the row of a calibrated sensor, once for equal ones, and returns its token."""
         rows = camera.matrix.tolist() if channel == CAMERA else []
         row = CalibratedSensor(
             token=token("calibrated", channel, T_ego_sensor.as_matrix().tolist(), rows),
@@ -165,11 +165,11 @@ class Tables:
         index, sight = PointIndex.of(xyz), Sight(xyz)
         seen: Counter[tuple[object, ...]] = Counter()
         for label in item.labels:
-            own = ("label", label.uid) if label.track_id is None else ("track", label.track_id)
-            # an object of one identity is there once a sample, whatever the labels say
-            seen[label.label, *own] += 1
-            again = seen[label.label, *own]
-            instance = token("instance", item.recording, item.split, label.label, *own, again)
+            identity = ("label", label.uid) if label.track_id is None else ("track", label.track_id)
+            # an instance occurs once per sample, even if two labels have the same track
+            seen[label.label, *identity] += 1
+            again = seen[label.label, *identity]
+            instance = token("instance", item.recording, item.split, label.label, *identity, again)
             self._instances.setdefault(instance, (label.label, label.track_id))
             box = label.box.transformed(T_level_camera)
             row = SampleAnnotation(
@@ -209,19 +209,19 @@ class Tables:
         )
 
     def _log(self, key: Key, log: str) -> Log:
-        """The day is 1970-01-01 where the recording does not say when it was."""
+        """Returns the row of a drive; its day is 1970-01-01 if the recording has no times."""
         day = datetime.fromtimestamp(self._samples[key][0].timestamp / 1e6, UTC).date().isoformat()
         return Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
 
 
 def linked(rows: Sequence[Row]) -> list[Row]:
-    """The rows, which follow each other, each with the tokens of its neighbours."""
+    """Returns consecutive rows, each with the tokens of its neighbours."""
     tokens = ["", *(row.token for row in rows), ""]
     return [row.model_copy(update={"prev": tokens[place], "next": tokens[place + 2]}) for place, row in enumerate(rows)]
 
 
 def _visibility(sight: Sight, label: Label) -> str:
-    """The level of what is not hidden from the sensor; an object that nothing was measured of is not seen."""
+    """Returns the visibility level of an object; without any line of sight to it the lowest."""
     share = sight.hidden(label.box).share
     seen = 0.0 if isnan(share) else 1.0 - share
     return max(name for name, (least, _) in VISIBILITY.items() if seen >= least)

@@ -1,13 +1,13 @@
 """Writes a dataset that the nuscenes-devkit opens, one frame in memory at a time.
 
     v1.0-annotator/*.json            the tables; splits.json names the scenes of each part
-    samples/CAM_FRONT/ID.png         images (or .jpg), straightened
+    samples/CAM_FRONT/ID.png         rectified images (or .jpg)
     samples/LIDAR_TOP/ID.pcd.bin     clouds
-    maps/none.png                    the map that the tables must name: one black pixel
-    frames.csv                       where each frame came from
+    maps/none.png                    the map that the tables require: one black pixel
+    frames.csv                       the origin of each frame
 
-Scenes are recordings, instances their tracks. Global, ego and LiDAR frame are one: the level frame at the camera's
-place (x ahead, y left, z against gravity); how a recording's camera moved is not known.
+Scenes are recordings, instances are tracks. Global, ego and LiDAR frame are the same: the level frame at the camera
+(x ahead, y left, z against gravity), because the camera's motion is unknown.
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ import numpy as np
 from pydantic import SerializeAsAny, TypeAdapter
 
 from annotator.files import new_folder
-from annotator.formats.dataset import DatasetItem, FrameIds
+from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.nuscenes.model import Record
 from annotator.formats.nuscenes.shapes import scan
 from annotator.formats.nuscenes.tables import CAMERA, LIDAR, MAP_FILE, Tables
-from annotator.formats.writing import encoded_image, writing
-from annotator.geometry.level import level_pose
-from annotator.geometry.straighten import straightened
+from annotator.geometry.projection import straightened
+from annotator.geometry.transforms import level_pose
 from annotator.types.errors import FormatError
 
 VERSION = "v1.0-annotator"
@@ -48,16 +47,16 @@ def write_nuscenes(
     image_format: Literal["png", "jpg"] = "png",
     overwrite: bool = False,
 ) -> Mapping[str, int]:
-    """Writes the folder `out`, all or not at all, and returns the number of boxes of each class.
+    """Writes the folder `out` atomically and returns the number of boxes of each class.
 
     Args:
-        items: the frames of each recording in order, read one by one; an error from here leaves nothing behind.
+        items: the frames of each recording in order, read one by one; if reading one raises, nothing is left behind.
         classes: all class names, in order.
-        losses: what the format does not hold is counted here.
-        overwrite: an older dataset of this form may be replaced.
+        losses: counts what the format cannot store.
+        overwrite: replace an older export of this format.
 
     Raises:
-        FormatError: `out` is taken, there is no frame, one comes twice, or the disk refuses.
+        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
     """
     ids, origins, counts = FrameIds(), list[FrameOrigin](), Counter[str]()
     tables = Tables(classes)
@@ -92,7 +91,7 @@ def write_nuscenes(
 
 
 def _black_pixel() -> bytes:
-    """A grey map of which no ground is known."""
+    """Returns the PNG file of a map without content."""
     import cv2
 
     _, data = cv2.imencode(".png", np.zeros((1, 1), np.uint8))
@@ -111,5 +110,5 @@ def _write_tables(folder: Path, tables: Tables) -> None:
 
 
 def _is_dataset(folder: Path) -> bool:
-    """True for a former export: nuScenes itself has no frames.csv."""
+    """True for an export of annotator: nuScenes itself has no frames.csv."""
     return has_frames(folder) and (folder / VERSION / "sample.json").is_file()

@@ -1,4 +1,4 @@
-"""From one coordinate system of a document to another, at one frame."""
+"""Transforms between the coordinate systems of a document, at one frame."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from annotator.formats.openlabel.shapes import transform_from
 
 
 class Coordinates:
-    """The tree of a document's systems, with what one frame changes of it.
+    """The tree of a document's coordinate systems, with the transforms of one frame.
 
     Source: ASAM OpenLABEL 1.0.0: `pose_wrt_parent` and `transform_src_to_dst` both are matrices that multiply column
-    vectors of the child (the source) from the left. A frame's transform holds in place of the pose between the two.
+    vectors of the child (the source) from the left. A frame's transform replaces the pose between the two systems.
     """
 
     def __init__(
         self, systems: Mapping[str, CoordinateSystem], of_frame: Mapping[str, Transform] | None = None
     ) -> None:
-        """Raises ValueError: a transform is none; names the coordinate system."""
+        """Raises ValueError for an invalid transform; names the coordinate system."""
         self._edges: dict[str, dict[str, RigidTransform]] = {name: {} for name in systems}
         for name, system in systems.items():
             if system.pose_wrt_parent is not None and system.parent:
@@ -33,25 +33,25 @@ class Coordinates:
         return name in self._edges
 
     def transform(self, dst: str, src: str) -> RigidTransform:
-        """T_dst_src.
+        """Returns T_dst_src.
 
         Raises:
-            ValueError: nothing leads from one to the other.
+            ValueError: the two systems are not connected.
         """
-        found = {src: RigidTransform.identity()}
+        from_src = {src: RigidTransform.identity()}
         waiting = deque([src])
-        while waiting and dst not in found:
+        while waiting and dst not in from_src:
             here = waiting.popleft()
             for there, T_there_here in self._edges.get(here, {}).items():
-                if there not in found:
-                    found[there] = T_there_here * found[here]
+                if there not in from_src:
+                    from_src[there] = T_there_here * from_src[here]
                     waiting.append(there)
-        if dst not in found:
+        if dst not in from_src:
             raise ValueError(
-                f"nothing leads from the coordinate system {src!r} to {dst!r}; give each a parent and pose_wrt_parent, "
-                "or the frame a transform"
+                f"the coordinate systems {src!r} and {dst!r} are not connected; give each a parent and "
+                "pose_wrt_parent, or the frame a transform"
             )
-        return found[dst]
+        return from_src[dst]
 
     def _connect(self, where: str, dst: str, src: str, data: TransformData) -> None:
         try:

@@ -1,7 +1,7 @@
-"""The parts of an OpenLABEL 1.0.0 document that boxes need, after the ASAM standard and its JSON schema.
+"""The parts of an OpenLABEL 1.0.0 document that boxes need. Source: the ASAM standard and its JSON schema.
 
-Names and nesting are the standard's. What else a document holds (other geometry, actions, relations, ontologies) is
-passed over when reading. Optional parts are None and are left out when writing.
+Names and nesting are the standard's. Other parts of a document (other geometry, actions, relations, ontologies) are
+ignored when reading. Optional parts are None and are left out when writing.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-from annotator.formats.bounded import Bounded, Bounded3, Bounded4, Exact
+from annotator.formats.json_file import Bounded, Bounded3, Bounded4, Exact
 
 SCHEMA_VERSION = "1.0.0"
 
@@ -40,7 +40,7 @@ class Text(_Record):
 
 
 class Attributes(_Record):
-    """What is said of a cuboid besides its shape."""
+    """Attributes of a cuboid."""
 
     num: tuple[Num, ...] | None = None
     text: tuple[Text, ...] | None = None
@@ -63,7 +63,7 @@ class ObjectData(_Record):
 
 
 class FrameObject(_Record):
-    """What an object is in one frame."""
+    """The data of an object in one frame."""
 
     object_data: ObjectData | None = None
 
@@ -76,7 +76,7 @@ class FrameInterval(_Record):
 
 
 class DataPointer(_Record):
-    """In which frames an object has the data of a name, and with which attributes."""
+    """The frames in which an object has data of a given name, and the attributes of that data."""
 
     type: str | None = None
     frame_intervals: tuple[FrameInterval, ...]
@@ -84,7 +84,7 @@ class DataPointer(_Record):
 
 
 class Object(_Record):
-    """Something that keeps its identity over the frames; `type` is its class."""
+    """An object over all frames; `type` is its class."""
 
     name: str
     type: Annotated[str, Field(min_length=1)]
@@ -105,7 +105,7 @@ class TransformData(_Record):
 
 
 class CoordinateSystem(_Record):
-    """`pose_wrt_parent` takes coordinates of this system to those of its parent; the root has the parent ""."""
+    """`pose_wrt_parent` maps coordinates of this system to those of its parent; the root has the parent ""."""
 
     type: str
     parent: str
@@ -114,7 +114,7 @@ class CoordinateSystem(_Record):
 
 
 class Transform(_Record):
-    """A transform of one frame: coordinates of `src` to those of `dst`."""
+    """A transform of one frame, from coordinates of `src` to those of `dst`."""
 
     src: str
     dst: str
@@ -131,14 +131,14 @@ class Pinhole(_Record):
 
 
 class Sync(_Record):
-    """When, or where in its stream, a picture or cloud was taken."""
+    """The time of an image or cloud, or its place in the stream."""
 
     timestamp: Timestamp | None = None
     frame_stream: int | None = None
 
 
 class StreamProperties(_Record):
-    """Calibration of a stream, or the place of a frame in it; other lens models than the pinhole are passed over."""
+    """Calibration of a stream, or the place of a frame in it; lens models other than the pinhole are ignored."""
 
     intrinsics_pinhole: Pinhole | None = None
     sync: Sync | None = None
@@ -159,7 +159,7 @@ class Stream(FrameStream):
 
 
 class FrameProperties(_Record):
-    """When a frame was taken, its files, and transforms that hold for it alone."""
+    """Time, files and transforms of one frame."""
 
     timestamp: Timestamp | None = None
     streams: dict[str, FrameStream] | None = None
@@ -174,7 +174,7 @@ class Frame(_Record):
 
 
 class Metadata(_Record):
-    """The document itself; `name` is the recording's."""
+    """Data about the document; `name` is the recording's name."""
 
     schema_version: Literal["1.0.0"]
     name: str | None = None
@@ -183,7 +183,7 @@ class Metadata(_Record):
 
 
 class Content(_Record):
-    """Everything in a document."""
+    """The content of a document."""
 
     metadata: Metadata
     coordinate_systems: dict[str, CoordinateSystem] | None = None

@@ -1,4 +1,4 @@
-"""Reads the cuboids of OpenLABEL documents, ours and others', frame by frame in the camera's coordinates."""
+"""Reads the cuboids of OpenLABEL documents, frame by frame, in the camera's coordinates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Docum
 from annotator.formats.openlabel.shapes import box_from
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import FormatError
-from annotator.types.tracks import MOST_TRACK
+from annotator.types.label import MOST_TRACK
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,9 +23,9 @@ class OpenLabelBox:
     Attributes:
         label: the object's type.
         box: in the coordinates of the frame's camera (or cloud, see `OpenLabelFrame`).
-        track_id: what the document says (`track_id`), else the object's number; None for UUIDs.
-        score: where it is said.
-        state: in the review; None where the document does not say.
+        track_id: the attribute `track_id`, else the object's number; None for UUIDs.
+        score: the attribute `score`, if any.
+        state: the review state from the attribute `state`, if any.
     """
 
     label: str
@@ -37,12 +37,12 @@ class OpenLabelBox:
 
 @dataclass(frozen=True, eq=False)
 class OpenLabelFrame:
-    """One frame of a document as one of its sensors sees it.
+    """One frame of a document, for one of its sensors.
 
     Attributes:
-        name: "RECORDING/KEY" where the dataset says so; else the stem of the sensor's file, else the frame's number.
+        name: "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number.
         boxes: in the sensor's coordinates.
-        of_camera: they are those of a camera; False: the document has no camera, they are those of its cloud.
+        of_camera: True if the sensor is a camera; False: the document has no camera, the sensor is its LiDAR.
     """
 
     name: str
@@ -51,31 +51,31 @@ class OpenLabelFrame:
 
 
 def read_openlabel(path: Path) -> dict[str, OpenLabelFrame]:
-    """The frames of a document, or of all documents in a folder and in the folders within it, by name.
+    """Returns the frames of a document, or of all documents in a folder and its subfolders, by name.
 
     Raises:
-        FormatError: no document, one that does not follow the standard, a cuboid in a coordinate system that nothing
-            leads from to the camera, or two frames of one name.
+        FormatError: no document, a document that does not follow the standard, a cuboid in a coordinate system that
+            is not connected to the camera's, or two frames with the same name.
     """
-    found: dict[str, OpenLabelFrame] = {}
+    frames: dict[str, OpenLabelFrame] = {}
     source: dict[str, Path] = {}
     for file in _documents(path):
-        # parts of a divided dataset share the table above them
+        # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
         for frame in parse(file, read_model(file, Document, no_twins), origins):
-            if frame.name in found:
-                where = f"and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
-                raise FormatError(file, f"the frame {frame.name} is here {where}; import one of them at a time")
-            found[frame.name], source[frame.name] = frame, file
-    return found
+            if frame.name in frames:
+                where = f"here and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
+                raise FormatError(file, f"the frame {frame.name} has labels {where}; import one of them at a time")
+            frames[frame.name], source[frame.name] = frame, file
+    return frames
 
 
 def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) -> Iterator[OpenLabelFrame]:
-    """The frames of one document, once for each of its cameras.
+    """Yields the frames of one document, once for each of its cameras.
 
     Args:
-        path: of the document, for messages.
-        origins: of frames, by the stem of their files.
+        path: the document, for error messages.
+        origins: origins of frames, by the stem of their files.
 
     Raises:
         FormatError: as `read_openlabel`.
@@ -92,15 +92,15 @@ def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) ->
         for sensor, of_camera in sensors.items():
             stream = (properties.streams or {}).get(sensor)
             if stream is None and len(sensors) > 1:
-                # this camera took no picture of the frame
+                # this camera has no image in the frame
                 continue
-            # files may come from Windows; only the last part counts, nothing is opened by it
+            # paths may come from Windows; only the file name is used, the file is not opened
             stem = PureWindowsPath(stream.uri).stem if stream is not None and stream.uri else number
             name = origins[stem].name if stem in origins else stem
             boxes = tuple(
                 _box(path, place, each, cuboid, uid, coordinates, sensor)
                 for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
-                # null is the standard's way to say that there is none
+                # null means "no cuboid" in the standard
                 if cuboid.val is not None
             )
             yield OpenLabelFrame(name, boxes, of_camera)
@@ -109,30 +109,32 @@ def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) ->
 def _documents(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
-    found = sorted([*path.glob("*.json"), *path.glob("*/*.json")])
-    if not found:
+    documents = sorted([*path.glob("*.json"), *path.glob("*/*.json")])
+    if not documents:
         raise FormatError(path, "has no OpenLABEL document (*.json)" if path.is_dir() else "does not exist")
-    return found
+    return documents
 
 
 def _sensors(path: Path, content: Content) -> dict[str, bool]:
-    """The streams whose coordinates are wanted: the cameras, or without any the only cloud; True for cameras."""
+    """Returns the streams to read boxes for: the cameras (True), or without cameras the only LiDAR (False)."""
     streams = content.streams or {}
     if cameras := [name for name, stream in streams.items() if stream.type == "camera"]:
         return dict.fromkeys(cameras, True)
     clouds = [name for name, stream in streams.items() if stream.type == "lidar"]
     if len(clouds) != 1:
-        raise FormatError(path, "has no stream of type camera (nor just one of type lidar) whose frames these could be")
+        raise FormatError(
+            path, "has no stream of type camera, and not exactly one of type lidar; its boxes have no sensor"
+        )
     return {clouds[0]: False}
 
 
 def _cuboids(path: Path, content: Content, number: int, frame: Frame) -> Iterator[tuple[str, str, Object, Cuboid]]:
-    """Where each stands, its object's uid, the object, and itself: those of the frame, then those that hold always."""
+    """Yields place, object uid, object and cuboid: first those of the frame, then those of static objects."""
     objects = content.objects or {}
     for uid, dynamic in (frame.objects or {}).items():
         where = f"openlabel.frames.{number}.objects.{uid}"
         if uid not in objects:
-            raise FormatError(path, f"{where}: openlabel.objects has no {uid}; every object must be listed there")
+            raise FormatError(path, f"{where}: the object is not listed in openlabel.objects; add it there")
         if dynamic.object_data is not None:
             for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
                 yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
@@ -163,17 +165,17 @@ def _box(
             box = box.transformed(coordinates.transform(sensor, system))
     except ValueError as error:
         raise FormatError(path, f"{where}: {error}") from error
-    known = ReviewState(state) if state in set(ReviewState) else None
-    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), known)
+    review = ReviewState(state) if state in set(ReviewState) else None
+    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), review)
 
 
-def _track(said: float | None, uid: str) -> int | None:
-    if said is not None:
-        if not said.is_integer():
-            raise ValueError(f"track_id must be a whole number, not {said}")
-        return int(said)
+def _track(attribute: float | None, uid: str) -> int | None:
+    if attribute is not None:
+        if not attribute.is_integer():
+            raise ValueError(f"track_id must be a whole number, not {attribute}")
+        return int(attribute)
     if "-" in uid[1:]:
         return None
     if abs(number := int(uid)) > MOST_TRACK:
-        raise ValueError(f"the object's number, which becomes its track, goes to {MOST_TRACK}, not {number:.6g}")
+        raise ValueError(f"the object's number is its track id and must be at most {MOST_TRACK}, not {number:.6g}")
     return number

@@ -1,4 +1,4 @@
-"""One recording as an OpenLABEL document, put together frame by frame."""
+"""Builds the OpenLABEL document of a recording, frame by frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.openlabel.model import (
     SCHEMA_VERSION,
     AttributeKind,
@@ -39,11 +39,11 @@ from annotator.formats.openlabel.shapes import cuboid_values, pinhole_of, transf
 from annotator.types import Label
 
 BASE, CAMERA, CLOUD = "base", "camera", "cloud"
-# Axes of the root, as vehicles have them (ISO 8855): x forward, y left, z up; it turns with the camera.
+# Axes of the root system (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
 T_BASE_CAMERA = RigidTransform.from_rotation(
     Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 )
-# UUIDs of objects and boxes are derived under this one: the same project gives the same file.
+# Namespace of the UUIDs of objects and boxes: the same project gives the same file.
 NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
 
 
@@ -59,10 +59,10 @@ class _Track:
 
 @dataclass
 class Scene:
-    """A recording's document as far as it has come; only labels and names are kept, no image and no cloud.
+    """The document of a recording so far, without images and clouds.
 
     Attributes:
-        recording: its name.
+        recording: the recording's name.
         generator: program and version.
     """
 
@@ -73,16 +73,18 @@ class Scene:
     _tracks: dict[str, _Track] = field(default_factory=dict)
 
     def add(self, item: DatasetItem, image: str, cloud: str) -> None:
-        """One more frame; `image` and `cloud` are its files, beside the document."""
+        """Adds a frame; `image` and `cloud` are its files, relative to the document."""
         frame, number = item.frame, item.frame.index
         camera = pinhole_of(frame.camera)
         self._camera = self._camera or camera
         time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
         sync = Sync(frame_stream=number) if time is None else Sync(timestamp=time)
-        # a frame says its intrinsics only where they are others than those of the whole stream
-        own = None if camera == self._camera else camera
+        # a frame has intrinsics only if they differ from those of the stream
+        intrinsics = None if camera == self._camera else camera
         streams = {
-            CAMERA: FrameStream(uri=image, stream_properties=StreamProperties(intrinsics_pinhole=own, sync=sync)),
+            CAMERA: FrameStream(
+                uri=image, stream_properties=StreamProperties(intrinsics_pinhole=intrinsics, sync=sync)
+            ),
             CLOUD: FrameStream(uri=cloud, stream_properties=StreamProperties(sync=sync)),
         }
         self._frames[number] = Frame(
@@ -91,10 +93,10 @@ class Scene:
         )
 
     def document(self) -> Document:
-        """The whole, frames in the order of their numbers."""
+        """Returns the document, frames in the order of their numbers."""
         numbers = sorted(self._frames)
         pose = transform_values(T_BASE_CAMERA)
-        # readers look for children also where there are none
+        # some readers require children, even if there are none
         sensor = CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
         return Document(
             openlabel=Content(
@@ -117,21 +119,21 @@ class Scene:
         )
 
     def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, FrameObject]:
-        found: dict[str, FrameObject] = {}
+        objects: dict[str, FrameObject] = {}
         seen: Counter[str] = Counter()
         for label in labels:
-            own = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
-            # an object of one identity is there once a frame, whatever the labels say
-            seen[f"{label.label} {own}"] += 1
-            again = seen[f"{label.label} {own}"]
-            uid = _uuid(self.recording, label.label, own, str(again))
+            identity = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
+            # an object occurs once per frame, even if two labels have the same track
+            seen[f"{label.label} {identity}"] += 1
+            again = seen[f"{label.label} {identity}"]
+            uid = _uuid(self.recording, label.label, identity, str(again))
             cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
-            found[uid] = FrameObject(object_data=ObjectData(cuboid=(cuboid,)))
+            objects[uid] = FrameObject(object_data=ObjectData(cuboid=(cuboid,)))
             if uid not in self._tracks:
                 self._tracks[uid] = _Track(f"{label.label} {len(self._tracks) + 1}", label.label)
             self._tracks[uid].frames.append(number)
             self._tracks[uid].attributes |= _kinds(cuboid)
-        return found
+        return objects
 
 
 def _uuid(*parts: str) -> str:
@@ -139,7 +141,7 @@ def _uuid(*parts: str) -> str:
 
 
 def _seconds(time_ns: int) -> str:
-    """Seconds with all nine decimals: a JSON number would lose nanoseconds."""
+    """Returns seconds with nine decimals as a text: a JSON number would lose nanoseconds."""
     whole, rest = divmod(time_ns, 10**9)
     return f"{whole}.{rest:09d}"
 
@@ -177,7 +179,7 @@ def _object(track: _Track) -> Object:
 
 
 def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
-    """Runs of consecutive frame numbers, which come in order."""
+    """Returns the runs of consecutive numbers in a sorted sequence of frame numbers."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

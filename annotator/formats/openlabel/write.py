@@ -1,12 +1,12 @@
 """Writes a folder of OpenLABEL documents with their images and clouds, one frame in memory at a time.
 
-    [PART/]RECORDING.json   one document a recording
+    [PART/]RECORDING.json   one document per recording
     [PART/]images/ID.png    the camera images (or .jpg)
     [PART/]clouds/ID.ply    the clouds, camera frame
-    frames.csv              where each frame came from
+    frames.csv              the origin of each frame
 
-A document is one recording because OpenLABEL counts frames, and knows an object again, within one document: readers
-take a file as one scene with one set of sensors. Divided, each part of the dataset is a folder of its own.
+There is one document per recording because frame numbers and object identities are valid within one document: readers
+treat a file as one scene with one set of sensors. Each part of a divided dataset is a folder of its own.
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from pathlib import Path
 from typing import Literal
 
 from annotator.files import new_folder
-from annotator.formats.dataset import DatasetItem, FileNames, FrameIds
+from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.openlabel.model import Document
 from annotator.formats.openlabel.scene import Scene
 from annotator.formats.ply import write_ply
-from annotator.formats.writing import encoded_image, writing
 from annotator.types.errors import FormatError
 
-# A document of ours says so in its first bytes.
+# Exported documents have the key "openlabel" within these first bytes.
 _HEAD_BYTES = 64
 
 
@@ -39,16 +38,16 @@ def write_openlabel(
     losses: Losses | None = None,
     overwrite: bool = False,
 ) -> Mapping[str, int]:
-    """Writes the folder `out`, all or not at all, and returns the number of objects of each class.
+    """Writes the folder `out` atomically and returns the number of objects of each class.
 
     Args:
-        items: the frames, read one by one; an error from here leaves nothing behind.
+        items: the frames, read one by one; if reading one raises, nothing is left behind.
         generator: program and version.
-        losses: what the format does not hold is counted here, where somebody asks.
-        overwrite: an older dataset of this format may be replaced.
+        losses: counts what the format cannot store; None: not counted.
+        overwrite: replace an older export of this format.
 
     Raises:
-        FormatError: `out` is taken, there is no frame, one comes twice, or the disk refuses.
+        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
     """
     scenes: dict[tuple[str | None, str], Scene] = {}
     ids, origins, objects = FrameIds(), [], Counter[str]()
@@ -78,19 +77,19 @@ def write_openlabel(
 
 
 def dump(document: Document) -> str:
-    """The text of a document."""
+    """Returns the text of a document."""
     return document.model_dump_json(indent=1, exclude_none=True) + "\n"
 
 
 def _named(scenes: Mapping[tuple[str | None, str], Scene]) -> dict[str, Scene]:
-    """The documents by their places within the dataset; a recording has one name in all parts."""
+    """Returns the documents by their path within the dataset; a recording has the same file name in all parts."""
     names = FileNames()
     stems = {recording: names.add(recording) for recording in dict.fromkeys(recording for _, recording in scenes)}
     return {f"{split or '.'}/{stems[recording]}.json": scene for (split, recording), scene in scenes.items()}
 
 
 def _is_dataset(folder: Path) -> bool:
-    """True for a former export: no other folder is ever overwritten."""
+    """True for an export of annotator; no other folder is overwritten."""
     if not (folder / FRAMES_CSV).is_file():
         return False
     documents = [*folder.glob("*.json"), *folder.glob("*/*.json")]

@@ -1,6 +1,6 @@
 """The `rcv` dataset: a folder of images, coloured point clouds and oriented boxes, after 3D_HUMAN and 3D_HAND.
 
-The README.md that every export carries (readme.py) describes the folder; model.py is its JSON to the letter.
+readme.py writes the README.md that describes the folder; model.py defines its JSON.
 """
 
 from annotator.formats.rcv.export import RcvInfo, export_rcv

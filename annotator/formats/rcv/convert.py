@@ -1,4 +1,4 @@
-"""Between the shared value types and the records of an `rcv` dataset."""
+"""Converts annotator's types to and from the records of an `rcv` dataset."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from annotator.formats.rcv.model import FRAME_OF_REFERENCE, Matrix3, RcvCamera, 
 from annotator.geometry.transforms import corners_4x8
 from annotator.types import Camera, Frame, Label, OrientedBox
 
-# Centre, rotation and size are the box; quaternion and corners must say the same within this, metres or 1.
+# Tolerance of quaternion and corners against centre, rotation and size; in metres for corners.
 AGREEMENT = 1e-6
 
 
@@ -28,7 +28,7 @@ def camera_record(camera: Camera) -> RcvCamera:
 
 
 def camera_from(record: RcvCamera) -> Camera:
-    """Raises ValueError where the number of distortion coefficients is none of OpenCV's."""
+    """Returns the camera; raises ValueError for a number of distortion coefficients that OpenCV does not have."""
     size = (record.width_px, record.height_px)
     return Camera(*size, record.fx, record.fy, record.cx, record.cy, record.distortion)
 
@@ -36,7 +36,7 @@ def camera_from(record: RcvCamera) -> Camera:
 def labels_record(
     frame_id: str, recording: str, frame: Frame, labels: Sequence[Label], image: str, cloud: str
 ) -> RcvLabels:
-    """The record of one frame; `image` and `cloud` are its files within the dataset."""
+    """Returns the record of one frame; `image` and `cloud` are its files within the dataset."""
     return RcvLabels(
         id=frame_id,
         recording=recording,
@@ -73,21 +73,21 @@ def object_record(label: Label) -> RcvObject:
 
 
 def label_from(record: RcvObject) -> Label:
-    """The label of a record.
+    """Returns the label of a record.
 
     Raises:
-        ValueError: the rotation is none, or quaternion or corners say something else than centre, size and rotation.
+        ValueError: the rotation is invalid, or quaternion or corners disagree with centre, size and rotation.
     """
     rotation = np.array(record.rotation)
     box = OrientedBox.from_parts(np.array(record.center), rotation, np.array(record.size))
     quaternion = Rotation.from_quat(record.quaternion, scalar_first=True)
     if np.abs(quaternion.as_matrix() - box.rotation).max() > AGREEMENT:
-        raise ValueError("quaternion and rotation disagree; rotation counts, write the quaternion anew from it")
-    # the rotation of the quaternion is exactly orthonormal, that of the matrix only as far as its digits go
+        raise ValueError("quaternion and rotation disagree; correct the quaternion from the rotation")
+    # the quaternion gives an exactly orthonormal rotation, the matrix only a rounded one
     box = OrientedBox(RigidTransform.from_components(np.array(record.center), quaternion), np.array(record.size))
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
-        raise ValueError("corners disagree with center, size and rotation, which count; write the corners anew")
+        raise ValueError("corners disagree with center, size and rotation; correct the corners")
     return Label(
         uid=record.uid,
         label=record.label,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from annotator.files import new_folder
-from annotator.formats.dataset import DatasetItem, FrameIds
+from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
 from annotator.formats.ply import write_ply
 from annotator.formats.rcv.convert import camera_record, labels_record
 from annotator.formats.rcv.model import (
@@ -23,7 +23,6 @@ from annotator.formats.rcv.model import (
     RcvOptions,
 )
 from annotator.formats.rcv.readme import readme_text
-from annotator.formats.writing import encoded_image, writing
 from annotator.types import ReviewState, Source
 from annotator.types.errors import FormatError
 
@@ -34,11 +33,11 @@ SPLITS = "splits"
 
 @dataclass(frozen=True)
 class RcvInfo:
-    """What an export says of itself.
+    """Data about an export, written to its manifest.
 
     Attributes:
         classes: all class names of the project, in its order; every label must be one of them.
-        detectors: the detectors that had a part in the boxes.
+        detectors: the detectors that contributed to the boxes.
         generator: program and version, such as "annotator 0.1.0".
         options: how images are written.
     """
@@ -50,16 +49,16 @@ class RcvInfo:
 
 
 def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwrite: bool = False) -> RcvManifest:
-    """Writes the dataset folder `out`, all or not at all, and returns what its `dataset.json` says.
+    """Writes the dataset folder `out` atomically and returns the content of its `dataset.json`.
 
     Args:
-        out: a folder that is missing or empty; with `overwrite`, an older rcv dataset may be replaced.
-        items: the frames, read one by one; an error from here leaves nothing behind.
+        out: a folder that is missing or empty; with `overwrite`, an older rcv dataset is replaced.
+        items: the frames, read one by one; if reading one raises, nothing is left behind.
         info: classes, detectors, generator, options.
 
     Raises:
-        FormatError: `out` is taken, nothing is there to export, a frame comes twice, a label has an unknown class,
-            or the disk refuses.
+        FormatError: `out` exists, there is no frame, a frame occurs twice, a label has an unknown class, or writing
+            fails.
     """
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
         tally = _Tally()
@@ -82,7 +81,7 @@ def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwr
 
 
 def _is_dataset(folder: Path) -> bool:
-    """True for a former export: no other folder is ever overwritten."""
+    """True for an export of annotator; no other folder is overwritten."""
     manifest = folder / MANIFEST
     return manifest.is_file() and f'"{FORMAT_NAME}"' in manifest.read_text(encoding="utf-8", errors="replace")
 
@@ -91,11 +90,11 @@ def _require_classes(out: Path, item: DatasetItem, classes: tuple[str, ...]) -> 
     for label in item.labels:
         if label.label not in classes:
             where = f"{item.recording}, frame {item.frame.key}"
-            raise FormatError(out, f"{where}: label {label.label!r} is none of the classes {', '.join(classes)}")
+            raise FormatError(out, f"{where}: label {label.label!r} is not one of the classes {', '.join(classes)}")
 
 
 def _write_frame(part: Path, frame_id: str, item: DatasetItem, options: RcvOptions) -> None:
-    """The frame's three files."""
+    """Writes the frame's three files."""
     image, cloud = f"images/{frame_id}.{options.image_format}", f"clouds/{frame_id}.ply"
     (part / image).write_bytes(encoded_image(item.frame.rgb, options.image_format, options.jpeg_quality))
     write_ply(part / cloud, item.frame.cloud)
@@ -104,7 +103,7 @@ def _write_frame(part: Path, frame_id: str, item: DatasetItem, options: RcvOptio
 
 
 def _write_splits(part: Path, splits: Mapping[str, Sequence[str]]) -> None:
-    """The ids of each part of a divided dataset, one a line."""
+    """Writes the ids of each part of a divided dataset, one per line."""
     for name, ids in splits.items():
         (part / SPLITS).mkdir(exist_ok=True)
         (part / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
@@ -112,7 +111,7 @@ def _write_splits(part: Path, splits: Mapping[str, Sequence[str]]) -> None:
 
 @dataclass
 class _Tally:
-    """Ids and counts of the frames so far; the only thing that grows with the number of frames."""
+    """Ids and counts of the frames so far."""
 
     ids: FrameIds = field(default_factory=FrameIds)
     splits: dict[str, list[str]] = field(default_factory=dict)

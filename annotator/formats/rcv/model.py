@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.formats.bounded import BoundedTrack
+from annotator.formats.json_file import BoundedTrack
 from annotator.types import ReviewState, Source
 
 FORMAT_NAME = "annotator-rcv"
@@ -17,7 +17,7 @@ CORNER_ORDER = ("---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++")
 PIXELS = "continuous; the centre of the first pixel is (0, 0)"
 DISTORTION = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty for an ideal pinhole"
 
-# Nothing that is measured in metres, pixels or radians is larger; squares of it are still numbers.
+# Limit for metres, pixels and radians; squares of such numbers stay finite.
 LARGEST = 1e9
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
@@ -46,7 +46,7 @@ class RcvObject(_Record):
     """One object of a frame.
 
     `center`, `rotation` (columns = box axes in the camera frame) and `size` (length, width, height) are the box;
-    `quaternion` (w, x, y, z) and `corners` (Eq. (1): rows x, y, z, 1; columns in `CORNER_ORDER`) say the same again.
+    `quaternion` (w, x, y, z) and `corners` (Eq. (1): rows x, y, z, 1; columns in `CORNER_ORDER`) repeat it.
     """
 
     uid: str = Field(min_length=1)
@@ -67,8 +67,8 @@ class RcvObject(_Record):
 class RcvLabels(_Record):
     """`labels/ID.json`: one frame.
 
-    `key`, `index` and `recording` say where the frame came from; `up` is the unit vector against gravity in the
-    camera frame, where the recording knows it.
+    `key`, `index` and `recording` are the frame's origin; `up` is the unit vector against gravity in the camera frame,
+    None if unknown.
     """
 
     id: str
@@ -86,7 +86,7 @@ class RcvLabels(_Record):
 
 
 class RcvDetector(_Record):
-    """A 2D detector that had a part in the boxes: `role` is what it looks at, such as image or view."""
+    """A 2D detector that contributed to the boxes; `role` is its input, such as image or view."""
 
     role: str
     name: str
@@ -101,7 +101,7 @@ class RcvOptions(_Record):
 
 
 class RcvConventions(_Record):
-    """What the numbers mean, in words."""
+    """The conventions of the numbers, in words."""
 
     frame_of_reference: str = FRAME_OF_REFERENCE
     box_axes: str = BOX_AXES
@@ -121,7 +121,7 @@ class RcvCameraUse(_Record):
 
 
 class RcvCounts(_Record):
-    """How many there are: frames, points, and objects split by class, review state and source."""
+    """The numbers of frames, points, and objects by class, review state and source."""
 
     frames: int
     objects: int

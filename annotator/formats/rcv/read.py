@@ -1,4 +1,4 @@
-"""Reads an `rcv` dataset back, a frame at a time."""
+"""Reads an `rcv` dataset, one frame at a time."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest
-from annotator.pictures import decode_picture
+from annotator.image_bytes import decode_image
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
 
-# Of a name that is none.
+# Characters of an invalid name that a message quotes.
 SHOWN = 60
 MOST_LENGTH = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class RcvFrame:
-    """One frame of a dataset: its id, the name of the recording it came from, and what was exported."""
+    """One frame of a dataset with its id, its original recording and its labels."""
 
     id: str
     recording: str
@@ -35,7 +35,7 @@ class RcvFrame:
 
 @dataclass(frozen=True, eq=False)
 class RcvDataset:
-    """A dataset whose frames are read when asked for.
+    """A dataset whose frames are read on access.
 
     Attributes:
         path: the folder.
@@ -49,7 +49,7 @@ class RcvDataset:
         return len(self.manifest.frames)
 
     def labels(self, i: int) -> tuple[Label, ...]:
-        """The labels of frame `i`, without its image and cloud.
+        """Returns the labels of frame `i` without reading its image and cloud.
 
         Raises:
             FormatError: the label file is missing or does not follow the format.
@@ -57,12 +57,12 @@ class RcvDataset:
         return _labels(*self._record(i))
 
     def named_labels(self, i: int) -> tuple[str, tuple[Label, ...]]:
-        """The same with the frame's name, `RECORDING/KEY`: where it came from, whatever its id in this dataset is."""
+        """Returns the labels of frame `i` with its original name `RECORDING/KEY`; errors as `labels`."""
         path, record = self._record(i)
         return f"{record.recording}/{record.key}", _labels(path, record)
 
     def frame(self, i: int) -> RcvFrame:
-        """Frame `i`, read from disk.
+        """Reads frame `i` with its labels.
 
         Raises:
             FormatError: one of its files is missing or does not follow the format.
@@ -71,11 +71,11 @@ class RcvDataset:
         return RcvFrame(record.id, record.recording, self._frame(path, record), _labels(path, record))
 
     def bare_frame(self, i: int) -> Frame:
-        """The same without the labels, whatever is wrong with them."""
+        """Reads frame `i` without checking its labels."""
         return self._frame(*self._record(i))
 
     def place(self, i: int) -> tuple[str, int]:
-        """The recording that frame `i` came from, and its number there.
+        """Returns the original recording of frame `i`, and its number there.
 
         Raises:
             FormatError: as `labels`.
@@ -84,50 +84,54 @@ class RcvDataset:
         return record.recording, record.index
 
     def label_path(self, i: int) -> Path:
-        """The file of frame `i`'s labels and camera."""
+        """Returns the file with the labels and the camera of frame `i`."""
         return self.path / "labels" / f"{self.manifest.frames[i]}.json"
 
     def _frame(self, path: Path, record: RcvLabels) -> Frame:
         rgb, cloud = _image(self.path / record.image), read_ply(self.path / record.cloud)
         if len(cloud) != record.points:
-            raise FormatError(self.path / record.cloud, f"holds {len(cloud)} points, {path.name} says {record.points}")
+            raise FormatError(
+                self.path / record.cloud, f"holds {len(cloud)} points, but {path.name} says {record.points}"
+            )
         return _frame(path, record, rgb, cloud)
 
     def _record(self, i: int) -> tuple[Path, RcvLabels]:
-        """The content of frame `i`'s label file, and its path."""
+        """Returns the path and the content of frame `i`'s label file."""
         frame_id, path = self.manifest.frames[i], self.label_path(i)
         if not is_within(self.path, f"labels/{frame_id}.json"):
-            raise FormatError(self.path / MANIFEST, f"the labels of {frame_id[:SHOWN]!r} are no file of this dataset")
+            raise FormatError(self.path / MANIFEST, f"the label file of {frame_id[:SHOWN]!r} is outside this dataset")
         record = read_model(path, RcvLabels)
         if record.id != frame_id:
-            raise FormatError(path, f"says that its id is {record.id!r}")
+            raise FormatError(path, f"has the id {record.id!r}, which must be {frame_id!r} as in the file's name")
         for name in (record.image, record.cloud):
             if not is_within(self.path, name):
-                raise FormatError(path, f"{name[:SHOWN]!r} is not a file of this dataset")
+                raise FormatError(path, f"{name[:SHOWN]!r} is outside this dataset")
         return path, record
 
 
 def read_rcv(path: Path) -> RcvDataset:
-    """Opens a dataset; its frames are read one by one, when asked for.
+    """Opens a dataset; its frames are read on access.
 
     Raises:
-        FormatError: `path` holds no rcv dataset, or one whose manifest contradicts itself.
+        FormatError: `path` is not an rcv dataset, or its manifest contradicts itself.
     """
     manifest = read_model(path / MANIFEST, RcvManifest)
     if len(manifest.frames) != manifest.counts.frames or len(set(manifest.frames)) != len(manifest.frames):
-        raise FormatError(path / MANIFEST, f"frames must list {manifest.counts.frames} different ids, as counts says")
+        raise FormatError(
+            path / MANIFEST, f"frames must list {manifest.counts.frames} different ids, the number in counts"
+        )
     for frame_id in manifest.frames:
         if frame_id != Path(frame_id).name:
-            raise FormatError(path / MANIFEST, f"the id {frame_id[:SHOWN]!r} is not the name of a file")
+            raise FormatError(path / MANIFEST, f"the id {frame_id[:SHOWN]!r} is not a valid file name")
     return RcvDataset(path, manifest)
 
 
 def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture, RGB order."""
+    """Reads the image, RGB order."""
     import cv2
 
     try:
-        bgr = decode_picture(path.read_bytes(), cv2.IMREAD_COLOR)
+        bgr = decode_image(path.read_bytes(), cv2.IMREAD_COLOR)
     except OSError as error:
         raise FormatError(path, f"the image cannot be read ({error.strerror})") from error
     except ValueError as error:
@@ -151,7 +155,7 @@ def _frame(path: Path, record: RcvLabels, rgb: np.ndarray, cloud: PointCloud) ->
 
 
 def _direction(up: tuple[float, float, float] | None) -> Float64[np.ndarray, "3"] | None:
-    """Raises ValueError for numbers that are no direction."""
+    """Returns `up` as a vector; raises ValueError if it is not a direction."""
     if up is None:
         return None
     vector = np.array(up)

@@ -1,4 +1,4 @@
-"""The README.md inside an `rcv` dataset: all that somebody needs who has only the folder."""
+"""The README.md inside an `rcv` dataset, which describes the dataset without any other document."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from annotator.formats.rcv.model import RcvManifest
 TEXT = """\
 # 3D boxes of {objects} objects in {frames} frames
 
-A dataset of camera images, coloured point clouds and fully oriented 3D boxes, in the manner of 3D_HUMAN and
-3D_HAND (Gui and Luximon, "Recursive Cross-View", RA-L 2023).
+A dataset of camera images, coloured point clouds and fully oriented 3D boxes, modelled on 3D_HUMAN and 3D_HAND (Gui
+and Luximon, "Recursive Cross-View", RA-L 2023).
 Written by {generator}; format {format}, version {version}.
 
 ## Files
@@ -16,10 +16,10 @@ Written by {generator}; format {format}, version {version}.
 | path | content |
 |---|---|
 | `dataset.json` | classes, cameras, conventions, counts, detectors, and the ids of all frames in order |
-| `images/ID.{image}` | the picture of the colour camera, 8-bit RGB{image_note} |
+| `images/ID.{image}` | the image of the colour camera, 8-bit RGB{image_note} |
 | `clouds/ID.ply` | the points, binary little-endian PLY: float `x y z`{cloud_note} |
 | `labels/ID.json` | the frame's origin (recording, key, index, time), its camera, and its objects |
-| `splits/PART.txt` | only where the dataset is divided: the ids of each part, one a line |
+| `splits/PART.txt` | only in a dataset divided into parts: the ids of each part, one per line |
 
 `ID` is the recording's name and the frame's key within it.
 
@@ -32,7 +32,7 @@ Image and cloud are registered: with the label file's `camera`, a point falls on
 
 with OpenCV's distortion (`k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; an empty list is an ideal pinhole).
 Pixels are continuous and the centre of the first pixel is (0, 0). `up` is the unit vector against gravity, or null
-where the recording does not know it. `timestamp_ns` is the capture time in nanoseconds, or null.
+if unknown. `timestamp_ns` is the capture time in nanoseconds, or null.
 
 ## Objects
 
@@ -44,19 +44,19 @@ where the recording does not know it. `timestamp_ns` is the capture time in nano
 | `rotation` | 3 x 3, row by row; its **columns** are the box's x, y, z axes in the camera frame |
 | `quaternion` | the same rotation as w x y z |
 | `corners` | the 8 corners as a 4 x 8 matrix of homogeneous columns, row by row: x, y, z, 1 |
-| `score` | the detectors' confidence in 0..1, or null where no detector saw the object |
-| `source` | who made the box first: `manual` (a person), `auto` (Recursive Cross-View), `imported` |
-| `state` | the review: `proposed` (nobody looked yet), `accepted`, `edited` (moved by a person), `rejected` |
-| `author`, `time_ns` | who changed it last, and when (nanoseconds since 1970) |
-| `uid` | unique in the project and stable over edits |
+| `score` | the detectors' confidence in 0..1, or null if no detector found the object |
+| `source` | the origin of the box: `manual` (a person), `auto` (Recursive Cross-View), `imported` |
+| `state` | the review: `proposed` (not reviewed), `accepted`, `edited` (changed by a person), `rejected` |
+| `author`, `time_ns` | author and time (nanoseconds since 1970) of the last change |
+| `uid` | unique in the project; unchanged by edits |
 | `track_id` | the same number for the same object over a recording, or null |
 
 The corners' order, as signs along the box's own x, y, z:
 
     {corner_order}
 
-so that corner k is `center + rotation @ (signs_k * size / 2)`, and a 4 x 4 transform moves a box by multiplying
-`corners` from the left (Eq. (1) of the paper).
+Corner k is `center + rotation @ (signs_k * size / 2)`. A 4 x 4 transform moves a box by multiplying `corners` from
+the left (Eq. (1) of the paper).
 
 Example, in Python:
 
@@ -74,11 +74,11 @@ Example, in Python:
 """
 
 
-CLOUD_NOTE = ", then, where the sensor knows them, uchar `red green blue` and float `reflectance` (0..1)"
+CLOUD_NOTE = ", then, if the sensor measures them, uchar `red green blue` and float `reflectance` (0..1)"
 
 
 def readme_text(manifest: RcvManifest) -> str:
-    """The README.md for a dataset with this manifest."""
+    """Returns the README.md for a dataset with this manifest."""
     counts, options = manifest.counts, manifest.options
     jpeg = options.image_format == "jpg"
     tables = [
@@ -105,7 +105,7 @@ def readme_text(manifest: RcvManifest) -> str:
 
 
 def _table(first: str, second: str, rows: dict[str, int] | dict[str, str]) -> str:
-    """A Markdown table of two columns, or nothing where there are no rows."""
+    """Returns a Markdown table of two columns; "" without rows."""
     if not rows:
         return ""
     cells = [tuple(str(cell).replace("|", "\\|") for cell in row) for row in rows.items()]

@@ -1,1 +1,1 @@
-"""Compiled loops of the geometry. Import these modules on use: they load numba."""
+"""Compiled loops of the geometry. Import these modules inside functions: they load numba."""

@@ -1,4 +1,4 @@
-"""Which points lie in a box."""
+"""The test of points against a box."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ def points_in_box(
     """Which points lie in a box or on its surface; NaN points do not.
 
     Args:
-        xyz: points, row after row in memory.
-        center: of the box, in their frame; this and all below of the points' precision.
+        xyz: points, contiguous rows.
+        center: of the box, in the points' frame; like all other arguments, with the dtype of the points.
         rotation: columns = box axes in that frame.
-        half: half its lengths.
+        half: half the lengths of the box.
     """
     inside = np.empty(len(xyz), np.bool_)
-    # numbers, not places in memory: nothing in the loop can change them
+    # scalars, so that the compiler need not reload them in the loop
     cx, cy, cz = center[0], center[1], center[2]
     xx, yx, zx = rotation[0, 0], rotation[1, 0], rotation[2, 0]
     xy, yy, zy = rotation[0, 1], rotation[1, 1], rotation[2, 1]
     xz, yz, zz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
     hx, hy, hz = half[0], half[1], half[2]
-    # Steps through memory of a known length, and no `and`: so it becomes a loop of vector instructions.
+    # a constant stride, and `&` in place of `and`, so that the loop vectorises
     flat = xyz.reshape(-1)
     for i in range(len(xyz)):
         x, y, z = flat[3 * i] - cx, flat[3 * i + 1] - cy, flat[3 * i + 2] - cz

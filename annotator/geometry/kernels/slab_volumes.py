@@ -1,4 +1,4 @@
-"""The volume that two boxes, six slabs, have in common, pair by pair; `geometry.intersection` explains the method."""
+"""The intersection volume of two boxes, pair by pair; `geometry.iou` explains the method."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from jaxtyping import Float64
 
 from annotator.compiled import compiled
 
-# How much each face of the box with the longer diagonal is moved out, as a share of that diagonal.
+# Shift of each face of the box with the longer diagonal, outwards, as a share of that diagonal.
 TIE = 1e-13
 
-# Axes closer than this (sine) are taken as parallel: what is left of that line carries no volume worth counting.
+# Axes with a smaller sine between them count as parallel; the volume of their line is negligible.
 PARALLEL = 1e-11
 
-# Stands for a determinant of 0: three planes that share a direction meet beyond everything, at a finite number.
+# Replaces a determinant of 0: three planes with a common direction then meet very far away, but at finite coordinates.
 TINY = 1e-25
 
 Vectors = Float64[np.ndarray, "n 3"]
@@ -29,7 +29,7 @@ def intersection_volumes(
     rotations_b: Rotations,
     sizes_b: Vectors,
 ) -> Float64[np.ndarray, "n"]:
-    """As `geometry.intersection.intersection_volume_pairs`, of values that have been checked."""
+    """As `geometry.iou.intersection_volume_pairs`, without checks of the arguments."""
     volumes = np.zeros(len(centers_a))
     normals, offsets = np.empty((6, 3)), np.empty((6, 2))
     crosses, lines = np.empty((6, 6, 3)), np.empty((6, 6, 2, 2, 2))
@@ -38,7 +38,7 @@ def intersection_volumes(
         diagonal_a, diagonal_b, apart = _length(a[2]), _length(b[2]), _length(a[0] - b[0])
         if apart > 0.5 * (diagonal_a + diagonal_b):
             continue
-        # the origin goes into the smaller box, where all that matters is near it; this makes it symmetric, too
+        # the origin is put into the smaller box: better precision, and a result that is symmetric in a and b
         if diagonal_a < diagonal_b:
             _slabs(b, a, diagonal_b, normals, offsets)
         else:
@@ -67,7 +67,7 @@ def _slabs(
     normals: np.ndarray,
     offsets: np.ndarray,
 ) -> None:
-    """Fills in the slabs around the smaller box's centre, the larger box's first.
+    """Fills in the slabs relative to the smaller box's centre, those of the larger box first.
 
     Args:
         large, small: centre, rotation (columns = axes) and sizes.
@@ -82,7 +82,7 @@ def _slabs(
         middle, half = _dot(normals[i], shift), 0.5 * large[2][i] + TIE * diagonal
         offsets[i, 0], offsets[i, 1] = middle - half, middle + half
         offsets[3 + i, 0], offsets[3 + i, 1] = -0.5 * small[2][i], 0.5 * small[2][i]
-    # axes of the second box that are parallel to one of the first but for rounding get its direction
+    # axes of the second box that are parallel to one of the first, up to rounding, are set to its direction
     for j in range(3, 6):
         parallel, across = -1, 0
         for i in range(3):
@@ -98,11 +98,11 @@ def _slabs(
 
 @compiled
 def _clip_lines(normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, lines: np.ndarray) -> None:
-    """Fills in where each line enters and leaves the four other slabs, along the cross product of its planes' normals.
+    """Fills in where each line enters and leaves the four other slabs, along the cross product of its normals.
 
     Args:
         crosses: (6, 6, 3) cross products, for i < j.
-        lines: (6, 6, 2, 2, 2) for i < j: which plane of i, which of j, enters or leaves.
+        lines: (6, 6, 2, 2, 2) for i < j: plane of i, plane of j, and entry or exit.
     """
     for i in range(6):
         for j in range(i + 1, 6):
@@ -128,13 +128,13 @@ def _clip_lines(normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, l
 def _meeting_points(
     normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, slabs: tuple[int, int, int], points: np.ndarray
 ) -> None:
-    """Fills in where planes of three slabs meet (Cramer's rule), (2, 2, 2, 3) for each choice of the three planes."""
+    """Fills in the points where planes of three slabs meet (Cramer's rule): (2, 2, 2, 3), one per choice of planes."""
     i, j, k = slabs
     determinant = _dot(crosses[j, k], normals[i])
     if abs(determinant) < TINY:
         determinant = TINY
     for x in range(3):
-        # the columns of adjugate / determinant; the middle pair's product is stored the other way round
+        # the columns of adjugate / determinant; the middle cross product is stored with the opposite sign
         first = crosses[j, k, x] / determinant
         second = -crosses[i, k, x] / determinant
         third = crosses[i, j, x] / determinant
@@ -146,14 +146,14 @@ def _meeting_points(
 
 @compiled
 def _clip(line: np.ndarray, along: np.ndarray, one: np.ndarray, other: np.ndarray) -> None:
-    """Cuts off, in place, what of a line is not between two points on it."""
+    """Clips a line, in place, to the part between two points on it."""
     a, b = _dot(one, along), _dot(other, along)
     line[0], line[1] = max(line[0], min(a, b)), min(line[1], max(a, b))
 
 
 @compiled
 def _volume(normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, lines: np.ndarray) -> float:
-    """The sum over all lines of their lengths times d_i e_ij + d_j e_ji."""
+    """The sum over all lines of their lengths times d_i e_ij + d_j e_ji, divided by 6."""
     total = 0.0
     for i in range(6):
         for j in range(i + 1, 6):
@@ -165,9 +165,9 @@ def _volume(normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, lines
                 for q in range(2):
                     length = max(lines[i, j, p, q, 1] - lines[i, j, p, q, 0], 0.0) / sine
                     first, second = offsets[i, p], offsets[j, q]
-                    # (2 d_i d_j - c (d_i^2 + d_j^2)) / s, without its cancellation at small s
+                    # (2 d_i d_j - c (d_i^2 + d_j^2)) / s, in a form without cancellation at small s
                     squares = sine * (first * first + second * second) / (1.0 + abs(cosine))
                     weight = sign * (squares - (first - sign * second) ** 2 / sine)
-                    # normals point outwards: the lower plane's is the slab's with a minus
+                    # outward normals: that of the lower plane is the negative of the slab's normal
                     total += length * (weight if p == q else -weight)
     return total / 6.0

@@ -1,7 +1,7 @@
-"""Numbered steps that bring a database of any older version to the newest one.
+"""Numbered migrations that upgrade a database of any older version to the newest one.
 
-A step, once released, is never changed: a database of its version looks as that step left it. The version is
-SQLite's `user_version`; it changes in the same transaction as the tables.
+A released migration is never changed, since databases of its version exist. The version is SQLite's `user_version`; it
+changes in the same transaction as the tables.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from annotator.project.migrations import (
 )
 from annotator.types.errors import ProjectError
 
-APPLICATION_ID = 0x416E6E6F  # "Anno": tells our databases from other SQLite files
+APPLICATION_ID = 0x416E6E6F  # "Anno": distinguishes project databases from other SQLite files
 
 
 @dataclass(frozen=True)
 class Migration:
-    """One step.
+    """One migration.
 
     Attributes:
-        version: the version that it leads to, from 1 without gaps.
+        version: the version after it, from 1 without gaps.
         statements: SQL, run in order.
     """
 
@@ -53,7 +53,7 @@ MIGRATIONS: tuple[Migration, ...] = (
 
 
 def upgrade(connection: Connection, path: Path, migrations: Sequence[Migration]) -> None:
-    """Run the steps that the database lacks, within the caller's write transaction.
+    """Runs the missing migrations, within the caller's write transaction.
 
     Args:
         path: the database file, for messages.
@@ -65,7 +65,7 @@ def upgrade(connection: Connection, path: Path, migrations: Sequence[Migration])
     newest = migrations[-1].version
     if version > newest:
         raise ProjectError(
-            f"{path}: was written by a newer annotator (database version {version}, this one knows up to {newest}); "
+            f"{path}: was written by a newer annotator (database version {version}, this one supports up to {newest}); "
             "update annotator"
         )
     for migration in migrations:

@@ -14,7 +14,7 @@ CREATE TABLE recordings (
 )
 """
 
-# position: place in the latest scan; NULL where that scan no longer found the frame
+# position: index in the latest scan; NULL if that scan did not find the frame
 _FRAMES = """
 CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
@@ -28,7 +28,7 @@ CREATE TABLE frames (
 """
 _FRAMES_INDEX = "CREATE INDEX frames_in_order ON frames (recording_id, position)"
 
-# An event belongs to a frame, or to a pseudo-view that came from none; revision counts within that subject.
+# An event belongs to a frame, or to a pseudo-view without a frame; `revision` counts within that frame or view.
 _EVENTS = """
 CREATE TABLE events (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -54,7 +54,7 @@ _NO_DELETE = """
 CREATE TRIGGER events_are_not_deleted BEFORE DELETE ON events
 BEGIN SELECT RAISE (ABORT, 'events are append-only'); END
 """
-# REPLACE removes the row that is in its way without asking the trigger above (unless recursive_triggers is on)
+# REPLACE deletes a conflicting row without firing the trigger above (unless recursive_triggers is on)
 _NO_REPLACE = """
 CREATE TRIGGER events_are_not_replaced BEFORE INSERT ON events
 WHEN EXISTS (

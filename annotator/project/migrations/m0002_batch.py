@@ -1,4 +1,4 @@
-"""Version 2: the bookkeeping of batch runs, and the registry of trained models."""
+"""Version 2: batch runs with the results of their frames, and the registry of trained models."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CREATE TABLE runs (
 )
 """
 
-# The newest row of a frame has the highest id: a frame done again under a key gets a new row for the old one.
+# The newest row of a frame has the highest id: processing it again under a key replaces its row.
 _FRAME_RESULTS = """
 CREATE TABLE frame_results (
     id INTEGER PRIMARY KEY AUTOINCREMENT,

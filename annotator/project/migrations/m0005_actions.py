@@ -1,10 +1,11 @@
-"""Version 5: events say which action they belong to, what it undoes and what it cost; labels say how they were made.
+"""Version 5: events hold their action, the action it undoes, and its effort; labels hold their origin.
 
-An action is what an operator did at once. `undoes` names the action that it takes back (an undo's own action where
-it redoes). `subject` names the label or the begun object that `actions` (drags, clicks, keys) and `seconds` went into.
+An action is one step of an operator; all its events share an id. `undoes` is the action that it reverts: for a redo,
+the action of the undo. `actions` (drags, clicks, keys) and `seconds` are the effort; `subject` is the label or draft
+that it was for.
 
-`revertible` follows from the events: for each event of an action, the state of its subject before and after it, so
-that undo needs no replay. NULL = it was not there.
+`revertible` is derived from the events. It holds, for each event of an action, the state of its subject (the label,
+boxes or frame that it changes) before and after it, so that undo needs no replay. NULL = absent.
 """
 
 from __future__ import annotations

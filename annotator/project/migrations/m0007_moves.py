@@ -1,4 +1,4 @@
-"""Version 7: every move of a recording's folder is kept, where it was and where it is since."""
+"""Version 7: a log of the moves of recording folders, with the path before and after."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Version 8: labels know whether linking gave them their track id. All ids from before come from people and files."""
+"""Version 8: labels hold whether linking gave their track id; all older ids come from operators and files."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Compiled loops of the recursion. Import these modules on use: they load numba."""
+"""Compiled loops of the recursion. Import these modules inside functions: they load numba."""

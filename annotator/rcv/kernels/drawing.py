@@ -1,7 +1,7 @@
-"""How far points reach along many axes, and the pictures of many views at once.
+"""Extents of points along many axes, and the rendering of many views at once.
 
-Inner loops run over slices in functions of their own: only then can the compiler rule out that an index is negative,
-and use vector instructions.
+Inner loops run over slices in separate functions, because only then can the compiler rule out negative indices and
+vectorise the loops.
 """
 
 from __future__ import annotations
@@ -10,25 +10,25 @@ import numpy as np
 
 from annotator.compiled import compiled
 
-# Points that are worked on together: what is computed of them stays in the processor's nearest cache.
+# Points per block: the intermediate arrays fit into the L1 cache.
 BLOCK = 512
 
 
 @compiled
-def extents(xyz: np.ndarray, frames: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
-    """Least and most coordinate of points along the rows of frames.
+def extents(xyz: np.ndarray, axes: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
+    """Smallest and largest coordinate of points along the rows of several axes.
 
     Args:
         xyz: (3, n) float32, n >= 1.
-        frames: (k, 3, 3) float32.
-        least, most: (k, 3) float32; are filled.
+        axes: (k, 3, 3) float32.
+        least, most: (k, 3) float32, output.
     """
     n = xyz.shape[1]
-    # each place of a block has extremes of its own: so the loop over a block is one of vector instructions
+    # one running extreme per position in a block, so that the loop over a block vectorises
     low, high = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    for k in range(frames.shape[0]):
+    for k in range(axes.shape[0]):
         for row in range(3):
-            axis = frames[k, row]
+            axis = axes[k, row]
             low[:] = np.inf
             high[:] = -np.inf
             for begin in range(0, n, BLOCK):
@@ -58,21 +58,21 @@ def draw_views(
     splats: np.ndarray,
     bits: np.ndarray,
     begins: np.ndarray,
-    pictures: np.ndarray,
+    images: np.ndarray,
 ) -> None:
-    """Draws all views of a cloud (`annotator.rcv.drawing` says how).
+    """Draws all views of a cloud; `annotator.rcv.drawing` explains the method.
 
     Args:
         xyz: (3, n) float32.
-        packed: (n + 1,) uint32 colours, the background last; or (1,) where depth shades.
-        axes: (v, 3, 3) float32, rows right, down, into the page.
+        packed: (n + 1,) uint32 colours, the background last; or (1,) to shade by depth.
+        axes: (v, 3, 3) float32, rows right, down, into the image.
         sizes: (v, 2) int64 width and height, pixels.
-        places: (v, 3) float32 left and top edge, metres, and pixels a metre.
-        depths: (v, 2) float32 the nearest point's depth, metres, and levels a metre.
-        splats: (v,) int64 odd side of a point's square, pixels.
-        bits: (4,) int64: bits of a point's number, levels, the least key, and the background's grey.
-        begins: (v,) int64, where each picture begins in `pictures`.
-        pictures: uint32, is filled with rows of colours.
+        places: (v, 3) float32 left and top edge, metres, and pixels per metre.
+        depths: (v, 2) float32 the nearest point's depth, metres, and levels per metre.
+        splats: (v,) int64 side of a point's square, odd, pixels.
+        bits: (4,) int64: bits of a point's index, number of levels, smallest key, and the background's grey.
+        begins: (v,) int64 offset of each image in `images`.
+        images: uint32 colours, row by row; output.
     """
     n = xyz.shape[1]
     empty = np.uint32(bits[2] + (bits[1] << bits[0]) + n)
@@ -85,7 +85,7 @@ def draw_views(
         width, height = sizes[v, 0], sizes[v, 1]
         nearest = all_nearest[: width * height]
         nearest[:] = empty
-        # Rounding can put the outermost points a little outside, of the depths too; and nothing may be drawn outside.
+        # rounding can move the outermost points out of the window or the depth range; they are clamped to it
         last = (np.float32(width - 1), np.float32(height - 1), np.float32(bits[1] - 1))
         for begin in range(0, n, BLOCK):
             end = min(begin + BLOCK, n)
@@ -96,11 +96,11 @@ def draw_views(
             spread = all_spread[: width * height]
             _widen_rows(nearest.reshape(height, width), spread.reshape(height, width), splats[v] // 2)
             _widen_columns(spread.reshape(height, width), nearest.reshape(height, width), splats[v] // 2)
-        picture = pictures[begins[v] : begins[v] + width * height]
+        image = images[begins[v] : begins[v] + width * height]
         if len(packed) > 1:
-            _colour(nearest, packed, bits[2], (1 << bits[0]) - 1, picture)
+            _colour(nearest, packed, bits[2], (1 << bits[0]) - 1, image)
         else:
-            _shade(nearest, bits[0], bits[1], bits[2], bits[3], picture)
+            _shade(nearest, bits[0], bits[1], bits[2], bits[3], image)
 
 
 @compiled
@@ -118,7 +118,7 @@ def _project(
     pixels: np.ndarray,
     keys: np.ndarray,
 ) -> None:
-    """Which pixel of the picture, counted row by row, each point falls on, and its key."""
+    """Fills in the pixel of each point, counted row by row, and its key."""
     rx, ry, rz = axes[0, 0], axes[0, 1], axes[0, 2]
     dx, dy, dz = axes[1, 0], axes[1, 1], axes[1, 2]
     ix, iy, iz = axes[2, 0], axes[2, 1], axes[2, 2]
@@ -127,7 +127,7 @@ def _project(
     last_column, last_row, last_level = last
     zero = np.float32(0.0)
     for j in range(len(x)):
-        # adding a half (it is in `place`) and cutting off rounds to the nearest pixel, since nothing is negative
+        # truncation rounds to the nearest pixel: the half is part of `place`, and negative values are clamped
         column = (rx * x[j] + ry * y[j] + rz * z[j] - left) * per_m
         row = (dx * x[j] + dy * y[j] + dz * z[j] - top) * per_m
         level = (ix * x[j] + iy * y[j] + iz * z[j] - near) * levels_per_m
@@ -151,7 +151,7 @@ def _keep_nearest(pixels: np.ndarray, keys: np.ndarray, nearest: np.ndarray) -> 
 
 @compiled
 def _widen_rows(keys: np.ndarray, spread: np.ndarray, radius: int) -> None:
-    """The least key of each pixel and its neighbours to the left and right."""
+    """The smallest key of each pixel and its neighbours to the left and right."""
     height, width = keys.shape
     reach = min(radius, width - 1)
     for row in range(height):
@@ -163,7 +163,7 @@ def _widen_rows(keys: np.ndarray, spread: np.ndarray, radius: int) -> None:
 
 @compiled
 def _widen_columns(keys: np.ndarray, spread: np.ndarray, radius: int) -> None:
-    """The least key of each pixel and its neighbours above and below."""
+    """The smallest key of each pixel and its neighbours above and below."""
     height = len(keys)
     for row in range(height):
         spread[row] = keys[row]
@@ -178,19 +178,19 @@ def _lower(keys: np.ndarray, others: np.ndarray) -> None:
 
 
 @compiled
-def _colour(nearest: np.ndarray, packed: np.ndarray, least_key: int, index_mask: int, picture: np.ndarray) -> None:
+def _colour(nearest: np.ndarray, packed: np.ndarray, least_key: int, index_mask: int, image: np.ndarray) -> None:
     """The colours of the nearest points."""
     for i in range(len(nearest)):
-        picture[i] = packed[np.uint32((nearest[i] - least_key) & index_mask)]
+        image[i] = packed[np.uint32((nearest[i] - least_key) & index_mask)]
 
 
 @compiled
 def _shade(
-    nearest: np.ndarray, index_bits: int, levels: int, least_key: int, background: int, picture: np.ndarray
+    nearest: np.ndarray, index_bits: int, levels: int, least_key: int, background: int, image: np.ndarray
 ) -> None:
-    """Grey by depth, near points light; no point has the last level, which is the background's."""
+    """Grey values by depth, near points light; the last level is reserved for the background."""
     for i in range(len(nearest)):
         level = (nearest[i] - least_key) >> index_bits
         grey = np.int32(np.float32(250.0) - np.float32(190.0) * (np.float32(level) / np.float32(levels)))
         grey = grey if level < levels else np.int32(background)
-        picture[i] = (grey << 16) | (grey << 8) | grey
+        image[i] = (grey << 16) | (grey << 8) | grey

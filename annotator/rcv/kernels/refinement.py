@@ -1,8 +1,8 @@
-"""Damped Gauss-Newton steps of a box through the ends of intervals, one equation an end.
+"""Damped Gauss-Newton steps that fit a box to the ends of intervals, one equation per end.
 
-A low end lies at `d.c - r` and a high end at `d.c + r`, with the direction d, the centre c and the reach
-`r = sum_i s_i / 2 |d.r_i|` of sizes s and axes r_i. Functions that call each other are in one file: the cache of
-compiled code looks for changes only in the file of the function that is called from outside.
+A low end lies at `d.c - r` and a high end at `d.c + r`, with direction d, centre c and the box's half-extent
+`r = sum_i s_i / 2 |d.r_i|` along d, with sizes s and axes r_i (`reach` in the code). Functions that call each other are
+in one file, because numba's cache only checks the file of the outermost function for changes.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from jaxtyping import Float64
 
 from annotator.compiled import compiled
 
-# How long it refines: steps of a computation, which decide nothing about an object.
+# Limits of the iteration; not settings, since they do not change what counts as an object.
 ROUNDS = 12
-# After so many rounds only the best few are refined further.
+# After FIRST_ROUNDS rounds, only the best SURVIVORS starts are refined further.
 FIRST_ROUNDS, SURVIVORS = 4, 2
-# A round that lowers no cost by this share is the last.
+# The iteration ends if no cost falls by more than this share.
 SETTLED = 1e-5
-# Keeps the normal equations solvable while a direction is not measured at all; such a fit is refused in the end.
+# Keeps the normal equations solvable if a direction is not measured at all; `determined` rejects such fits.
 RIDGE = 1e-6
-# Numbers of unknowns: centre and sizes; with a turn about the box's z axis; with one about any axis.
+# Number of unknowns: centre and sizes; also a rotation about the box's z axis; or about any axis.
 FIXED, HELD, FREE = 6, 7, 9
 
-# unit vectors (m, 3), low and high ends (m, 2), metres, and one over their expected errors (m, 2), 0 for an unknown end
+# unit vectors (m, 3); low and high ends (m, 2), metres; one over their expected errors (m, 2), 0 for an unknown end
 Measured = tuple[np.ndarray, np.ndarray, np.ndarray]
-# centre (3,), metres, rotation (3, 3), its columns the box's axes, and sizes (3,), metres
+# centre (3,), metres; rotation (3, 3), columns = box axes; sizes (3,), metres
 Box = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -33,26 +33,26 @@ Box = tuple[np.ndarray, np.ndarray, np.ndarray]
 def refine(
     measured: Measured, rotations: Float64[np.ndarray, "k 3 3"], unknowns: int, delta: float, least: float
 ) -> tuple[Box, float]:
-    """The best box that steps from any of several rotations lead to, and its robust cost.
+    """The best box that steps from several rotations lead to.
 
     Args:
-        rotations: where to start.
+        rotations: where to start; columns = box axes.
         unknowns: `HELD` or `FREE`.
-        delta: from so many expected errors on, Huber's cost is linear.
-        least: no size is below it, metres.
+        delta: residual, in expected errors, above which Huber's cost is linear.
+        least: lower bound of the sizes, metres.
 
     Returns:
-        the box; and its cost, in units of the expected variance.
+        the box; and its robust cost, in units of the expected variance.
     """
     count = len(rotations)
     rotation, center, size = rotations.copy(), np.zeros((count, 3)), np.zeros((count, 3))
     new = (np.empty(3), np.empty((3, 3)), np.empty(3))
     cost, damping, active = np.empty(count), np.full(count, 1e-3), np.ones(count, np.bool_)
-    # a variable, since `_step` would be compiled once more for a constant
+    # a variable, since numba compiles another variant of `_step` for a constant
     placed = min(FIXED, unknowns)
     for k in range(count):
         box = (center[k], rotation[k], size[k])
-        # centre and sizes by least squares, and again with each end weighted by how well it fitted
+        # centre and sizes by least squares, then again with Huber's weights
         for limit in (np.inf, delta):
             _move(box, _step(measured, box, 0.0, placed, limit), least, box)
         cost[k] = _cost(measured, box, delta)
@@ -82,9 +82,9 @@ def refine(
 
 @compiled
 def determined(measured: Measured, box: Box, unknowns: int, limit: float) -> bool:
-    """Whether the smallest singular value of a box's equations, each unknown scaled to one, is above a limit.
+    """True if the smallest singular value of a box's equations, each unknown scaled to one, is above a limit.
 
-    It is where the Gram matrix, the limit's square taken off its diagonal, is still positive definite.
+    This holds if the Gram matrix minus the squared limit on its diagonal is still positive definite.
     """
     direction, _, inverse = measured
     _, rotation, size = box
@@ -105,7 +105,7 @@ def determined(measured: Measured, box: Box, unknowns: int, limit: float) -> boo
 
 @compiled
 def _step(measured: Measured, box: Box, damping: float, unknowns: int, delta: float) -> np.ndarray:
-    """The change of all unknowns that the equations, linear around a box, ask for, with Levenberg's damping."""
+    """The Gauss-Newton step of all unknowns at a box, with Levenberg's damping."""
     direction, ends, inverse = measured
     center, rotation, size = box
     normal, right, row = np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.empty(unknowns)
@@ -113,7 +113,7 @@ def _step(measured: Measured, box: Box, damping: float, unknowns: int, delta: fl
         _derivative(direction, i, rotation, size, row)
         middle, reach = _middle_and_reach(row, center, size)
         low, high = middle - reach - ends[i, 0], middle + reach - ends[i, 1]
-        # of the weights of Huber's cost, which is quadratic up to delta
+        # Huber's weights: the cost is quadratic up to delta
         low_weight = inverse[i, 0] ** 2 * min(1.0, delta / abs(low * inverse[i, 0]))
         high_weight = inverse[i, 1] ** 2 * min(1.0, delta / abs(high * inverse[i, 1]))
         _add(normal, row, low_weight, high_weight)
@@ -126,7 +126,7 @@ def _step(measured: Measured, box: Box, damping: float, unknowns: int, delta: fl
     for a in range(unknowns):
         normal[a, a] += RIDGE * trace / unknowns + damping * normal[a, a]
     _factorised(normal)
-    # forward and back through the factor
+    # forward and back substitution
     for a in range(unknowns):
         for b in range(a):
             right[a] -= normal[a, b] * right[b]
@@ -155,9 +155,9 @@ def _cost(measured: Measured, box: Box, delta: float) -> float:
 
 @compiled
 def _derivative(direction: np.ndarray, i: int, rotation: np.ndarray, size: np.ndarray, row: np.ndarray) -> None:
-    """Fills in the derivatives of the middle by the centre, and of the reach by sizes and turn, along a direction.
+    """Fills in the derivatives of the middle by the centre, and of the reach by sizes and rotation, along a direction.
 
-    In box axes the direction is a; a turn by u changes it by a x u, and so the reach by u . (g x a) with
+    In box axes the direction is a. A rotation by u changes it by a x u, and so the reach by u . (g x a) with
     g_i = s_i / 2 sign(a_i).
     """
     dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
@@ -176,16 +176,17 @@ def _derivative(direction: np.ndarray, i: int, rotation: np.ndarray, size: np.nd
 
 @compiled
 def _middle_and_reach(row: np.ndarray, center: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Of a box along a direction whose `_derivative` is given, metres."""
+    """A box's middle and half-extent along the direction that `row` is the `_derivative` of, metres."""
     middle = row[0] * center[0] + row[1] * center[1] + row[2] * center[2]
     return middle, row[3] * size[0] + row[4] * size[1] + row[5] * size[2]
 
 
 @compiled
 def _add(normal: np.ndarray, row: np.ndarray, low: float, high: float) -> None:
-    """Adds an interval's two ends, each with its weight, to the lower triangle of the normal equations.
+    """Adds an interval's two ends, with their weights, to the lower triangle of the normal equations.
 
-    Both ends move alike with the centre, and apart with all else: those two mix only by the difference of the weights.
+    Both ends move together with the centre, and in opposite directions with all other unknowns. The mixed terms
+    therefore depend only on the difference of the weights.
     """
     both, odd = low + high, high - low
     for a in range(3):
@@ -200,7 +201,7 @@ def _add(normal: np.ndarray, row: np.ndarray, low: float, high: float) -> None:
 
 @compiled
 def _factorised(matrix: np.ndarray) -> bool:
-    """Cholesky's factor in place of the lower triangle of a symmetric matrix; False where it is not positive."""
+    """Overwrites the lower triangle of a symmetric matrix by its Cholesky factor; False if not positive definite."""
     for a in range(len(matrix)):
         for b in range(a + 1):
             rest = matrix[a, b]
@@ -217,7 +218,7 @@ def _factorised(matrix: np.ndarray) -> bool:
 
 @compiled
 def _move(box: Box, step: np.ndarray, least: float, moved: Box) -> None:
-    """Fills in the box that is a step further; the turn is about the box's own axes (Rodrigues), radians."""
+    """Fills in the box after a step; the rotation is about the box's own axes (Rodrigues), radians."""
     center, rotation, size = box
     new_center, new_rotation, new_size = moved
     for j in range(3):
@@ -233,7 +234,7 @@ def _move(box: Box, step: np.ndarray, least: float, moved: Box) -> None:
     by_square = 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2 if angle > 0.0 else 0.5
     for i in range(3):
         a, b, c = rotation[i, 0], rotation[i, 1], rotation[i, 2]
-        # a row times the matrix of the cross product with the turn, once and twice
+        # a row times the cross-product matrix of the rotation vector, once and twice
         ka, kb, kc = b * z - c * y, c * x - a * z, a * y - b * x
         kka, kkb, kkc = kb * z - kc * y, kc * x - ka * z, ka * y - kb * x
         new_rotation[i, 0] = a + by_cross * ka + by_square * kka

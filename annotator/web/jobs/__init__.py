@@ -1,1 +1,1 @@
-"""Long work in processes of its own: train, propose, export. One at a time, the others wait."""
+"""Jobs (train, propose, export, import), each in a worker process. One runs at a time, the others wait."""

@@ -1,4 +1,4 @@
-"""What a restarted server still knows of its jobs."""
+"""The journal: the list of jobs on disk, read when a server starts."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ class _Journal(BaseModel):
 
 
 def read_journal(folder: Path) -> list[Job]:
-    """The jobs of former servers, oldest first; those that had not ended have failed. Empty where nothing is known."""
+    """The jobs of former servers, oldest first; unfinished ones become failed. Empty without a readable journal."""
     path = folder / FILE
     try:
         jobs = _Journal.model_validate_json(path.read_bytes()).jobs
     except FileNotFoundError:
         return []
     except (OSError, ValidationError) as error:
-        # former jobs are a convenience: the server starts without them, and says so
+        # former jobs are dispensable: the server starts without them
         LOG.warning("%s: cannot be read, former jobs are not listed: %s", path, error)
         return []
     return [_ended(job) for job in jobs]
 
 
 def write_journal(folder: Path, jobs: Iterable[Job]) -> None:
-    """Keeps the jobs."""
+    """Writes the journal; an error is logged only."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomic(folder / FILE, _Journal(jobs=tuple(jobs)).model_dump_json().encode())
     except OSError as error:
-        LOG.warning("%s: the list of jobs cannot be kept: %s", folder, error)
+        LOG.warning("%s: the list of jobs cannot be written: %s", folder, error)
 
 
 def _ended(job: Job) -> Job:

@@ -1,4 +1,4 @@
-"""What the server and a worker say to each other: one line of JSON each."""
+"""Messages between the server and a worker process, one line of JSON each."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class _Message(BaseModel):
 
 
 class Order(_Message):
-    """What a worker is to do.
+    """The job of a worker.
 
     Attributes:
         target: "module:function" of the work.
         project: the project's folder.
-        folder: an empty folder for what the work makes.
+        folder: an empty folder for the results.
     """
 
     target: str
@@ -32,7 +32,7 @@ class Order(_Message):
 
 
 class Progress(_Message):
-    """How far the work is."""
+    """The progress of the job."""
 
     type: Literal["progress"] = "progress"
     stage: str
@@ -42,14 +42,14 @@ class Progress(_Message):
 
 
 class Measured(_Message):
-    """A new point of the curves."""
+    """A new point of the training curves."""
 
     type: Literal["measured"] = "measured"
     point: CurvePoint
 
 
 class Finished(_Message):
-    """The work is done."""
+    """The job is done."""
 
     type: Literal["finished"] = "finished"
     message: str
@@ -57,19 +57,19 @@ class Finished(_Message):
 
 
 class Stopped(_Message):
-    """The work has stopped because it was asked to."""
+    """The job has stopped on request."""
 
     type: Literal["stopped"] = "stopped"
     message: str
 
 
 class Failed(_Message):
-    """The work cannot go on; `is_fault` where the program is to blame and not its input."""
+    """The job has failed; `is_fault` is True for an unexpected exception, False for an error of its input."""
 
     type: Literal["failed"] = "failed"
     message: str
     is_fault: bool
 
 
-Said = Progress | Measured | Finished | Stopped | Failed
-SAID = TypeAdapter[Said](Annotated[Said, Field(discriminator="type")])
+WorkerMessage = Progress | Measured | Finished | Stopped | Failed
+WORKER_MESSAGE = TypeAdapter[WorkerMessage](Annotated[WorkerMessage, Field(discriminator="type")])

@@ -1,4 +1,4 @@
-"""One worker process: started, listened to, stopped."""
+"""One worker process: start, messages, stop."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from annotator.web.jobs.messages import SAID, STOP, Order, Said
+from annotator.web.jobs.messages import STOP, WORKER_MESSAGE, Order, WorkerMessage
 
 LOG = logging.getLogger("annotator.web")
 
-# Asked to stop, work comes to a good end within a batch; what takes longer hangs.
+# Work stops at its next batch; a worker that takes longer than this is assumed to hang.
 GRACE_S, KILL_AFTER_S = 15.0, 5.0
 
 
 class WorkerProcess:
-    """A worker with its order. Nothing is lost when it is killed: the store keeps whole changes only."""
+    """A worker process with its order. Killing it is safe: the project's database is transactional."""
 
     def __init__(self, order: Order, log: Path) -> None:
         self._timers: list[threading.Timer] = []
         with log.open("wb") as errors:
             self._process = subprocess.Popen(
-                # -P: a file in the current folder never stands in for a module
+                # -P: never imports modules from the current folder
                 [sys.executable, "-P", "-m", "annotator.web.jobs.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
                 encoding="utf-8",
-                # waiting threads shall not spin on the cores that the server needs
+                # waiting OpenMP threads must not occupy the server's cores
                 env={**os.environ, "OMP_WAIT_POLICY": "PASSIVE"},
-                # an interrupt at the terminal is for the server, which stops its workers itself
+                # Ctrl-C at the terminal goes to the server only, which stops its workers
                 start_new_session=True,
             )
         self._write(order.model_dump_json() + "\n")
@@ -48,14 +48,14 @@ class WorkerProcess:
         """The process's id."""
         return self._process.pid
 
-    def said(self) -> Iterator[Said]:
-        """What the worker says, until it has ended."""
+    def messages(self) -> Iterator[WorkerMessage]:
+        """Yields the worker's messages until it has ended."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             try:
-                yield SAID.validate_json(line)
+                yield WORKER_MESSAGE.validate_json(line)
             except ValidationError:
-                LOG.warning("a worker said something odd: %s", line[:200])
+                LOG.warning("invalid message of a worker: %s", line[:200])
         self._process.wait()
         for timer in self._timers:
             timer.cancel()
@@ -66,30 +66,30 @@ class WorkerProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """Negative: the signal that ended it; None while it runs."""
+        """The exit code, negative for a signal; None while it runs."""
         return self._process.poll()
 
     def stop(self, grace_s: float = GRACE_S) -> None:
-        """Asks it to stop; after `grace_s` it is terminated, and in the end killed."""
+        """Asks the worker to stop; terminates it after `grace_s`, and kills it after further `KILL_AFTER_S` seconds."""
         self._write(STOP)
         self._later(grace_s, signal.SIGTERM)
         self._later(grace_s + KILL_AFTER_S, signal.SIGKILL)
 
-    def _later(self, seconds: float, what: signal.Signals) -> None:
-        timer = threading.Timer(seconds, self._signal, (what,))
+    def _later(self, seconds: float, number: signal.Signals) -> None:
+        timer = threading.Timer(seconds, self._signal, (number,))
         timer.daemon = True
         self._timers.append(timer)
         timer.start()
 
-    def _signal(self, what: signal.Signals) -> None:
+    def _signal(self, number: signal.Signals) -> None:
         with suppress(ProcessLookupError):
-            # its whole session, which is its own
+            # the worker's session includes its child processes
             if self._process.poll() is None:
-                os.killpg(self._process.pid, what)
+                os.killpg(self._process.pid, number)
 
     def _write(self, text: str) -> None:
         assert self._process.stdin is not None
-        # a worker that has ended already says so itself
+        # an ended worker is handled by `messages`
         with suppress(BrokenPipeError, ValueError):
             self._process.stdin.write(text)
             self._process.stdin.flush()

@@ -1,4 +1,4 @@
-"""What can be asked for as a job, and what is known of one."""
+"""Requests for jobs, and records of jobs."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from annotator.project import Role
-from annotator.types import ReviewState
+from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError
-from annotator.web.wire import RowId
+from annotator.web.schemas import RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
@@ -22,15 +21,19 @@ class _Request(BaseModel):
 
 
 class TrainRequest(_Request):
-    """Train detectors; `*_pictures` is how many pictures each is shown, repeats counted (null: as the command does).
+    """Train detectors.
 
     Attributes:
+        image_pictures, view_pictures: number of training images shown to each detector, repetitions counted; null: the
+            default.
         model: an ultralytics detection model such as yolo11n; null: the default.
-        image_size_px, view_size_px: longer side of the pictures; null: the default.
+        image_size_px, view_size_px: longer side of the training images; null: the default.
     """
 
     kind: Literal["train"]
-    roles: Annotated[list[Role], Field(min_length=1, max_length=2)] = Field(default_factory=lambda: list(Role))
+    roles: Annotated[list[DetectorKind], Field(min_length=1, max_length=2)] = Field(
+        default_factory=lambda: list(DetectorKind)
+    )
     image_pictures: Pictures | None = None
     view_pictures: Pictures | None = None
     model: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-zA-Z0-9_-]+$")] | None = None
@@ -39,7 +42,7 @@ class TrainRequest(_Request):
 
 
 class ProposeRequest(_Request):
-    """Propose boxes on recordings (null: all), on at most so many frames."""
+    """Propose boxes on recordings (null: all), on at most `limit` frames."""
 
     kind: Literal["propose"]
     recordings: Ids | None = None
@@ -47,7 +50,7 @@ class ProposeRequest(_Request):
 
 
 class SplitRequest(_Request):
-    """How the frames are divided: shares such as "train=0.8,val=0.2", and what stays in one part."""
+    """Split of the frames: shares such as "train=0.8,val=0.2", and the unit that stays in one part."""
 
     shares: Annotated[str, Field(max_length=400)]
     by: SplitBy = SplitBy.FRAMES
@@ -64,14 +67,16 @@ class SplitRequest(_Request):
 
 
 class ExportRequest(_Request):
-    """Write a dataset to be downloaded, of the labels in these states (null: those that the format takes by itself), of
-    these classes and recordings (null: all), divided or not.
+    """Write a dataset for download.
 
     Attributes:
-        pictures: what formats of 2D boxes hold.
-        images: how camera images are written.
-        empty_frames: also frames without any such label.
-        skip_unreadable: leave out frames that cannot be read, where otherwise one of them ends the export.
+        states: of the labels; null: the format's default.
+        classes, recordings: of the labels; null: all.
+        empty_frames: include frames without such labels.
+        skip_unreadable: leave out unreadable frames; otherwise the export fails at the first one.
+        split: null: no split.
+        pictures: the images in formats of 2D boxes: camera images, pseudo-views or both.
+        images: file format of camera images.
     """
 
     kind: Literal["export"]
@@ -87,7 +92,7 @@ class ExportRequest(_Request):
 
 
 class ImportRequest(_Request):
-    """Take over the 3D boxes that recordings bring, for every frame that has no label yet."""
+    """Import the 3D boxes that recordings contain, for every frame without labels."""
 
     kind: Literal["import"]
     recordings: Ids
@@ -95,9 +100,18 @@ class ImportRequest(_Request):
 
 JobRequest = Annotated[TrainRequest | ProposeRequest | ExportRequest | ImportRequest, Field(discriminator="kind")]
 
+# Kind of job -> "module:function" of the work, which takes a `JobContext` and the request. A string, so that the server
+# does not import the work.
+WORK: dict[str, str] = {
+    "train": "annotator.web.jobs.work:train_work",
+    "propose": "annotator.web.jobs.work:propose_work",
+    "export": "annotator.web.jobs.work:export_work",
+    "import": "annotator.web.jobs.work:import_work",
+}
+
 
 class JobState(StrEnum):
-    """How far a job is; the last three are the end."""
+    """State of a job; the last three are final."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -107,16 +121,16 @@ class JobState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """True for a job that nothing more will happen to."""
+        """True for a final state."""
         return self not in (JobState.QUEUED, JobState.RUNNING)
 
 
 class CurvePoint(BaseModel):
-    """What was measured after one epoch of a training."""
+    """The metrics of a training after one epoch."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    role: Role
+    role: DetectorKind
     epoch: int
     metrics: dict[str, float]
 
@@ -126,14 +140,14 @@ class Job(BaseModel):
 
     Attributes:
         project: the project's name.
-        stage: what it is doing, in words.
-        done, total: of the whole job, in any unit; total 0 = not known yet.
-        eta_s: an estimate of the seconds left, or null.
-        message: what came of it, or what went wrong.
-        result: what it gives back at its end, by kind.
+        stage: description of the present step.
+        done, total: progress of the whole job, in any unit; total 0 = unknown.
+        eta_s: estimated remaining seconds, or null.
+        message: the outcome or the error, for people.
+        result: the outcome for programs; depends on the kind.
         created_ns: UTC nanoseconds since the epoch.
-        curves: of a training, as far as it is.
-        download: whether the file that an export has made can still be fetched; null where there was none.
+        curves: of a training, up to now.
+        download: whether an export's file is still available; null for a job without a file.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,4 +1,4 @@
-"""The work of the jobs, around one workflow each. Runs in a worker process."""
+"""The work of each kind of job, which calls one workflow. Runs in a worker process."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from typing import TypeVar
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
-from annotator.project import Role
-from annotator.web.jobs.desk import Desk, JobStoppedError, Outcome
+from annotator.types import DetectorKind
+from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
-from annotator.workflows.annotate import annotate_with
-from annotator.workflows.engines.choose import EngineName, make_engine
-from annotator.workflows.engines.sources import trained_detectors
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
-from annotator.workflows.own_labels import import_own_labels
-from annotator.workflows.rcv_settings import rcv_config
-from annotator.workflows.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
+from annotator.workflows.proposing.annotate import annotate_with
+from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+from annotator.workflows.proposing.engines.sources import trained_detectors
+from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
 
 T = TypeVar("T")
 
-FAILURES_TOLD = 20
-RESUMES = "stopped; training the same boxes again goes on from here"
+MOST_FAILURES = 20
+RESUMES = "stopped; training again with the same boxes continues from here"
 
 
-def train_work(desk: Desk, request: TrainRequest) -> Outcome:
-    """Trains detectors; each proposes as soon as it is done."""
+def train_work(job: JobContext, request: TrainRequest) -> Outcome:
+    """Trains detectors; each becomes the active one of its role when it is done."""
     plan = TrainPlan(
         image=_with(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
         view=_with(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),
     )
     roles = tuple(dict.fromkeys(request.roles))
-    telling = _Telling(desk, plan, roles)
-    desk.progress(f"draw training pictures for the {roles[0]} detector")
+    reporter = _ProgressReporter(job, plan, roles)
+    job.progress(f"draw training images for the {roles[0]} detector")
     try:
-        trained = train(desk.project, plan, roles=roles, progress=telling.step, stop=desk.stopped)
+        trained = train(job.project, plan, roles=roles, progress=reporter.step, stop=job.stopped)
     except TrainingStoppedError as error:
         raise JobStoppedError(RESUMES) from error
     figures = ", ".join(f"{t.role} detector mAP50 {t.result.metrics.map50:.2f}" for t in trained)
@@ -47,139 +47,144 @@ def train_work(desk: Desk, request: TrainRequest) -> Outcome:
     return Outcome(f"trained: {figures}", {"models": [t.model.id for t in trained], "left_out": left_out})
 
 
-def _with(config: TrainingConfig, pictures: int | None, size_px: int | None, model: str | None) -> TrainingConfig:
-    given = {"pictures_seen": pictures, "image_size_px": size_px, "model": model}
-    return config.model_copy(update={name: value for name, value in given.items() if value is not None})
+def _with(config: TrainingConfig, images: int | None, size_px: int | None, model: str | None) -> TrainingConfig:
+    options = {"pictures_seen": images, "image_size_px": size_px, "model": model}
+    return config.model_copy(update={name: value for name, value in options.items() if value is not None})
 
 
 @dataclass(eq=False)
-class _Telling:
-    """Turns the progress of two trainings into that of one job, counted in pictures shown."""
+class _ProgressReporter:
+    """Converts the progress of one or two trainings into that of the job, in training images shown.
 
-    desk: Desk
+    Attributes:
+        reported: latest reported epoch of each training.
+        measured: latest mAP50-95 of each training.
+    """
+
+    job: JobContext
     plan: TrainPlan
-    roles: tuple[Role, ...]
-    told: dict[Role, int] = field(default_factory=dict)
-    measured: dict[Role, float | None] = field(default_factory=dict)
+    roles: tuple[DetectorKind, ...]
+    reported: dict[DetectorKind, int] = field(default_factory=dict)
+    measured: dict[DetectorKind, float | None] = field(default_factory=dict)
 
-    def step(self, role: Role, step: TrainingProgress) -> None:
-        """One batch or epoch of one training."""
-        if step.batch == 0 and step.epoch > self.told.get(role, 0):
-            self.told[role] = step.epoch
+    def step(self, role: DetectorKind, step: TrainingProgress) -> None:
+        """Reports one batch or epoch of one training."""
+        if step.batch == 0 and step.epoch > self.reported.get(role, 0):
+            self.reported[role] = step.epoch
             self._measured(role, step)
-        if self.desk.stopped():  # the training asks by itself, and ends in good order
+        if self.job.stopped():  # the training itself stops at its next safe point
             return
-        before = sum(map(self._pictures, self.roles[: self.roles.index(role)]))
-        total = sum(map(self._pictures, self.roles))
-        own = self._pictures(role) * step.epochs_done / step.epochs
+        before = sum(map(self._images, self.roles[: self.roles.index(role)]))
+        total = sum(map(self._images, self.roles))
+        shown = self._images(role) * step.epochs_done / step.epochs
         epoch = min(step.epoch + 1, step.epochs)
         stage = f"train the {role} detector, epoch {epoch} of {step.epochs}"
-        self.desk.progress(stage, before + own, total, self._seconds_left(step, before + own, own, total))
+        self.job.progress(stage, before + shown, total, self._seconds_left(step, before + shown, shown, total))
 
-    def _seconds_left(self, step: TrainingProgress, done: float, own: float, total: float) -> float | None:
-        """The rest of this training as it says, and of the next one at the same pace."""
-        if step.seconds_left is None or own <= 0:
+    def _seconds_left(self, step: TrainingProgress, done: float, shown: float, total: float) -> float | None:
+        """The remaining time of this training by its own estimate, plus that of the next one at the same speed."""
+        if step.seconds_left is None or shown <= 0:
             return None
-        after = total - done - (self._pictures(Role(step.role)) - own)
-        return step.seconds_left + after * step.seconds / own
+        after = total - done - (self._images(DetectorKind(step.role)) - shown)
+        return step.seconds_left + after * step.seconds / shown
 
-    def _pictures(self, role: Role) -> float:
-        return float((self.plan.image if role is Role.IMAGE else self.plan.view).pictures_seen)
+    def _images(self, role: DetectorKind) -> float:
+        return float((self.plan.image if role is DetectorKind.IMAGE else self.plan.view).pictures_seen)
 
-    def _measured(self, role: Role, step: TrainingProgress) -> None:
+    def _measured(self, role: DetectorKind, step: TrainingProgress) -> None:
         metrics = {name.rpartition("/")[2]: value for name, value in step.losses.items()}
         if step.map50 is not None and step.map50_95 is not None and step.map50_95 != self.measured.get(role):
-            # the trainer measures only now and then, and repeats its last figures meanwhile
+            # the trainer does not measure every epoch, and repeats its latest figures in between
             self.measured[role] = step.map50_95
             metrics |= {"map50": step.map50, "map50_95": step.map50_95}
-        self.desk.measured(CurvePoint(role=role, epoch=step.epoch, metrics=metrics))
+        self.job.measured(CurvePoint(role=role, epoch=step.epoch, metrics=metrics))
 
 
-def propose_work(desk: Desk, request: ProposeRequest) -> Outcome:
+def propose_work(job: JobContext, request: ProposeRequest) -> Outcome:
     """Proposes boxes on recordings."""
-    desk.progress("load the detectors")
-    source = trained_detectors(desk.project)
-    config = rcv_config(desk.project).model_copy(update={"box_kind": source.box_kind})
+    job.progress("load the detectors")
+    source = trained_detectors(job.project)
+    config = rcv_config(job.project)
     for recording in request.recordings or ():
-        desk.project.recordings.get(recording)
-    present = desk.project.frames.count_present(request.recordings)
+        job.project.recordings.get(recording)
+    present = job.project.frames.count_present(request.recordings)
     frames = present if request.limit is None else min(present, request.limit)
-    # its own workers, where there are any, end with this process, whatever ends it
+    # worker processes of the engine end with this process
     with closing(make_engine(EngineName.AUTO, source, frames=frames)) as engine:
         done = annotate_with(
-            desk.project,
+            job.project,
             engine,
             config,
             recordings=request.recordings,
             limit=request.limit,
-            progress=desk.counted("propose boxes"),
+            progress=job.counter("propose boxes"),
         )
-    words = f"{done.proposals} proposals in {done.done} frames"
+    message = f"{done.proposals} proposals in {done.done} frames"
     if done.skipped:
-        words += f", {done.skipped} frames were done before"
+        message += f", {done.skipped} frames were done before"
     if done.failures:
-        words += f", {done.failures} frames failed"
-    failed = [{"key": key, "reason": reason} for key, reason in done.failed[:FAILURES_TOLD]]
+        message += f", {done.failures} frames failed"
+    failed = [{"key": key, "reason": reason} for key, reason in done.failed[:MOST_FAILURES]]
     result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
-    return Outcome(words, {**result, "failed": failed, "failures": done.failures})
+    return Outcome(message, {**result, "failed": failed, "failures": done.failures})
 
 
-def import_work(desk: Desk, request: ImportRequest) -> Outcome:
-    """Takes over the labels of recordings."""
+def import_work(job: JobContext, request: ImportRequest) -> Outcome:
+    """Imports the 3D boxes of recordings."""
     labels, left_out, unreadable = Counter[str](), Counter[str](), list[str]()
-    for recording in [desk.project.recordings.get(number) for number in request.recordings]:
-        found = import_own_labels(desk.project, recording.id, desk.counted(f"read the boxes of {recording.name}"))
-        labels += found.labels
-        left_out += found.other_classes
-        unreadable += found.unreadable
-    words = f"{labels.total()} boxes taken over"
+    for recording in [job.project.recordings.get(number) for number in request.recordings]:
+        imported = import_own_labels(job.project, recording.id, job.counter(f"read the boxes of {recording.name}"))
+        labels += imported.labels
+        left_out += imported.other_classes
+        unreadable += imported.unreadable
+    message = f"{labels.total()} boxes imported"
     if left_out:
-        words += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
+        message += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
     if unreadable:
-        words += f", those of {len(unreadable)} frames could not be read"
-    return Outcome(words, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:FAILURES_TOLD]})
+        message += f", those of {len(unreadable)} frames could not be read"
+    return Outcome(message, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:MOST_FAILURES]})
 
 
-def export_work(desk: Desk, request: ExportRequest) -> Outcome:
-    """Writes a dataset and packs it; only the packed file is left."""
-    name = f"{desk.project.path.name}-{request.format}"
-    out, packed = desk.folder / name, desk.folder / f"{name}.zip"
+def export_work(job: JobContext, request: ExportRequest) -> Outcome:
+    """Writes a dataset and packs it; only the packed file remains."""
+    name = f"{job.project.path.name}-{request.format}"
+    out, packed = job.folder / name, job.folder / f"{name}.zip"
     split = request.split
     report = export_project(
-        desk.project,
+        job.project,
         out,
         request.format,
         choose=ExportFilter(
-            _chosen(request.states),
-            _chosen(request.classes),
-            _chosen(request.recordings),
+            _tuple(request.states),
+            _tuple(request.classes),
+            _tuple(request.recordings),
             request.empty_frames,
             request.skip_unreadable,
         ),
         split=None if split is None else Split(parse_shares(split.shares), split.by, split.seed),
         options=ExportOptions(request.images, request.pictures),
-        progress=desk.counted("write the dataset"),
+        progress=job.counter("write the dataset"),
     )
-    _pack(desk, out, packed)
+    _pack(job, out, packed)
     shutil.rmtree(out)
-    told = report.model_dump(mode="json", include={"format", "frames", "objects", "splits", "notes"})
+    summary = report.model_dump(mode="json", include={"format", "frames", "objects", "splits", "notes"})
     lost = [loss.message for loss in report.losses]
-    told["unreadable"] = report.unreadable[:FAILURES_TOLD]
-    result = {"file": packed.name, "bytes": packed.stat().st_size, **told, "lost": lost}
+    summary["unreadable"] = report.unreadable[:MOST_FAILURES]
+    result = {"file": packed.name, "bytes": packed.stat().st_size, **summary, "lost": lost}
     return Outcome(f"{report.objects} boxes in {report.frames} frames", result)
 
 
-def _chosen(values: list[T] | None) -> tuple[T, ...] | None:
+def _tuple(values: list[T] | None) -> tuple[T, ...] | None:
     return None if values is None else tuple(values)
 
 
-def _pack(desk: Desk, folder: Path, packed: Path) -> None:
-    """All files of a folder, below its name, as a zip; pictures are stored as they are."""
+def _pack(job: JobContext, folder: Path, packed: Path) -> None:
+    """Packs a folder as a zip, with its name as the top folder; images are stored uncompressed."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     part = packed.with_suffix(".part")
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for number, path in enumerate(files, 1):
-            kind = zipfile.ZIP_STORED if path.suffix in (".png", ".jpg") else zipfile.ZIP_DEFLATED
-            archive.write(path, path.relative_to(folder.parent), kind)
-            desk.progress("pack the dataset", float(number), float(len(files)))
+            method = zipfile.ZIP_STORED if path.suffix in (".png", ".jpg") else zipfile.ZIP_DEFLATED
+            archive.write(path, path.relative_to(folder.parent), method)
+            job.progress("pack the dataset", float(number), float(len(files)))
     part.replace(packed)

@@ -1,1 +1,1 @@
-"""The live page: one viser view of what the pipeline sees now."""
+"""The live page: a viser server that shows the latest frame of a live pipeline with its detections."""

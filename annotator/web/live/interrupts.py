@@ -1,4 +1,4 @@
-"""How a live session is told to end, so that what it recorded is kept."""
+"""Signals that end a live session, handled so that its recording is kept."""
 
 from __future__ import annotations
 
@@ -10,51 +10,50 @@ from types import FrameType, TracebackType
 
 
 class Interrupts:
-    """While it is entered, SIGTERM (`kill`, a service manager, a container that is stopped) ends a session as Ctrl-C
-    does: by a KeyboardInterrupt.
+    """A context in which SIGTERM (from `kill`, a service manager or a stopped container) ends a session like Ctrl-C.
 
-    Once the session is ending, further SIGTERMs change nothing: what was recorded is being stored. Ctrl-C goes on to
-    interrupt even that: whoever presses it again means it.
+    Both raise KeyboardInterrupt. Once the session is ending, further SIGTERMs are ignored, since the recording is being
+    stored. A further Ctrl-C interrupts even that.
     """
 
     def __init__(self) -> None:
-        self._is_ending = self._is_held = False
-        self._noted: int | None = None
-        self._before: dict[int, signal._HANDLER] = {}
+        self._is_ending = self._is_deferring = False
+        self._deferred: int | None = None
+        self._former: dict[int, signal._HANDLER] = {}
 
     def __enter__(self) -> Interrupts:
-        if threading.current_thread() is threading.main_thread():  # no other one may ask for signals
-            self._before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        if threading.current_thread() is threading.main_thread():  # only the main thread may set signal handlers
+            self._former = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before if before is not None else signal.SIG_DFL)
+        for number, former in self._former.items():
+            signal.signal(number, former if former is not None else signal.SIG_DFL)
 
     @contextmanager
-    def ended_by(self) -> Iterator[None]:
-        """What is done here is the session: when it is over, however that came, the session is ending."""
+    def session(self) -> Iterator[None]:
+        """The session itself; when the block is left, the session is ending."""
         try:
             yield
         finally:
             self._is_ending = True
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """What is done here is not interrupted in the middle, but at its end."""
-        self._is_held = True
+    def deferred(self) -> Iterator[None]:
+        """Defers a signal to the end of the block."""
+        self._is_deferring = True
         try:
             yield
         finally:
-            self._is_held = False
-            if self._noted is not None:
-                self._handle(self._noted, None)
+            self._is_deferring = False
+            if self._deferred is not None:
+                self._handle(self._deferred, None)
 
     def _handle(self, number: int, stack: FrameType | None) -> None:
-        if self._is_held:
-            self._noted = number
+        if self._is_deferring:
+            self._deferred = number
             return
         is_new, self._is_ending = not self._is_ending, True
         if is_new or number == signal.SIGINT:

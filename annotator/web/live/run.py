@@ -1,44 +1,48 @@
-"""A whole live session: from the source to the page and, where asked, into the project."""
+"""A live session: from the source to the live page, and optionally into the project."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+from fastapi import FastAPI, Request, Response, WebSocket
 
 from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.web.live.interrupts import Interrupts
-from annotator.web.live.serve import serve_live
-from annotator.web.live.view import LiveView
-from annotator.web.security import check_settings
-from annotator.web.serve import with_token
+from annotator.web.live.page import LivePage
+from annotator.web.security import Guard, check_settings, link
+from annotator.web.serve import Running, with_token
 from annotator.web.settings import ServerSettings
+from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.live.detection import LiveDetection
-from annotator.workflows.live.figures import Figures
-from annotator.workflows.live.keep import Stored, require_unknown, store
+from annotator.workflows.live.open_source import open_source
 from annotator.workflows.live.pipeline import Pipeline
+from annotator.workflows.live.rates import Figures
 from annotator.workflows.live.recorder import Recorder
 from annotator.workflows.live.source import Source
-from annotator.workflows.live.sources import open_source
-from annotator.workflows.rcv_settings import rcv_config
+from annotator.workflows.live.store_session import Stored, require_unknown, store
+from annotator.workflows.settings import rcv_config
 
-# Frames that cannot be read and are told one by one.
-MOST_TOLD = 10
+# Maximum number of unreadable frames that are logged one by one.
+MOST_LOGGED = 10
 
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """What is seen, and how.
+    """Options of a live session.
 
     Attributes:
-        source: as of `open_source`.
-        rate, loop: of a recording.
-        backend: what runs the detectors.
-        warm_start: begin each recursion with the boxes of the frame before.
-        frames: end after so many of the source; None = with it.
-        record: keep what was seen here, and in the project.
+        source: as in `open_source`.
+        rate, loop: playback options of a recording.
+        backend: runs the detectors.
+        warm_start: start each recursion with the boxes of the previous frame.
+        frames: end after this number of frames of the source; None = at its end.
+        record: record the session to this path, and add it to the project.
     """
 
     source: str
@@ -52,7 +56,7 @@ class LiveOptions:
 
 @dataclass(frozen=True)
 class LiveResult:
-    """How it went: the figures at the end, and what the project got, where it was recorded."""
+    """The final figures of a session, and what a recorded one added to the project."""
 
     figures: Figures
     stored: Stored | None
@@ -65,22 +69,22 @@ def run_live(
     *,
     tell: Callable[[str], None],
 ) -> LiveResult:
-    """Detects and shows until the source ends, or until interrupted.
+    """Detects and shows frames until the source ends, or until interrupted.
 
-    What was recorded is kept whatever has ended it.
+    The recording is kept however the session ends.
 
     Args:
-        tell: gets a line on what is told while it runs.
+        tell: called with each log line while the session runs.
 
     Raises:
-        AnnotatorError: of the source, the detectors, the recording or the address; nothing has begun where they cannot
-            be used.
+        AnnotatorError: of the source, the detectors, the recording or the address; nothing was started if one of them
+            cannot be used.
     """
     settings = with_token(settings)
     check_settings(settings)
     if options.record is not None:
         require_unknown(project, options.record)
-    # before the detectors, which take seconds: whether there is such a source is known at once
+    # the source is opened before the detectors, which take seconds: an invalid one is reported at once
     source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
     try:
         with Interrupts() as interrupts:
@@ -112,7 +116,7 @@ def _run(
                 tell(f"storing what was found on the {frames} frames of {recorder.out}")
                 warm_start = options.warm_start
                 stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
-        recorder.require_whole()
+        recorder.require_complete()
         return LiveResult(figures, stored)
 
 
@@ -129,20 +133,21 @@ def _show(
     facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
     if recorder is not None:
         facts["recording"] = recorder.out.name
-    view = LiveView(source.name, facts)
+    page = LivePage(source.name, facts)
+    log = _LimitedLog(tell)
     try:
-        pipeline = Pipeline(source, detection, view.show, keep=recorder, most_frames=options.frames, tell=_Broken(tell))
-        serve_live(settings, view, pipeline, interrupts)
+        pipeline = Pipeline(source, detection, page.show, record=recorder, max_frames=options.frames, report=log)
+        serve_live(settings, page, pipeline, interrupts)
         return pipeline.figures()
     finally:
-        view.close()
+        page.close()
 
 
-class _Broken:
-    """Tells of the first frames that cannot be read; the rest is only counted, in the figures."""
+class _LimitedLog:
+    """Logs the first unreadable frames; the figures count the others."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell, self._left = tell, MOST_TOLD
+        self._tell, self._left = tell, MOST_LOGGED
 
     def __call__(self, line: str) -> None:
         if self._left:
@@ -150,3 +155,55 @@ class _Broken:
             self._tell(line)
             if not self._left:
                 self._tell("further ones are counted only")
+
+
+def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
+    """An application that forwards requests to the page's viser server, with the same checks as the workbench.
+
+    Raises:
+        ConfigError: the server would be open to the network without a token.
+    """
+    check_settings(settings)
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+    @app.get("/{path:path}")
+    async def file(path: str, request: Request) -> Response:
+        return await forward_http(request, page, path)
+
+    @app.websocket("/")
+    async def socket(browser: WebSocket) -> None:
+        await forward_socket(browser, page)
+
+    app.add_middleware(Guard, settings=settings)
+    return app
+
+
+def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, interrupts: Interrupts) -> None:
+    """Runs a pipeline and serves its page until the pipeline ends or is interrupted; prints the URL.
+
+    Args:
+        interrupts: entered by the caller, who may store a recording afterwards.
+
+    Raises:
+        ConfigError: the address cannot be used.
+        AnnotatorError: the reason why the pipeline failed.
+    """
+    settings = with_token(settings)
+    server = Running(settings, live_app(settings, page))
+
+    def stop_serving() -> None:
+        server.should_exit = True
+
+    page.follow(pipeline)
+    pipeline.at_end(stop_serving)
+    sys.stdout.write(f"live at {link(server.address, settings.token)}\nstop it with Ctrl-C\n")
+    sys.stdout.flush()
+    try:
+        # Ctrl-C is the regular end of a session
+        with suppress(KeyboardInterrupt), interrupts.session():
+            with interrupts.deferred():  # all threads of the pipeline are started, or none
+                pipeline.start()
+            # on either signal, uvicorn shuts down and then raises the signal again
+            server.serve_until_stopped()
+    finally:
+        pipeline.end()

@@ -1,1 +1,1 @@
-"""The API: one module of routes a subject; `annotator.web.app.ROUTES` lists them."""
+"""The routes of the API, one module per topic; `annotator.web.app.ROUTES` lists the modules."""

@@ -1,4 +1,4 @@
-"""The socket of events: what happens elsewhere reaches the open pages."""
+"""The WebSocket that sends events to the open pages."""
 
 from __future__ import annotations
 
@@ -11,57 +11,57 @@ from starlette.concurrency import run_in_threadpool
 
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.hub import Client
-from annotator.web.wire import ClassName, RowId, Wire
+from annotator.web.schemas import ClassName, RowId, Schema
 
 router = APIRouter()
 
-# A page that does not take an event within this time is gone, or as good as gone.
+# Time limit for sending an event to a page; after that the page is disconnected.
 SEND_WITHIN_S = 10.0
 BAD_MESSAGE, TOO_SLOW = 1007, 1013
 
 
-class Opened(Wire):
-    """The page shows a frame now."""
+class Opened(Schema):
+    """The page shows a frame."""
 
     type: Literal["open"]
     project: ClassName
     frame: RowId
 
 
-class Closed(Wire):
-    """The page shows no frame any more."""
+class Closed(Schema):
+    """The page no longer shows a frame."""
 
     type: Literal["close"]
 
 
-class Shows(Wire):
-    """The page shows a 3D view: that view's events are for it alone."""
+class Shows(Schema):
+    """The page shows the 3D viewport with this id, and receives its events."""
 
     type: Literal["workbench"]
     id: Annotated[str, Field(max_length=64)]
 
 
-Said = TypeAdapter[Opened | Closed | Shows](Annotated[Opened | Closed | Shows, Field(discriminator="type")])
+PageMessage = TypeAdapter[Opened | Closed | Shows](Annotated[Opened | Closed | Shows, Field(discriminator="type")])
 
 
 @router.websocket("/api/events")
 async def events(
-    socket: WebSocket, ctx: Ctx, who: Operator, project: Annotated[str | None, Query(max_length=64)] = None
+    socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
 ) -> None:
-    """Events to a page, and from it which frame it shows."""
+    """Sends events to a page, and receives which frame and viewport it shows."""
     if project is not None:
         await run_in_threadpool(ctx.project, project)
     await socket.accept()
-    client = Client(project, who)
+    client = Client(project, operator)
     ctx.hub.join(client)
-    ways = [asyncio.create_task(_send(socket, client)), asyncio.create_task(_receive(socket, ctx, client))]
+    tasks = [asyncio.create_task(_send(socket, client)), asyncio.create_task(_receive(socket, ctx, client))]
     try:
-        await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         ctx.hub.leave(client)
-        for way in ways:
-            way.cancel()
-        await asyncio.gather(*ways, return_exceptions=True)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _send(socket: WebSocket, client: Client) -> None:
@@ -69,25 +69,25 @@ async def _send(socket: WebSocket, client: Client) -> None:
         while (message := await client.queue.get()) is not None:
             await asyncio.wait_for(socket.send_json(message), SEND_WITHIN_S)
         await asyncio.wait_for(socket.close(TOO_SLOW), SEND_WITHIN_S)
-    except (TimeoutError, WebSocketDisconnect, RuntimeError):  # gone while it was being sent something
+    except (TimeoutError, WebSocketDisconnect, RuntimeError):  # disconnected during a send
         return
 
 
 async def _receive(socket: WebSocket, ctx: Context, client: Client) -> None:
     try:
         while True:
-            _take(ctx, client, await socket.receive_text())
+            _handle(ctx, client, await socket.receive_text())
     except ValidationError:
-        await socket.close(BAD_MESSAGE, "not a message that this socket takes")
-    except (WebSocketDisconnect, KeyError):  # a message in bytes has no text
+        await socket.close(BAD_MESSAGE, "not a valid message of a page")
+    except (WebSocketDisconnect, KeyError):  # KeyError: a binary message has no text
         return
 
 
-def _take(ctx: Context, client: Client, text: str) -> None:
-    match Said.validate_json(text):
+def _handle(ctx: Context, client: Client, text: str) -> None:
+    match PageMessage.validate_json(text):
         case Opened(project=project, frame=frame):
-            ctx.hub.opened(client, project, frame)
+            ctx.hub.set_frame(client, project, frame)
         case Closed():
-            ctx.hub.opened(client, None, None)
-        case Shows(id=workbench):
-            ctx.hub.shows(client, workbench)
+            ctx.hub.set_frame(client, None, None)
+        case Shows(id=viewport):
+            ctx.hub.add_viewport(client, viewport)

@@ -1,25 +1,44 @@
-"""Frames: the list, one frame's state, and changes to it."""
+"""Frames: the list, the state of one frame, changes, undo and redo."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 
+from annotator.project import Project, Reverted
 from annotator.project.overview import list_frames
-from annotator.types.errors import StaleRevisionError
-from annotator.web.answers import frame_answer, stale_answer
-from annotator.web.context import Ctx, Operator
+from annotator.types.errors import HistoryError, StaleRevisionError
+from annotator.web.context import Context, Ctx, Operator
+from annotator.web.errors import error_response
 from annotator.web.frame_changes import ChangesIn
-from annotator.web.shown import frame_row
-from annotator.web.wire import FrameListJson, FrameStateJson, RowId
-from annotator.workflows.changes import apply_changes
+from annotator.web.frame_json import frame_answer, frame_row, frame_state, stale_answer
+from annotator.web.schemas import Effort, FrameListJson, FrameStateJson, RowId, Schema
+from annotator.workflows.workbench.apply_changes import apply_changes
 
 router = APIRouter(tags=["frames"])
 
-STALE: dict[int | str, dict[str, Any]] = {409: {"description": "somebody changed the frame first: both versions"}}
+STALE: dict[int | str, dict[str, Any]] = {
+    409: {"description": "The frame has changed since the given revision; the answer contains both versions."}
+}
+
+
+class StepIn(Schema):
+    """`skip`: skip actions whose targets another operator has changed since."""
+
+    skip: bool = False
+    effort: Effort | None = None
+
+
+class StepOut(Schema):
+    """The undone or redone action (`done`, in words), its frame, and the frame's present state."""
+
+    frame: int
+    state: FrameStateJson
+    done: str
 
 
 @router.get("/api/projects/{name}/frames")
@@ -36,21 +55,50 @@ def frames(
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
-def frame(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> JSONResponse:
-    """All that a page shows of a frame."""
-    state = frame_answer(ctx, name, frame_id, who)
-    ctx.annotation.detectors.warm(ctx.project(name))
+def frame(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> JSONResponse:
+    """All data of a frame that the page shows."""
+    state = frame_answer(ctx, name, frame_id, operator)
+    ctx.caches.detectors.warm(ctx.project(name))
     return state
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/changes", response_model=FrameStateJson, responses=STALE)
-def changes(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: ChangesIn) -> JSONResponse:
-    """Changes to one frame: all of them, or none; one step for undo."""
+def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ChangesIn) -> JSONResponse:
+    """Change one frame: all changes or none, as one undo step."""
     project = ctx.project(name)
-    open_frame = partial(ctx.annotation.frames.open, project, frame_id)
+    open_frame = partial(ctx.caches.frames.open, project, frame_id)
     try:
-        receipt = apply_changes(project, frame_id, body.payloads(), body.change(who), open_frame)
+        receipt = apply_changes(project, frame_id, body.payloads(), body.context(operator), open_frame)
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, who, error, body.model_dump(mode="json")["changes"])
-    ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
-    return frame_answer(ctx, name, frame_id, who)
+        return stale_answer(ctx, name, frame_id, operator, error, body.model_dump(mode="json")["changes"])
+    ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
+    return frame_answer(ctx, name, frame_id, operator)
+
+
+@router.post("/api/projects/{name}/undo", response_model=StepOut, responses=STALE)
+def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
+    """Undo the operator's last action, on whichever frame."""
+    return _step(ctx, operator, name, body, lambda project: project.history.undo)
+
+
+@router.post("/api/projects/{name}/redo", response_model=StepOut, responses=STALE)
+def redo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
+    """Redo the action that was undone last."""
+    return _step(ctx, operator, name, body, lambda project: project.history.redo)
+
+
+def _step(
+    ctx: Context, operator: str, name: str, body: StepIn, method: Callable[[Project], Callable[..., Reverted]]
+) -> StepOut | JSONResponse:
+    effort = None if body.effort is None else body.effort.stored()
+    try:
+        reverted = method(ctx.project(name))(operator, skip=body.skip, effort=effort)
+    except HistoryError as error:
+        if error.frame_id is None:
+            raise
+        present = frame_state(ctx, name, error.frame_id, operator).model_dump(mode="json")
+        return error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
+    for frame_id, receipt in ((reverted.frame_id, reverted.receipt), *reverted.others):
+        ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
+    state = frame_state(ctx, name, reverted.frame_id, operator)
+    return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)

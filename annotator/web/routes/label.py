@@ -1,4 +1,4 @@
-"""Label mode: what the drags lead to, and keeping them."""
+"""Label mode: the views and the 3D box from the boxes drawn so far, suggestions, and saving."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from annotator.project import Change, Role
-from annotator.types import BoxKind
+from annotator.project import WriteContext
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
-from annotator.web.answers import stale_answer
 from annotator.web.context import Ctx, Operator
+from annotator.web.frame_json import drawn_view, frame_state, stale_answer
 from annotator.web.routes.frames import STALE
-from annotator.web.shown import drawn_view, frame_state
-from annotator.web.wire import (
+from annotator.web.schemas import (
     MOST_BOXES,
     Box2DJson,
     Box2DOut,
@@ -24,23 +23,23 @@ from annotator.web.wire import (
     FrameStateJson,
     Outline,
     RowId,
+    Schema,
     Uid,
     ViewJson,
-    Wire,
 )
-from annotator.workflows.label_object import ObjectDrawn, save_object, suggested_image_boxes
-from annotator.workflows.labelling import frame_config, label_config, label_steps
+from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
+from annotator.workflows.workbench.save_object import ObjectDrawn, save_object, suggested_image_boxes
 
 router = APIRouter(tags=["label"])
 
-# A page that waits for its views shall not wait for a detector that is still being loaded.
+# Maximum time to wait for a detector that is being loaded, since the page waits for the views.
 LOADING_WAIT_S = 0.1
 
 ViewBoxesIn = Annotated[list[Box2DJson | None], Field(max_length=4)]
 
 
-class StepsIn(Wire):
-    """An object as far as it is drawn. Without `suggest` the answer waits for no detector."""
+class StepsIn(Schema):
+    """An object with the boxes drawn so far. `suggest`: also detect boxes on its views."""
 
     image_box: Box2DJson
     boxes: ViewBoxesIn
@@ -48,17 +47,17 @@ class StepsIn(Wire):
     suggest: bool = True
 
 
-class StepJson(Wire):
-    """Front and side view of a step, and boxes that the view detector suggests on them."""
+class StepJson(Schema):
+    """The front and side view of a step, and the boxes that the view detector suggests on them."""
 
     views: list[ViewJson]
     suggested: list[Box2DOut | None]
 
 
-class StepsOut(Wire):
-    """What the drags have led to: the cross-view box so far, how many points it holds, why it goes no further.
+class StepsOut(Schema):
+    """The steps so far, the 3D box from the drawn boxes with its number of points, and why there is no further step.
 
-    While `detector` is loading, the same question brings suggestions a little later; `problem` says why it failed.
+    While `detector` is "loading", a later request returns suggestions; `problem` is the reason why it failed.
     """
 
     steps: list[StepJson]
@@ -70,16 +69,16 @@ class StepsOut(Wire):
     problem: str | None
 
 
-class ObjectIn(Wire):
-    """An object as far as it is drawn; its label's uid, if it has become one."""
+class ObjectIn(Schema):
+    """An object with the boxes drawn so far; its label's uid, if it has one."""
 
     image_box: Box2DJson
     boxes: ViewBoxesIn
     uid: Uid | None = None
 
 
-class SaveIn(Wire):
-    """All boxes of the image, and the object that was worked on."""
+class SaveIn(Schema):
+    """All boxes of the image, and the object that was changed."""
 
     revision: RowId
     image_boxes: Annotated[list[Box2DJson], Field(max_length=MOST_BOXES)]
@@ -89,76 +88,76 @@ class SaveIn(Wire):
     subject: Uid | None = None
 
 
-class SaveOut(Wire):
-    """What is there now, and the uid of the object's label, if it is finished."""
+class SaveOut(Schema):
+    """The present state, and the uid of the object's label if the object is finished."""
 
     state: FrameStateJson
     uid: str | None
 
 
-class SuggestionsOut(Wire):
-    """What the image detector finds, best first; none where there is no detector yet, or (`problem`) it failed."""
+class SuggestionsOut(Schema):
+    """Boxes of the image detector, best first; empty without a detector, or if it failed (`problem`)."""
 
     boxes: list[Box2DOut]
     problem: str | None = None
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/steps")
-def steps(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: StepsIn) -> StepsOut:
-    """The views that an object's drags lead to, with suggestions, and its box so far. Nothing is kept."""
+def steps(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: StepsIn) -> StepsOut:
+    """The views for an object's boxes so far, with suggestions, and its 3D box. Nothing is stored."""
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id, who)
-    ready = ctx.annotation.detectors.look(project, Role.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
+    opened = ctx.caches.frames.open(project, frame_id, operator)
+    ready = ctx.caches.detectors.look(project, DetectorKind.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
     detector = ready.detector if body.suggest else None
     boxes = [None if box is None else box.box() for box in body.boxes]
     config = label_config(project, opened.frame)
-    found = label_steps(opened, body.image_box.box(), boxes, config, body.box_kind, detector)
+    labelling = label_steps(opened, body.image_box.box(), boxes, config, body.box_kind, detector)
     return StepsOut(
         steps=[
             StepJson(
                 views=[drawn_view(ctx, name, view) for view in step.views],
                 suggested=[None if box is None else Box2DOut.of(box) for box in step.suggested],
             )
-            for step in found.steps
+            for step in labelling.steps
         ],
-        box=None if found.box is None else Box3DOut.of(found.box),
-        outline=None if found.box is None else found.outline.round(2).tolist(),
-        points=found.points,
-        stop=found.stop,
+        box=None if labelling.box is None else Box3DOut.of(labelling.box),
+        outline=None if labelling.box is None else labelling.outline.round(2).tolist(),
+        points=labelling.points,
+        stop=labelling.stop,
         detector=ready.state,
-        problem=None if ready.problem is None else ctx.told(ready.problem),
+        problem=None if ready.problem is None else ctx.public_message(ready.problem),
     )
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/label/suggestions", response_model_exclude_none=True)
-def suggestions(ctx: Ctx, who: Operator, name: str, frame_id: RowId) -> SuggestionsOut:
+def suggestions(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> SuggestionsOut:
     """Boxes that the image detector suggests."""
     project = ctx.project(name)
-    ready = ctx.annotation.detectors.look(project, Role.IMAGE)
+    ready = ctx.caches.detectors.look(project, DetectorKind.IMAGE)
     if ready.detector is None:
-        return SuggestionsOut(boxes=[], problem=None if ready.problem is None else ctx.told(ready.problem))
-    opened = ctx.annotation.frames.open(project, frame_id, who)
+        return SuggestionsOut(boxes=[], problem=None if ready.problem is None else ctx.public_message(ready.problem))
+    opened = ctx.caches.frames.open(project, frame_id, operator)
     least = frame_config(project, opened.frame).min_image_score
-    found = suggested_image_boxes(opened, ready.detector, least, project.config.classes)
-    return SuggestionsOut(boxes=[Box2DOut.of(box) for box in found])
+    boxes = suggested_image_boxes(opened, ready.detector, least, project.config.classes)
+    return SuggestionsOut(boxes=[Box2DOut.of(box) for box in boxes])
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", response_model=SaveOut, responses=STALE)
-def save(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut | JSONResponse:
-    """Keeps what was drawn; with all four boxes on its views, the object becomes a label."""
+def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut | JSONResponse:
+    """Store the drawn boxes; an object with all four boxes on its views becomes a label."""
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id, who)
+    opened = ctx.caches.frames.open(project, frame_id, operator)
     effort = None if body.effort is None else body.effort.stored()
-    change = Change(body.revision, who, effort=effort, subject=body.subject)
+    context = WriteContext(body.revision, operator, effort=effort, effort_target=body.subject)
     image_boxes = [box.box() for box in body.image_boxes]
     drawn = None
     if body.object is not None:
         on_views = [None if box is None else box.box() for box in body.object.boxes]
         drawn = ObjectDrawn(body.object.image_box.box(), on_views, body.object.uid)
     try:
-        saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, change)
+        saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, context)
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, who, error, [body.model_dump(mode="json")])
+        return stale_answer(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     if saved.receipt is not None:
-        ctx.hub.frame_changed(name, frame_id, saved.receipt.revision, who)
-    return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, who), uid=saved.uid)
+        ctx.hub.frame_changed(name, frame_id, saved.receipt.revision, operator)
+    return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid)

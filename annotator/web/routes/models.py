@@ -1,4 +1,4 @@
-"""Trained detectors: what there is, what each is worth, which one proposes."""
+"""Trained detectors: list, metrics, sample images, and the choice of the active one."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from annotator.types.errors import NotFoundError
 from annotator.web.context import Ctx, Operator
 from annotator.web.jobs.records import CurvePoint
 from annotator.web.projects import ModelInfo, model_info
-from annotator.web.wire import RowId
-from annotator.workflows.model_facts import model_facts
+from annotator.web.schemas import RowId
+from annotator.workflows.training.model_report import model_facts
 
 router = APIRouter(prefix="/api/projects/{project}/models", tags=["models"])
 
@@ -26,8 +26,8 @@ class ModelDetails(ModelInfo):
     """A trained detector.
 
     Attributes:
-        boxes: how many it learned from; null where that is not known.
-        pictures: addresses of pictures that it has not learned from, with the boxes that it finds.
+        boxes: number of boxes it was trained on; null if unknown.
+        pictures: URLs of images outside its training data, with its detections.
     """
 
     box_kind: BoxKind
@@ -37,7 +37,7 @@ class ModelDetails(ModelInfo):
 
 
 class TeachingMaterial(BaseModel):
-    """What there is to learn from now: 2D boxes on camera images and on pseudo-views, and reviewed 3D labels."""
+    """Numbers of available training data: 2D boxes on camera images and on pseudo-views, and reviewed 3D labels."""
 
     image: int
     view: int
@@ -45,14 +45,14 @@ class TeachingMaterial(BaseModel):
 
 
 class ModelList(BaseModel):
-    """All models, the oldest first, and what the next one would learn from."""
+    """All models, the oldest first, and the available training data."""
 
     models: list[ModelDetails]
     material: TeachingMaterial
 
 
 @router.get("")
-def models(project: str, ctx: Ctx, who: Operator) -> ModelList:
+def models(project: str, ctx: Ctx, operator: Operator) -> ModelList:
     """All detectors of a project."""
     opened = ctx.project(project)
     details = [_details(project, opened, model.id) for model in opened.models.all()]
@@ -60,16 +60,16 @@ def models(project: str, ctx: Ctx, who: Operator) -> ModelList:
 
 
 @router.post("/{model}/activate")
-def activate(project: str, model: RowId, ctx: Ctx, who: Operator) -> ModelDetails:
-    """Let a detector propose from now on, in place of its role's present one."""
+def activate(project: str, model: RowId, ctx: Ctx, operator: Operator) -> ModelDetails:
+    """Make a detector the active one of its role."""
     opened = ctx.project(project)
     opened.models.activate(model)
     return _details(project, opened, model)
 
 
 @router.get("/{model}/pictures/{number}.jpg", response_class=FileResponse)
-def picture(project: str, model: RowId, number: PictureNumber, ctx: Ctx, who: Operator) -> FileResponse:
-    """A picture with the boxes that a detector finds on it."""
+def picture(project: str, model: RowId, number: PictureNumber, ctx: Ctx, operator: Operator) -> FileResponse:
+    """An image outside a detector's training data, with its detections."""
     pictures = model_facts(ctx.project(project).models.get(model)).pictures
     if number >= len(pictures):
         raise NotFoundError(f"model {model} has no picture {number}")

@@ -1,4 +1,4 @@
-"""Projects: list, create, look at, change."""
+"""Projects: list, create, read, change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Classes = Annotated[list[ClassName], Field(min_length=1, max_length=200)]
 
 
 class NewProject(BaseModel):
-    """What a project is made of."""
+    """A project to create."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -28,7 +28,7 @@ class NewProject(BaseModel):
 
 
 class ProjectChange(BaseModel):
-    """What to change; null leaves it."""
+    """Changes of a project; null = unchanged."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -43,13 +43,13 @@ class ProjectList(BaseModel):
 
 
 @router.get("")
-def projects(ctx: Ctx, who: Operator) -> ProjectList:
-    """All projects in the server's folder of projects."""
+def projects(ctx: Ctx, operator: Operator) -> ProjectList:
+    """All projects in the server's projects folder."""
     return ProjectList(projects=[summary(ctx, listed) for listed in list_projects(ctx.settings.projects_root)])
 
 
 @router.post("", status_code=201)
-def create(body: NewProject, ctx: Ctx, who: Operator) -> ProjectSummary:
+def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Create a project."""
     settings = ProjectSettings(rotation=body.rotation)
     create_project(ctx.settings.projects_root, body.name, body.classes, settings=settings).close()
@@ -57,13 +57,13 @@ def create(body: NewProject, ctx: Ctx, who: Operator) -> ProjectSummary:
 
 
 @router.get("/{project}")
-def project(project: str, ctx: Ctx, who: Operator) -> ProjectInfo:
+def project(project: str, ctx: Ctx, operator: Operator) -> ProjectInfo:
     """One project with its recordings and detectors."""
     return project_info(project, ctx.project(project))
 
 
 @router.patch("/{project}")
-def change(project: str, body: ProjectChange, ctx: Ctx, who: Operator) -> ProjectInfo:
+def change(project: str, body: ProjectChange, ctx: Ctx, operator: Operator) -> ProjectInfo:
     """Change the classes or the rotation of boxes."""
     opened = ctx.project(project)
     old = opened.config.settings

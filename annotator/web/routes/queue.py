@@ -1,4 +1,4 @@
-"""What to look at next."""
+"""The queue of proposals to review, or frames to label."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from annotator.web.context import Ctx
-from annotator.web.wire import ClassName, RowId, Wire
-from annotator.workflows.queue import Order
-from annotator.workflows.queue import queue as all_items
+from annotator.web.schemas import ClassName, RowId, Schema
+from annotator.workflows.workbench.review_queue import Order
+from annotator.workflows.workbench.review_queue import queue as all_items
 
 router = APIRouter(tags=["queue"])
 
-# A page asks again long before it has gone through so many.
+# The page requests the queue again long before it has shown this many items.
 MOST_ITEMS = 500
 
 
-class ItemJson(Wire):
+class ItemJson(Schema):
     """A proposal to review, or (uid null) a frame to draw on."""
 
     frame: int
@@ -28,8 +28,8 @@ class ItemJson(Wire):
     doubt: float | None
 
 
-class QueueOut(Wire):
-    """The first items, and how many there are in all."""
+class QueueOut(Schema):
+    """The first items, and the total number."""
 
     items: list[ItemJson]
     remaining: int
@@ -44,8 +44,8 @@ def queue(
     label: ClassName | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST_ITEMS)] = MOST_ITEMS,
 ) -> QueueOut:
-    """Proposals to review, or frames whose labels would teach most."""
-    found = all_items(ctx.project(name), order, recording, label)
+    """Proposals to review, or the frames whose labels would improve the detectors most."""
+    queued = all_items(ctx.project(name), order, recording, label)
     items = [
         ItemJson(
             frame=item.frame.id,
@@ -55,6 +55,6 @@ def queue(
             label=item.label,
             doubt=item.doubt,
         )
-        for item in found[:limit]
+        for item in queued[:limit]
     ]
-    return QueueOut(items=items, remaining=len(found))
+    return QueueOut(items=items, remaining=len(queued))

@@ -1,40 +1,62 @@
-"""Recordings into a project."""
+"""Recordings: the folders that they may be added from; adding and moving them."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from dataclasses import asdict
+from typing import Annotated
+
+from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.types.errors import InputError
 from annotator.web.context import Ctx, Operator
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.projects import RecordingInfo, recording_info
-from annotator.web.wire import RowId
-from annotator.workflows.own_labels import brings_labels
-from annotator.workflows.recordings import add_recordings, move_recording
+from annotator.web.schemas import RowId
+from annotator.workflows.add_recordings import add_recordings, move_recording
+from annotator.workflows.recorded.take_over import brings_labels
 
-router = APIRouter(prefix="/api/projects/{project}/recordings", tags=["recordings"])
+router = APIRouter(tags=["recordings"])
+
+FolderPath = Annotated[str, Query(max_length=4096)]
 
 
-class Place(BaseModel):
-    """Where a recording is, below one of the server's folders."""
+class FolderEntry(BaseModel):
+    """A sub-folder, a recording, or both; see `annotator.web.folders.Entry`."""
+
+    name: str
+    path: str
+    recording: str | None
+    is_folder: bool
+
+
+class FolderListing(BaseModel):
+    """The content of a folder."""
+
+    path: str
+    parent: str | None
+    entries: list[FolderEntry]
+
+
+class RecordingPath(BaseModel):
+    """The path of a recording below one of the server's folders, such as `ROOT/sub/take`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: str = Field(min_length=1, max_length=4096)
 
 
-class NewRecording(Place):
-    """Which recording, and whether the 3D boxes that it brings become labels."""
+class NewRecording(RecordingPath):
+    """A recording to add; `labels`: also import the 3D boxes that it contains."""
 
     labels: bool = True
 
 
 class AddedRecording(BaseModel):
-    """What became of it.
+    """Result for one added recording.
 
     Attributes:
-        is_new: False where the project had it already and only looked for new frames.
+        is_new: False for a recording that the project had already; it was scanned for new frames.
     """
 
     recording: RecordingInfo
@@ -44,11 +66,11 @@ class AddedRecording(BaseModel):
 
 
 class AddedRecordings(BaseModel):
-    """What became of the recordings.
+    """Results for the added recordings.
 
     Attributes:
-        job: reads the boxes that they bring, where there are any.
-        note: why there is no such job although there are boxes, and what to do.
+        job: imports their 3D boxes, if there are any.
+        note: the reason why there is no such job although there are boxes, and what to do.
     """
 
     added: list[AddedRecording]
@@ -56,39 +78,46 @@ class AddedRecordings(BaseModel):
     note: str | None = None
 
 
-@router.post("")
-def add(project: str, body: NewRecording, ctx: Ctx, who: Operator) -> AddedRecordings:
-    """Put a recording of one of the server's folders into a project; its files stay where they are."""
+@router.get("/api/folders")
+def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListing:
+    """The sub-folders and recordings in a folder; "" lists the server's folders."""
+    listing = ctx.folders.list(path)
+    entries = [FolderEntry(**asdict(entry)) for entry in listing.entries]
+    return FolderListing(path=listing.path, parent=listing.parent, entries=entries)
+
+
+@router.post("/api/projects/{project}/recordings")
+def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> AddedRecordings:
+    """Add a recording below one of the server's folders to a project; its files are not copied."""
     opened, path = ctx.project(project), ctx.folders.find(body.path)
-    done = add_recordings(opened, [path])
-    ctx.annotation.frames.forget(opened)
+    results = add_recordings(opened, [path])
+    ctx.caches.frames.forget(opened)
     added = [
         AddedRecording(
-            recording=recording_info(one.recording),
-            is_new=one.is_new,
-            new_frames=one.new_frames,
-            missing_frames=one.missing_frames,
+            recording=recording_info(result.recording),
+            is_new=result.is_new,
+            new_frames=result.new_frames,
+            missing_frames=result.missing_frames,
         )
-        for one in done
+        for result in results
     ]
     if not body.labels:
         return AddedRecordings(added=added)
     try:
-        bringing = [one.recording.id for one in done if brings_labels(opened, one.recording.id)]
-        request = ImportRequest(kind="import", recordings=bringing) if bringing else None
-        job = None if request is None else ctx.jobs.add(project, opened.path, request, who)
+        with_labels = [result.recording.id for result in results if brings_labels(opened, result.recording.id)]
+        request = ImportRequest(kind="import", recordings=with_labels) if with_labels else None
+        job = None if request is None else ctx.jobs.add(project, opened.path, request, operator)
     except InputError as error:
-        # the recordings are there all the same
-        return AddedRecordings(
-            added=added, note=f"Its 3D boxes are not read: {ctx.told(str(error))}. Then add it again."
-        )
+        # the recordings were added nevertheless
+        note = f"Its 3D boxes were not imported: {ctx.public_message(str(error))}. Then add it again."
+        return AddedRecordings(added=added, note=note)
     return AddedRecordings(added=added, job=job)
 
 
-@router.patch("/{recording}")
-def move(project: str, recording: RowId, body: Place, ctx: Ctx, who: Operator) -> RecordingInfo:
-    """Point a recording whose folder was moved to its new place; all its frames must be there."""
+@router.patch("/api/projects/{project}/recordings/{recording}")
+def move(project: str, recording: RowId, body: RecordingPath, ctx: Ctx, operator: Operator) -> RecordingInfo:
+    """Set the new path of a moved recording; all its frames must be there."""
     opened, path = ctx.project(project), ctx.folders.find(body.path)
-    moved = move_recording(opened, recording, path, who)
-    ctx.annotation.frames.forget(opened)
+    moved = move_recording(opened, recording, path, operator)
+    ctx.caches.frames.forget(opened)
     return recording_info(moved)

@@ -1,4 +1,4 @@
-"""Review mode: pictures along a box's own axes, fitting it anew, boxes from the frame before."""
+"""Review mode: views along a box's axes, refitting a box, fitting a box to an image box, copying boxes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from annotator.project import Change, Role
+from annotator.project import WriteContext
 from annotator.rcv.config import RcvConfig
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
-from annotator.web.answers import stale_answer
 from annotator.web.context import Context, Ctx, Operator
+from annotator.web.frame_json import drawn_view, frame_state, quality_json, stale_answer
 from annotator.web.routes.frames import STALE
-from annotator.web.shown import drawn_view, frame_state, quality_json
-from annotator.web.wire import (
+from annotator.web.schemas import (
     Box2DJson,
     Box3DJson,
     Box3DOut,
@@ -25,47 +25,47 @@ from annotator.web.wire import (
     Outline,
     QualityJson,
     RowId,
+    Schema,
     ViewJson,
-    Wire,
 )
-from annotator.workflows.copying import copy_boxes
-from annotator.workflows.detectors_ready import Readiness
-from annotator.workflows.labelling import frame_config
-from annotator.workflows.open_frame import OpenFrame
-from annotator.workflows.ortho import ortho_views
-from annotator.workflows.refit import find_box, refit
+from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.loaded_detectors import Readiness
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.ortho_views import ortho_views
+from annotator.workflows.workbench.refit import find_box, refit
 
 router = APIRouter(tags=["review"])
 
 
-class OrthoIn(Wire):
-    """A box, and how large its pictures shall be."""
+class OrthoIn(Schema):
+    """A box, and the size of its views."""
 
     box: Box3DJson
     size_px: Annotated[int, Field(ge=32, le=1024)] = 320
 
 
 class OrthoView(ViewJson):
-    """A picture along the box's own axes."""
+    """A view along an axis of the box."""
 
     name: Literal["top", "front", "side"]
 
 
-class OrthoOut(Wire):
-    """The three pictures."""
+class OrthoOut(Schema):
+    """The three views."""
 
     views: list[OrthoView]
 
 
-class RefitIn(Wire):
+class RefitIn(Schema):
     """A box and its class."""
 
     box: Box3DJson
     label: ClassName
 
 
-class RefitOut(Wire):
-    """The box fitted anew, how, and what should be known about it."""
+class RefitOut(Schema):
+    """The refitted box, the method, and a note for the operator."""
 
     box: Box3DOut
     outline: Outline
@@ -74,14 +74,14 @@ class RefitOut(Wire):
     note: str | None
 
 
-class FitIn(Wire):
+class FitIn(Schema):
     """A box that was drawn on the image."""
 
     image_box: Box2DJson
 
 
-class FitOut(Wire):
-    """The object in it; without `box` it was not found, and `note` says why."""
+class FitOut(Schema):
+    """The object in an image box; if none was found, `box` is null and `note` is the reason."""
 
     box: Box3DOut | None
     outline: Outline
@@ -91,8 +91,8 @@ class FitOut(Wire):
     note: str | None
 
 
-class CopyIn(Wire):
-    """The frame to copy from; null = the one before."""
+class CopyIn(Schema):
+    """The frame to copy from; null = the previous one."""
 
     revision: RowId
     source: Annotated[RowId | None, Field(alias="from")] = None
@@ -100,61 +100,61 @@ class CopyIn(Wire):
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/ortho")
-def ortho(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: OrthoIn) -> OrthoOut:
-    """Three pictures along the box's own axes; what lies around it is dimmed."""
-    opened = ctx.annotation.frames.open(ctx.project(name), frame_id, who)
-    found = ortho_views(opened, body.box.box(), body.size_px)
-    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view))) for item in found]
+def ortho(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: OrthoIn) -> OrthoOut:
+    """Three views along the box's axes; points outside the box are dimmed."""
+    opened = ctx.caches.frames.open(ctx.project(name), frame_id, operator)
+    drawn = ortho_views(opened, body.box.box(), body.size_px)
+    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view))) for item in drawn]
     return OrthoOut(views=views)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/refit")
-def fit_anew(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
-    """The box fitted anew from where it is. Nothing is kept."""
-    opened, config, ready = _ready(ctx, name, frame_id, who)
-    found = refit(opened, body.box.box(), body.label, config, ready.detector, ready.problem)
+def refit_box(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: RefitIn) -> RefitOut:
+    """Refit a box, starting from its present pose. Nothing is stored."""
+    opened, config, ready = _ready(ctx, name, frame_id, operator)
+    fitted = refit(opened, body.box.box(), body.label, config, ready.detector, ready.problem)
     return RefitOut(
-        box=Box3DOut.of(found.box),
-        outline=found.outline.round(2).tolist(),
-        quality=quality_json(found.quality),
-        method=found.method,
-        note=None if found.note is None else ctx.told(found.note),
+        box=Box3DOut.of(fitted.box),
+        outline=fitted.outline.round(2).tolist(),
+        quality=quality_json(fitted.quality),
+        method=fitted.method,
+        note=None if fitted.note is None else ctx.public_message(fitted.note),
     )
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
-def fit(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: FitIn) -> FitOut:
-    """The object in a box on the image. Nothing is kept."""
-    opened, config, ready = _ready(ctx, name, frame_id, who)
-    found = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)
+def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FitIn) -> FitOut:
+    """Find the object in an image box. Nothing is stored."""
+    opened, config, ready = _ready(ctx, name, frame_id, operator)
+    fitted = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)
     return FitOut(
-        box=None if found.box is None else Box3DOut.of(found.box),
-        outline=found.outline.round(2).tolist(),
-        points=found.points,
-        score=found.score,
-        quality=quality_json(found.quality),
-        note=None if found.note is None else ctx.told(found.note),
+        box=None if fitted.box is None else Box3DOut.of(fitted.box),
+        outline=fitted.outline.round(2).tolist(),
+        points=fitted.points,
+        score=fitted.score,
+        quality=quality_json(fitted.quality),
+        note=None if fitted.note is None else ctx.public_message(fitted.note),
     )
 
 
-def _ready(ctx: Context, name: str, frame_id: int, who: str) -> tuple[OpenFrame, RcvConfig, Readiness]:
-    """A frame, the recursion's settings for it, and how far the project's detector for pseudo-views is."""
+def _ready(ctx: Context, name: str, frame_id: int, operator: str) -> tuple[OpenFrame, RcvConfig, Readiness]:
+    """A frame, the recursion's settings for it, and the state of the project's view detector."""
     project = ctx.project(name)
-    opened = ctx.annotation.frames.open(project, frame_id, who)
-    ready = ctx.annotation.detectors.look(project, Role.VIEW)
-    config = frame_config(project, opened.frame)
-    if ready.detector is not None:
-        config = config.model_copy(update={"box_kind": ready.detector.box_kind})
-    return opened, config, ready
+    opened = ctx.caches.frames.open(project, frame_id, operator)
+    ready = ctx.caches.detectors.look(project, DetectorKind.VIEW)
+    kind = BoxKind.BOX if ready.detector is None else ready.detector.box_kind
+    return opened, frame_config(project, opened.frame, kind), ready
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)
-def copy(ctx: Ctx, who: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson | JSONResponse:
-    """The reviewed boxes of another frame, as far as this one does not have them."""
+def copy(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson | JSONResponse:
+    """Copy the reviewed boxes of another frame that this one lacks."""
     effort = None if body.effort is None else body.effort.stored()
     try:
-        receipt = copy_boxes(ctx.project(name), frame_id, body.source, Change(body.revision, who, effort=effort))
+        receipt = copy_boxes(
+            ctx.project(name), frame_id, body.source, WriteContext(body.revision, operator, effort=effort)
+        )
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, who, error, [body.model_dump(mode="json", by_alias=True)])
-    ctx.hub.frame_changed(name, frame_id, receipt.revision, who)
-    return frame_state(ctx, name, frame_id, who)
+        return stale_answer(ctx, name, frame_id, operator, error, [body.model_dump(mode="json", by_alias=True)])
+    ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
+    return frame_state(ctx, name, frame_id, operator)

@@ -1,4 +1,4 @@
-"""Who sits at the browser."""
+"""The session: the operator's name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _check_name(name: str) -> str:
 
 
 class SignIn(BaseModel):
-    """Under which name changes are kept."""
+    """The operator's name, stored as the author of changes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -32,7 +32,7 @@ class SignIn(BaseModel):
 
 
 class Session(BaseModel):
-    """Who is signed in, and where."""
+    """The signed-in operator, and the server's version and protection."""
 
     operator: str | None
     version: str
@@ -41,13 +41,13 @@ class Session(BaseModel):
 
 @router.get("")
 def session(request: Request, ctx: Ctx) -> Session:
-    """Who is signed in on this browser."""
+    """The operator who is signed in on this browser."""
     return _session(ctx, operator_or_none(request))
 
 
 @router.post("")
 def sign_in(body: SignIn, response: Response, ctx: Ctx) -> Session:
-    """Sign in under a name; it stands beside every change."""
+    """Sign in with a name, which becomes the author of all changes."""
     response.set_cookie(OPERATOR_COOKIE, quote(body.operator), max_age=A_YEAR_S, httponly=True, samesite="strict")
     return _session(ctx, body.operator)
 

@@ -1,4 +1,4 @@
-"""What a viewport shall show, in the words of the project; `scene.py` makes it a picture."""
+"""The content of a viewport, as data; `scene.py` draws it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from jaxtyping import Float64
 
 from annotator.types import Box2D, Frame, OrientedBox, PseudoView, ReviewState
 
-# Shown at most: what a graphics card turns without effort, and a network carries at once.
+# Default limit of shown points, which graphics cards and networks handle without delay.
 MOST_POINTS = 150_000
 
 
 class Gizmo(StrEnum):
-    """What can be done with the selected box in the viewport."""
+    """The mode of the gizmo on the selected box."""
 
     OFF = "off"
     TRANSLATE = "translate"
@@ -23,7 +23,7 @@ class Gizmo(StrEnum):
 
 
 class PointColor(StrEnum):
-    """What the colour of a point stands for."""
+    """The quantity that the points' colours show."""
 
     RGB = "rgb"
     DEPTH = "depth"
@@ -36,9 +36,9 @@ class ShownBox:
     """A 3D box of the scene.
 
     Attributes:
-        uid: of its label; None for a box that is no label yet.
+        uid: of its label; None for a box without a label.
         box: camera frame.
-        state: decides its colour.
+        state: determines its colour.
     """
 
     uid: str | None
@@ -53,7 +53,7 @@ class Draft:
     Attributes:
         image_box: on the camera image.
         views: the pseudo-views of the present step.
-        box: what the drags so far measure, camera frame.
+        box: the 3D box from the 2D boxes drawn so far, camera frame.
     """
 
     image_box: Box2D
@@ -63,19 +63,19 @@ class Draft:
 
 @dataclass(frozen=True, eq=False)
 class SceneContent:
-    """All that a viewport shows.
+    """The content of a viewport.
 
     Attributes:
-        place: which recording this is; another one gets a new first view.
-        frame: None shows nothing.
+        key: identifies the recording; the camera is reset if it changes.
+        frame: None = an empty viewport.
         selected: uid of the selected box.
         draft: the object that is being labelled, if any.
-        most_points: shown of the cloud; the full cloud stays on the server.
-        point_size: 1 is what suits the recording's distances; a factor of that.
-        reset_view: go back to the first view.
+        most_points: maximum number of shown points; a larger cloud is thinned.
+        point_size: factor of the default size, which depends on the cloud's distance.
+        reset_camera: move the camera to its initial pose.
     """
 
-    place: tuple[str, int] | None
+    key: tuple[str, int] | None
     frame: Frame | None
     boxes: tuple[ShownBox, ...] = ()
     selected: str | None = None
@@ -84,16 +84,17 @@ class SceneContent:
     color: PointColor = PointColor.RGB
     most_points: int = MOST_POINTS
     point_size: float = 1.0
-    reset_view: bool = False
+    reset_camera: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class FirstView:
-    """Where the viewer stands first, in the camera frame, metres.
+class InitialCamera:
+    """The initial pose of the viewport's camera, in the camera frame, metres.
 
     Attributes:
-        position, look_at: of the viewer.
-        up: unit vector that is up on the screen.
+        position: of the camera.
+        look_at: the point at the centre of the screen.
+        up: unit vector that points up on the screen.
     """
 
     position: Float64[np.ndarray, "3"]

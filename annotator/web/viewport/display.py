@@ -1,4 +1,4 @@
-"""Which points of a cloud are shown, how large and in which colours, and from where one looks at them first."""
+"""The shown points of a cloud, their size and colours, and the initial camera of a viewport."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from jaxtyping import Float, Float32, Float64, UInt8
 
 from annotator.geometry.thinning import thin
 from annotator.types import Frame, PointCloud
-from annotator.web.viewport.content import FirstView, PointColor
+from annotator.web.viewport.content import InitialCamera, PointColor
 
-# Depth and height colours run over what lies between these percentiles, so that a far outlier does not flatten them.
+# Depth and height colours cover the range between these percentiles, so that outliers do not compress them.
 LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
-# A point's size as a share of the cloud's median distance: about the spacing of an RGB-D camera's points, thinned.
+# Point size as a share of the cloud's median distance: about the spacing of a thinned RGB-D cloud.
 POINT_SHARE = 0.0035
-# Below so many points they are drawn larger, up to so much; more where a dense cloud is thinned, which has no gaps.
+# If there are fewer points than FULL_DETAIL, they are drawn larger, up to a factor. The factor is higher for a thinned
+# cloud, whose surfaces are dense.
 FULL_DETAIL, LARGEST_GROWTH, LARGEST_GROWTH_THINNED = 150_000, 2.0, 3.5
-# Enough points to know how far away a scene is.
+# Number of points for estimates of a scene's distance.
 SAMPLE = 5_000
-# The first view stands behind the camera and above it, as shares of the scene's distance.
+# Position of the initial camera behind and above the recording's camera, as shares of the scene's distance.
 BEHIND, ABOVE = 0.2, 0.2
-# Where there is nothing to look at, metres.
+# Distance of an empty scene, metres.
 EMPTY_DISTANCE_M = 3.0
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])
 
 
 def shown_points(frame: Frame, most: int) -> PointCloud:
-    """The part of a frame's cloud that is shown, with what it can be coloured by."""
+    """The shown part of a frame's cloud, at most `most` points, with colours and reflectance."""
     cloud = frame.cloud
     keep = thin(len(cloud), most)
     if keep is None:
@@ -41,7 +42,7 @@ def shown_points(frame: Frame, most: int) -> PointCloud:
 
 
 def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:
-    """A colour for each point; a cloud that lacks what the colours stand for is coloured by depth.
+    """The colour of each point; a cloud without the required quantity is coloured by depth.
 
     Args:
         up: unit vector, camera frame.
@@ -51,7 +52,7 @@ def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "
     if color is PointColor.HEIGHT:
         return _mapped(cloud.xyz_m @ up.astype(np.float32))
     if color is not PointColor.DEPTH and cloud.reflectance is not None:
-        # The square root lifts the dark end, where most LiDAR returns lie.
+        # the square root brightens dark values, which most LiDAR returns have
         return _gray(np.sqrt(np.clip(cloud.reflectance, 0, 1)))
     if color is PointColor.INTENSITY and cloud.rgb is not None:
         return _gray(cloud.rgb @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255))
@@ -67,30 +68,30 @@ def typical_distance_m(cloud: PointCloud) -> float:
 
 
 def point_size_m(shown: PointCloud, n_points: int) -> float:
-    """How large a point is drawn that nobody has changed the size of, metres.
+    """The default point size, metres.
 
     Args:
-        shown: the points that are drawn; where they are fewer, each is larger, so that surfaces stay closed.
+        shown: the shown points; the fewer, the larger each is, so that surfaces stay closed.
         n_points: of the whole cloud.
     """
-    fewer = max(FULL_DETAIL / max(len(shown), 1), 1.0)
+    ratio = max(FULL_DETAIL / max(len(shown), 1), 1.0)
     largest = LARGEST_GROWTH if n_points == len(shown) else LARGEST_GROWTH_THINNED
-    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(fewer), largest)
+    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(ratio), largest)
 
 
 def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:
-    """Up in the camera frame: against gravity where it is known, else up in the image."""
+    """The up direction in the camera frame: against gravity if known, else up in the image."""
     return CAMERA_UP if frame.up is None else frame.up
 
 
-def first_view(frame: Frame) -> FirstView:
-    """From behind the camera and a little above it, along the optical axis."""
+def initial_camera(frame: Frame) -> InitialCamera:
+    """A pose behind and slightly above the recording's camera, looking along its optical axis."""
     ahead_m = EMPTY_DISTANCE_M
     if len(frame.cloud):
         ahead_m = max(float(np.median(frame.cloud.xyz_m[:: max(1, len(frame.cloud) // SAMPLE), 2])), 0.2)
     up = scene_up(frame)
     axis = np.array([0.0, 0.0, 1.0])
-    return FirstView(ahead_m * (ABOVE * up - BEHIND * axis), ahead_m * axis, up)
+    return InitialCamera(ahead_m * (ABOVE * up - BEHIND * axis), ahead_m * axis, up)
 
 
 def _gray(share: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:

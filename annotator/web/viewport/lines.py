@@ -1,4 +1,4 @@
-"""Lines and places of things in the scene: boxes, the frustum of an image box, pictures standing in space."""
+"""Geometry of the drawn scene: lines of boxes, frustums and arrows, and poses of pseudo-views in space."""
 
 from __future__ import annotations
 
@@ -14,28 +14,26 @@ from annotator.types import Box2D, Frame, OrientedBox, PseudoView
 
 Segments = Float32[np.ndarray, "k 2 3"]
 
-# Each side of an image box is followed in so many steps: lens distortion bends it.
+# Number of segments per side of an image box, since lens distortion curves its rays.
 SIDE_STEPS = 4
-# The frustum ends where so many percent of its points are nearer, or here where it has none, metres.
+# The frustum ends at this percentile of its points' depths; if it has no points, at this depth, metres.
 FAR_PERCENT, EMPTY_FAR_M = 99.0, 5.0
-# A picture stands in front of the nearest of its points, by this share of its larger side.
+# Distance between a view's image and the nearest of its points, as a share of the view's larger side.
 GAP = 0.15
-
-
-# An arrow's head: its length and radius as shares of the arrow, and how many lines make its cone.
+# An arrow's head: length and radius as shares of the arrow, and number of lines of its cone.
 HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
-    """A pseudo-view as a picture in space, where it was taken from.
+class ViewPlacement:
+    """The pose of a pseudo-view's image in space, facing the direction that it was drawn from.
 
     Attributes:
-        center_m: the middle of the picture, camera frame.
-        R_camera_view: columns = right, down and into the page.
+        center_m: centre of the image, camera frame.
+        R_camera_view: columns = right, down and into the image.
         size_m: width and height.
-        seen_from_m, looks_at_m: a line along which it was taken: from in front of the picture, through its middle, to
-            the middle of its points.
+        seen_from_m, looks_at_m: ends of the viewing direction's arrow: from in front of the image, through its centre,
+            to the median depth of its points.
     """
 
     center_m: Float64[np.ndarray, "3"]
@@ -46,29 +44,29 @@ class Standing:
 
 
 def box_lines(size_m: Float64[np.ndarray, "3"]) -> Segments:
-    """Edges of a box in its own frame, and a line from its middle out of its front (+x), which shows its heading."""
+    """Edges of a box in its own axes, and a line from its centre through its front (+x), which shows its heading."""
     corners = 0.5 * CORNER_SIGNS * size_m
-    nose = np.array([[[0.0, 0.0, 0.0], [0.5 * size_m[0] + 0.15 * size_m.max(), 0.0, 0.0]]])
-    return np.concatenate([corners[np.array(EDGES)], nose]).astype(np.float32)
+    heading = np.array([[[0.0, 0.0, 0.0], [0.5 * size_m[0] + 0.15 * size_m.max(), 0.0, 0.0]]])
+    return np.concatenate([corners[np.array(EDGES)], heading]).astype(np.float32)
 
 
 def placed_box_lines(box: OrientedBox) -> Segments:
-    """The same in the camera frame."""
-    T_camera_box = box.T_camera_box.as_matrix()  # a frame may have a hundred boxes: `rotation` makes an object for each
+    """As `box_lines`, in the camera frame."""
+    T_camera_box = box.T_camera_box.as_matrix()  # faster than `rotation`, for frames with a hundred boxes
     return (box_lines(box.size_m) @ T_camera_box[:3, :3].T + T_camera_box[:3, 3]).astype(np.float32)
 
 
 def frustum_lines(frame: Frame, image_box: Box2D) -> Segments:
-    """Rays through the corners of an image box, to the far end of what it cuts out, and the rectangle there."""
+    """The frustum of an image box: rays through its corners to the far end, and the outline there."""
     border = _border_px(image_box)
     rays = np.column_stack([undistort_px(frame.camera, border), np.ones(len(border))])
     depth = frame.cloud.xyz_m[in_frustum(frame.camera, frame.cloud.xyz_m, image_box), 2]
     far = rays * (float(np.percentile(depth, FAR_PERCENT)) if len(depth) else EMPTY_FAR_M)
     corners = far[::SIDE_STEPS]
     lines = [*zip(np.zeros_like(corners), corners, strict=True), *zip(far, np.roll(far, -1, axis=0), strict=True)]
-    found = np.array(lines, np.float32)
-    # a corner beyond what the lens model reaches has no ray
-    return found[np.isfinite(found).all(axis=(1, 2))]
+    segments = np.array(lines, np.float32)
+    # a corner outside the range of the lens model has no ray
+    return segments[np.isfinite(segments).all(axis=(1, 2))]
 
 
 def arrow_lines(
@@ -76,11 +74,11 @@ def arrow_lines(
 ) -> Segments:
     """An arrow as lines: its shaft, then the cone of its head from the tip to a ring, then the ring.
 
-    Lines are drawn in their own colour whatever the light is, which a solid arrow is not.
+    The colour of lines does not depend on the lights, in contrast to that of a mesh.
 
     Args:
         start_m, end_m: of the shaft.
-        tip_m: of the head, on the shaft: an end within points would hide it.
+        tip_m: tip of the head, on the shaft: at the end of the shaft, points would hide it.
     """
     along = end_m - start_m
     length = float(np.linalg.norm(along))
@@ -95,17 +93,17 @@ def arrow_lines(
     return np.concatenate([np.stack([start_m, end_m])[None], cone, rim]).astype(np.float32)
 
 
-def standing(view: PseudoView) -> Standing:
-    """Where a pseudo-view stands: parallel to its own plane, just in front of its nearest point."""
+def view_placement(view: PseudoView) -> ViewPlacement:
+    """The pose of a pseudo-view's image: parallel to its plane, in front of its nearest point."""
     height_px, width_px = view.rgb.shape[:2]
     right, down = view.origin_m + 0.5 * (np.array([width_px, height_px]) - 1) * view.metres_per_px
     depth = view.xyz_m @ view.axes[2].astype(np.float32)
     near = float(depth.min()) if len(depth) else 0.0
-    middle = float(np.median(depth)) if len(depth) else 0.0
+    median = float(np.median(depth)) if len(depth) else 0.0
     in_front = near - GAP * float(view.extent_m.max())
     seen_from = in_front - 2 * GAP * float(view.extent_m.max())
-    place = np.array([[right, down, z] for z in (in_front, seen_from, middle)]) @ view.axes
-    return Standing(place[0], view.axes.T.copy(), view.extent_m, place[1], place[2])
+    points = np.array([[right, down, z] for z in (in_front, seen_from, median)]) @ view.axes
+    return ViewPlacement(points[0], view.axes.T.copy(), view.extent_m, points[1], points[2])
 
 
 def _border_px(box: Box2D) -> Float64[np.ndarray, "n 2"]:

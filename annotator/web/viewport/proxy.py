@@ -1,4 +1,4 @@
-"""The way from a browser to a viser server, through the application's own port."""
+"""A proxy from browsers to viser servers, on the application's port."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOG = logging.getLogger("annotator.web")
 
 FORWARDED_REQUEST = ("accept", "accept-encoding", "if-none-match")
 FORWARDED_ANSWER = ("content-type", "content-encoding", "etag")
-# viser's page unpacks itself with inline scripts, WebAssembly and a worker; all of it comes from its own file.
+# viser's page unpacks itself with inline scripts, WebAssembly and a worker, all contained in its single file.
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
@@ -29,19 +29,19 @@ POLICY = (
     "form-action 'none'; object-src 'none'"
 )
 TIMEOUT_S = 10.0
-# 1006 and its like are what one side sees, not what the other may be sent.
+# Close codes that only describe a local state and must not be sent.
 UNSENDABLE = (1005, 1006, 1015)
 GONE, TRY_AGAIN = 1001, 1013
 
 
 @runtime_checkable
-class Viewport(Protocol):
-    """What has a viser server of its own.
+class ViserEndpoint(Protocol):
+    """A viser server behind the proxy.
 
     Attributes:
         id: its name in messages.
-        port: of its viser server, on `HOST`.
-        origin: a secret that its viser server asks of everybody who connects.
+        port: on `HOST`.
+        origin: a secret that it requires of every connection.
     """
 
     id: str
@@ -49,8 +49,8 @@ class Viewport(Protocol):
     origin: str
 
 
-async def forward_http(request: Request, viewport: Viewport, path: str) -> Response:
-    """One of viser's files."""
+async def forward_http(request: Request, viewport: ViserEndpoint, path: str) -> Response:
+    """Forwards a request for one of viser's files."""
     headers = {name: request.headers[name] for name in FORWARDED_REQUEST if name in request.headers}
     async with (
         httpx.AsyncClient(timeout=TIMEOUT_S) as client,
@@ -58,17 +58,17 @@ async def forward_http(request: Request, viewport: Viewport, path: str) -> Respo
             "GET", httpx.URL(scheme="http", host=HOST, port=viewport.port, path=f"/{path}"), headers=headers
         ) as answer,
     ):
-        # raw: what is packed stays packed
+        # raw: without decompression
         body = b"".join([part async for part in answer.aiter_raw()])
-    kept = {name: answer.headers[name] for name in FORWARDED_ANSWER if name in answer.headers}
-    return Response(body, answer.status_code, {**kept, "Content-Security-Policy": POLICY})
+    headers_out = {name: answer.headers[name] for name in FORWARDED_ANSWER if name in answer.headers}
+    return Response(body, answer.status_code, {**headers_out, "Content-Security-Policy": POLICY})
 
 
-async def forward_socket(browser: WebSocket, viewport: Viewport) -> None:
-    """A browser's WebSocket, until either side closes it.
+async def forward_socket(browser: WebSocket, viewport: ViserEndpoint) -> None:
+    """Forwards a browser's WebSocket until either side closes it.
 
-    Each direction waits for the other side to take what it was sent, so a slow browser slows viser down (which then
-    leaves out what a newer message has replaced) and fills no memory here.
+    Each direction awaits its receiver. So a slow browser slows viser down, which then drops outdated messages, and no
+    messages pile up here.
     """
     offered = [Subprotocol(name) for name in browser.scope["subprotocols"]]
     try:
@@ -88,11 +88,11 @@ async def forward_socket(browser: WebSocket, viewport: Viewport) -> None:
         return
     async with viser:
         await browser.accept(viser.subprotocol)
-        ways = [asyncio.create_task(_to_browser(viser, browser)), asyncio.create_task(_to_viser(browser, viser))]
-        _, waiting = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-        for way in waiting:
-            way.cancel()
-        results = await asyncio.gather(*ways, return_exceptions=True)
+        tasks = [asyncio.create_task(_to_browser(viser, browser)), asyncio.create_task(_to_viser(browser, viser))]
+        _, waiting = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in waiting:
+            task.cancel()
+        results = await asyncio.gather(*tasks, return_exceptions=True)
     for result in results:
         if isinstance(result, Exception):
             LOG.error("viewport %s: connection failed", viewport.id, exc_info=result)
@@ -108,7 +108,7 @@ async def _to_browser(viser: ClientConnection, browser: WebSocket) -> None:
     except ConnectionClosed:
         pass
     except (WebSocketDisconnect, RuntimeError):
-        # the browser went away while it was being sent something
+        # the browser disconnected during a send
         return
     if browser.application_state is WebSocketState.CONNECTED and browser.client_state is WebSocketState.CONNECTED:
         code = viser.close_code or GONE

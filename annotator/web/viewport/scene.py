@@ -1,4 +1,4 @@
-"""A scene in viser: brought from what it shows to what it shall show by sending only what differs."""
+"""A scene in viser, updated by sending only the differences."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.rcv.drawing import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
-from annotator.web.viewport.content import Draft, FirstView, Gizmo, SceneContent, ShownBox
-from annotator.web.viewport.display import first_view, point_colors, point_size_m, scene_up, shown_points
-from annotator.web.viewport.lines import arrow_lines, box_lines, frustum_lines, placed_box_lines, standing
+from annotator.web.viewport.content import Draft, Gizmo, InitialCamera, SceneContent, ShownBox
+from annotator.web.viewport.display import initial_camera, point_colors, point_size_m, scene_up, shown_points
+from annotator.web.viewport.lines import arrow_lines, box_lines, frustum_lines, placed_box_lines, view_placement
 
 if TYPE_CHECKING:
     import viser
@@ -28,15 +28,15 @@ STATE_COLORS: dict[ReviewState, tuple[int, int, int]] = {
     ReviewState.EDITED: (106, 174, 245),
     ReviewState.REJECTED: (154, 161, 173),
 }
-# How far the selected box's colour goes towards white.
+# Share by which the selected box's colour is shifted towards white.
 BRIGHTER = 0.45
 DRAFT_COLOR = (255, 214, 10)
 FRUSTUM_COLOR = (200, 204, 212)
 AXIS_COLOR = (255, 59, 48)
 THIN_PX, THICK_PX = 1.6, 4.0
-# How much of a pseudo-view's empty part is seen, of 255.
+# Opacity of a pseudo-view's empty pixels, 0..255.
 EMPTY_ALPHA = 90
-# The gizmo reaches out of the selected box, by a share of its longest side and at least so far, metres.
+# Size of the gizmo, as a share of the selected box's longest side, and its minimum, metres.
 GIZMO_SHARE, GIZMO_LEAST_M = 0.75, 0.08
 
 CLOUD, BOXES, SELECTED, SELECTED_LINES = "/cloud", "/boxes", "/selected", "/selected/lines"
@@ -44,8 +44,8 @@ FRUSTUM, DRAFT_BOX, AXES = "/draft/frustum", "/draft/box", "/draft/axes"
 
 
 @dataclass(frozen=True)
-class Shown:
-    """How many points are on the screen, and how many there are."""
+class PointCounts:
+    """The number of shown points, and of all points of the cloud."""
 
     shown_points: int
     points: int
@@ -53,7 +53,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """The points of one frame as shown."""
+    """The shown points of one frame."""
 
     frame: Frame
     most_points: int
@@ -67,16 +67,16 @@ def _cloud(frame: Frame, most_points: int) -> _Cloud:
 
 
 class Scene:
-    """What one viser server shows. Not for two threads at once.
+    """The scene of one viser server. Not thread-safe.
 
     Attributes:
-        content: what is shown.
+        content: the present content.
     """
 
     def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
         """
         Args:
-            on_gizmo: called on the server's loop while somebody drags the gizmo.
+            on_gizmo: called in the server's event loop while the gizmo is dragged.
         """
         self._server = server
         self._api = server.scene
@@ -90,7 +90,7 @@ class Scene:
 
     @property
     def gizmo(self) -> viser.TransformControlsHandle:
-        """The gizmo, made when it is first needed; the selected box hangs on it, so that it moves without delay."""
+        """The gizmo, created on first use; the selected box is its child, so that it follows without delay."""
         if self._gizmo is None:
             self._gizmo = self._api.add_transform_controls(
                 SELECTED, line_width=3.0, depth_test=False, opacity=0.9, visible=False
@@ -103,43 +103,43 @@ class Scene:
         """The box on the gizmo."""
         return next((b for b in self.content.boxes if b.uid is not None and b.uid == self.content.selected), None)
 
-    def show(self, content: SceneContent, hold_gizmo: bool = False) -> Shown:
-        """Changes the scene; all of it reaches the browser at once.
+    def show(self, content: SceneContent, hold_gizmo: bool = False) -> PointCounts:
+        """Updates the scene in one atomic message.
 
         Args:
-            hold_gizmo: somebody drags it: the selected box stays where the hand is.
+            hold_gizmo: keep the gizmo and the selected box where they are, during a drag.
         """
         before, self.content = self.content, content
         with self._server.atomic():
-            if content.frame is not None and (content.place != before.place or content.reset_view):
-                self._look_from(first_view(content.frame), scene_up(content.frame))
-            shown = self._show_cloud(before)
+            if content.frame is not None and (content.key != before.key or content.reset_camera):
+                self._look_from(initial_camera(content.frame), scene_up(content.frame))
+            counts = self._show_cloud(before)
             self._show_boxes()
             self._show_selected(hold_gizmo)
             if content.draft is not before.draft or content.frame is not before.frame:
                 self._show_draft(content.draft, content.frame)
         self._server.flush()
-        return shown
+        return counts
 
     # --- the cloud -------------------------------------------------------------------------------------------------
 
-    def _show_cloud(self, before: SceneContent) -> Shown:
+    def _show_cloud(self, before: SceneContent) -> PointCounts:
         frame, most_points = self.content.frame, self.content.most_points
         if frame is None:
             self._cloud = None
             self._remove(CLOUD)
-            return Shown(0, 0)
-        known = self._cloud
-        if known is None or known.frame is not frame or known.most_points != most_points:
-            known = self._cloud = _cloud(frame, most_points)
-            self._send_cloud(known)
+            return PointCounts(0, 0)
+        cloud = self._cloud
+        if cloud is None or cloud.frame is not frame or cloud.most_points != most_points:
+            cloud = self._cloud = _cloud(frame, most_points)
+            self._send_cloud(cloud)
         elif self.content.color is not before.color:
-            self._api_cloud().colors = self._colors(known)
-        self._api_cloud().point_size = known.point_size_m * self.content.point_size
-        return Shown(len(known.points), len(frame.cloud))
+            self._api_cloud().colors = self._colors(cloud)
+        self._api_cloud().point_size = cloud.point_size_m * self.content.point_size
+        return PointCounts(len(cloud.points), len(frame.cloud))
 
     def _send_cloud(self, cloud: _Cloud) -> None:
-        # a cloud of another size is one message; the browser would make new buffers for it anyway
+        # a new cloud is sent as one message, since the browser creates new buffers for it anyway
         self._api.add_point_cloud(
             CLOUD,
             cloud.points.xyz_m,
@@ -163,7 +163,7 @@ class Scene:
     # --- boxes -----------------------------------------------------------------------------------------------------
 
     def _show_boxes(self) -> None:
-        """All boxes but the selected one, as one set of lines."""
+        """Draws all boxes except the selected one as one set of lines."""
         selected = self.selected
         rest = [shown for shown in self.content.boxes if shown is not selected]
         if not rest:
@@ -195,13 +195,13 @@ class Scene:
         gizmo.visible = True
 
     def gizmo_box(self) -> OrientedBox | None:
-        """The selected box where the gizmo is now; None where nothing is selected."""
+        """The selected box at the pose of the gizmo; None without a selection."""
         selected = self.selected
         if selected is None or self._gizmo is None:
             return None
-        turned = Rotation.from_quat(np.asarray(self._gizmo.wxyz, np.float64), scalar_first=True)
-        place = RigidTransform.from_components(np.asarray(self._gizmo.position, np.float64), turned)
-        return OrientedBox(place, selected.box.size_m)
+        rotation = Rotation.from_quat(np.asarray(self._gizmo.wxyz, np.float64), scalar_first=True)
+        pose = RigidTransform.from_components(np.asarray(self._gizmo.position, np.float64), rotation)
+        return OrientedBox(pose, selected.box.size_m)
 
     # --- an object that is being labelled --------------------------------------------------------------------------
 
@@ -214,33 +214,33 @@ class Scene:
             self._remove(DRAFT_BOX)
         else:
             self._lines(DRAFT_BOX, placed_box_lines(draft.box), _light(DRAFT_COLOR), THICK_PX)
-        self._show_pictures(draft)
+        self._show_views(draft)
 
-    def _show_pictures(self, draft: Draft) -> None:
-        places = [standing(view) for view in draft.views]
-        for number in range(len(places), 2):
+    def _show_views(self, draft: Draft) -> None:
+        placements = [view_placement(view) for view in draft.views]
+        for number in range(len(placements), 2):
             self._remove(f"/draft/view{number}")
-        for number, (view, place) in enumerate(zip(draft.views, places, strict=True)):
+        for number, (view, placement) in enumerate(zip(draft.views, placements, strict=True)):
             self._api.add_image(
                 f"/draft/view{number}",
-                _cut_out(view.rgb),
-                float(place.size_m[0]),
-                float(place.size_m[1]),
+                _with_alpha(view.rgb),
+                float(placement.size_m[0]),
+                float(placement.size_m[1]),
                 format="png",
-                wxyz=_wxyz(place.R_camera_view),
-                position=place.center_m,
+                wxyz=_wxyz(placement.R_camera_view),
+                position=placement.center_m,
             )
-        if not places:
+        if not placements:
             self._remove(AXES)
             return
-        # the head is where the picture stands, before all points
-        arrows = np.concatenate([arrow_lines(place.seen_from_m, place.center_m, place.looks_at_m) for place in places])
+        # the head is at the view's image, in front of all points
+        arrows = np.concatenate([arrow_lines(p.seen_from_m, p.center_m, p.looks_at_m) for p in placements])
         self._lines(AXES, arrows, _light(AXIS_COLOR), THICK_PX)
 
-    # --- small things ----------------------------------------------------------------------------------------------
+    # --- helpers ---------------------------------------------------------------------------------------------------
 
     def _lines(self, name: str, points: np.ndarray, colors: UInt8[np.ndarray, "*k 3"], thickness: float) -> None:
-        """Lines under a name; the same lines as before send nothing."""
+        """Draws lines under a name; unchanged lines send nothing."""
         import viser
 
         handle = self._api.get_handle_by_name(name)
@@ -255,16 +255,16 @@ class Scene:
         if handle is not None:
             handle.remove()
 
-    def _look_from(self, view: FirstView, up: Sequence[float] | np.ndarray) -> None:
+    def _look_from(self, camera: InitialCamera, up: Sequence[float] | np.ndarray) -> None:
         self._api.set_up_direction(np.asarray(up, np.float64))
-        first = self._server.initial_camera
-        first.fov = np.deg2rad(60.0)
-        first.up, first.position, first.look_at = view.up, view.position, view.look_at
+        initial = self._server.initial_camera
+        initial.fov = np.deg2rad(60.0)
+        initial.up, initial.position, initial.look_at = camera.up, camera.position, camera.look_at
         for client in self._server.get_clients().values():
             with client.atomic():
-                client.camera.up_direction = view.up
-                client.camera.position = view.position
-                client.camera.look_at = view.look_at
+                client.camera.up_direction = camera.up
+                client.camera.position = camera.position
+                client.camera.look_at = camera.look_at
 
 
 def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -273,12 +273,12 @@ def _brighter(color: tuple[int, int, int]) -> tuple[int, int, int]:
 
 
 def _light(color: tuple[int, int, int]) -> UInt8[np.ndarray, "3"]:
-    """A colour as the browser's line shader takes it: as an amount of light, which it turns into a colour again."""
+    """An sRGB colour as linear light, which the browser's line shader expects."""
     return np.round(255 * (np.array(color) / 255) ** 2.2).astype(np.uint8)
 
 
-def _cut_out(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
-    """A picture whose empty part one sees through, to the points and the arrow behind it."""
+def _with_alpha(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
+    """A view's image with translucent empty pixels, so that the points and the arrow behind it are visible."""
     alpha = np.where((rgb == BACKGROUND).all(axis=2), EMPTY_ALPHA, 255).astype(np.uint8)
     return np.dstack([rgb, alpha])
 

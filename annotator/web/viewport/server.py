@@ -1,4 +1,4 @@
-"""A viser server that nobody but its own proxy can talk to."""
+"""A viser server that only the proxy can connect to."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _quiet = threading.Lock()
 
 @contextmanager
 def silence() -> Iterator[None]:
-    """viser says on the terminal that it starts and stops, also where it is asked not to."""
+    """Suppresses viser's messages on the terminal, which it prints on start and stop even with `verbose=False`."""
     import rich
 
     with _quiet:
@@ -33,25 +33,30 @@ def silence() -> Iterator[None]:
 def start_viser(host: str, origin: str) -> viser.ViserServer:
     """A viser server on a free port of `host`, which refuses every WebSocket whose `Origin` is not `origin`.
 
-    Any page in any browser on this computer may open a WebSocket to a port of 127.0.0.1, and viser takes all of them.
-    An origin that is a secret, and that no browser would ever send, leaves the way through the proxy only.
+    Any page in any browser on this computer may open a WebSocket to a port of 127.0.0.1, and viser accepts all of them.
+    With a secret origin, which no browser sends, only the proxy can connect.
+
+    Raises:
+        RuntimeError: this version of viser cannot be restricted in this way.
     """
     import viser
 
-    with _starting, _refusing_others(origin) as guarded:
+    with _starting, _required_origin(origin) as guarded:
         server = viser.ViserServer(host, 0, verbose=False)
     if not guarded:
         server.stop()
-        raise RuntimeError("this viser serves its WebSockets in a way that annotator does not know how to guard")
+        raise RuntimeError(
+            "this version of viser starts its WebSocket server in an unknown way, so that it cannot be protected"
+        )
     return server
 
 
 @contextmanager
-def _refusing_others(origin: str) -> Iterator[list[str]]:
-    """viser hands no `origins` on to the library that serves its WebSockets: so it is put in where that is called.
+def _required_origin(origin: str) -> Iterator[list[str]]:
+    """Patches `websockets.serve` to require `origin`, since viser has no option for it.
 
-    Constructing a viser server waits until it serves, thus this lasts no longer than the call, and touches no other.
-    Gives the origins of the servers that were started, as they are.
+    The constructor of a viser server returns once it serves, so the patch is active only during the call. Yields the
+    list of origins of the servers started so far.
     """
     from websockets.asyncio import server as sockets
     from websockets.typing import Origin
@@ -62,7 +67,7 @@ def _refusing_others(origin: str) -> Iterator[list[str]]:
         guarded.append(origin)
         return serve(*arguments, **(options | {"origins": [Origin(origin)]}))
 
-    setattr(sockets, "serve", guard)  # noqa: B010  (mypy lets no class be assigned to)
+    setattr(sockets, "serve", guard)  # noqa: B010  (mypy forbids a plain assignment)
     try:
         yield guarded
     finally:

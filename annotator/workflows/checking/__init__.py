@@ -1,1 +1,1 @@
-"""What is wrong with labels and datasets: rules that both checks share, and the check of datasets."""
+"""Checks of datasets and of project labels, and the rules that both share."""

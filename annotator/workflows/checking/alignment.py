@@ -1,10 +1,10 @@
-"""Is the camera where the calibration says? Edges in depth should lie on edges of the image.
+"""Checks the camera's rotation: edges in depth should lie on edges of the image.
 
-For a set of small turns of the camera, how strong the image's edges are, on average, where the depth's edges fall.
-Where calibration and data belong together, no turn fits better than none (the idea of J. Levinson and S. Thrun,
-"Automatic Online Calibration of Cameras and Lasers", RSS 2013). A turn moves every pixel by the same homography,
-whatever its depth, so that only the edges' pixels are needed. A single frame may be mistaken: repeated structures,
-shadows. So frames are pooled, and the two halves of them must agree.
+For a set of small rotations of the camera, the score is the mean strength of the image's edges at the projected depth
+edges. If the calibration is right, no rotation scores better than none (after J. Levinson and S. Thrun, "Automatic
+Online Calibration of Cameras and Lasers", RSS 2013). A rotation moves pixels by a homography that does not depend on
+depth, so only the pixels of the edges are needed. A single frame may mislead (repeated structures, shadows), so frames
+are pooled, and the two halves of them must agree.
 """
 
 from __future__ import annotations
@@ -19,41 +19,42 @@ from jaxtyping import Bool, Float, Float32, Float64, UInt8
 from annotator.geometry.projection import project, undistort_px
 from annotator.types import Camera, Frame
 
-# The turns that are tried, degrees: about x and y (sideways on the image), and about z (in the image).
+# The tested rotations, degrees: about x and y (shifts of the image), and about z (in the image plane).
 TURNS_DEG = np.arange(-3.0, 3.01, 0.5)
 ROLLS_DEG = np.arange(-3.0, 3.01, 1.0)
 FRAMES = 24
 LEAST_FRAMES = 4
 LEAST_EDGES, MOST_EDGES = 200, 1500
 MOST_POINTS = 60_000
-# A foreground edge is nearer than what is beside it by this much: metres, and a share of its distance.
+# Minimum depth step at a foreground edge: metres, plus a fraction of the distance.
 STEP_LIDAR, STEP_DEPTH = (0.5, 0.05), (0.1, 0.05)
-# Pixels without depth count as far: what is seen past an edge often has none.
+# Pixels without depth count as far away: the background beside an edge often has none.
 FAR_M = 20.0
 NEIGHBOURS, REACH_PX = 6, 12.0
-# A LiDAR's rows are further apart than the points within.
+# A LiDAR's rows are further apart than the points within a row.
 ROW_SPREAD = 3.0
-# A turn is told from this size on; real recordings are off by 1.2 degrees, so that depth and image differ by 8 px.
+# Minimum rotation that is reported; real recordings are off by up to 1.2 degrees (8 px between depth and image).
 LEAST_TURN_DEG = 1.4
-# In standard deviations over all turns: how much better than none it must fit.
+# Minimum gain over no rotation, in standard deviations over all rotations.
 LEAST_GAIN = 0.8
 MOST_APART_DEG = 0.75
-# Real recordings fit by 2.1 to 4.7 of these deviations; with a calibration off by more than is tried it is 0.6 at most.
+# Minimum score without rotation, in the same unit. Real recordings have 2.1 to 4.7; if the calibration is off by more
+# than the tested rotations, the score is at most 0.6.
 LEAST_FIT, FRAMES_FOR_NO_FIT = 1.0, 8
 
 
 @dataclass
 class Alignment:
-    """Collects how well each turn fits, frame by frame.
+    """Collects the scores of the rotations, frame by frame.
 
     Attributes:
-        scores: of each frame that had enough edges, over all turns; mean 0, standard deviation 1.
+        scores: for each frame with enough edges, the scores of all rotations; mean 0, standard deviation 1.
     """
 
     scores: list[Float64[np.ndarray, "k"]] = field(default_factory=list)
 
     def add(self, frame: Frame) -> None:
-        """Looks at one frame; one without enough edges says nothing."""
+        """Adds a frame; ignores it if it has too few edges."""
         px = depth_edges(frame)
         if len(px) < LEAST_EDGES:
             return
@@ -64,7 +65,7 @@ class Alignment:
             self.scores.append((scores - scores.mean()) / spread)
 
     def problem(self) -> str | None:
-        """What is wrong with the calibration, or None where it fits or is unclear."""
+        """Returns what is wrong with the calibration; None if it fits or the result is unclear."""
         if len(self.scores) < LEAST_FRAMES:
             return None
         pooled, turns = _pooled(self.scores), turns_deg()
@@ -73,15 +74,17 @@ class Alignment:
         agree = all(np.linalg.norm(half - best) <= MOST_APART_DEG + _step_of_roll(half, best) for half in halves)
         if agree and pooled.max() - here >= LEAST_GAIN and np.linalg.norm(best) >= LEAST_TURN_DEG:
             x, y, z = best
-            return f"edges in depth fit the image better with the camera turned by {x:+g} {y:+g} {z:+g} degrees (x y z)"
+            return (
+                f"edges in depth fit the image better if the camera is turned by {x:+g} {y:+g} {z:+g} degrees (x y z)"
+            )
         if len(self.scores) >= FRAMES_FOR_NO_FIT and here < LEAST_FIT:
-            return "edges in depth do not fit the image, nor with the camera turned by up to 3 degrees"
+            return "edges in depth do not fit the image, even if the camera is turned by up to 3 degrees"
         return None
 
 
 @cache
 def turns_deg() -> Float64[np.ndarray, "k 3"]:
-    """All turns that are tried, degrees about the camera's x, y and z."""
+    """Returns all tested rotations, degrees about the camera's x, y and z."""
     x, y, z = np.meshgrid(TURNS_DEG, TURNS_DEG, ROLLS_DEG, indexing="ij")
     turns = np.stack([x, y, z], axis=-1).reshape(-1, 3)
     turns.flags.writeable = False
@@ -89,21 +92,21 @@ def turns_deg() -> Float64[np.ndarray, "k 3"]:
 
 
 def depth_edges(frame: Frame) -> Float64[np.ndarray, "n 2"]:
-    """Pixels (u, v) where something near ends before something far."""
+    """Returns the pixels (u, v) of foreground edges in depth."""
     if frame.depth_m is None:
         return _edges_of_points(frame)
     return _edges_of_image(np.where(frame.depth_m > 0, frame.depth_m, np.float32(FAR_M)))
 
 
 def _edges_of_image(depth_m: Float32[np.ndarray, "h w"]) -> Float64[np.ndarray, "n 2"]:
-    found: Bool[np.ndarray, "h w"] = np.zeros(depth_m.shape, bool)
+    edges: Bool[np.ndarray, "h w"] = np.zeros(depth_m.shape, bool)
     step = STEP_DEPTH[0] + STEP_DEPTH[1] * depth_m
     for axis in (0, 1):
         for shift in (-2, 2):
-            found |= np.roll(depth_m, shift, axis) - depth_m > step
-    # the border's neighbours are on the other side
-    found[:3] = found[-3:] = found[:, :3] = found[:, -3:] = False
-    v, u = np.nonzero(found)
+            edges |= np.roll(depth_m, shift, axis) - depth_m > step
+    # np.roll wraps around at the border
+    edges[:3] = edges[-3:] = edges[:, :3] = edges[:, -3:] = False
+    v, u = np.nonzero(edges)
     return np.stack([u, v], axis=1).astype(np.float64)
 
 
@@ -118,18 +121,18 @@ def _edges_of_points(frame: Frame) -> Float64[np.ndarray, "n 2"]:
         return np.zeros((0, 2))
     places = px * [1.0, ROW_SPREAD]
     _, neighbours = cKDTree(places).query(places, k=NEIGHBOURS + 1, distance_upper_bound=REACH_PX)
-    # who has too few neighbours gets the number of points in their place
+    # missing neighbours have the index len(px), where -inf is appended
     farthest_m = np.append(z_m, -np.inf)[neighbours].max(axis=1)
     return px[farthest_m - z_m > STEP_LIDAR[0] + STEP_LIDAR[1] * z_m]
 
 
 def edge_strength(rgb: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """How much of an edge each pixel of an image is, beside its surroundings."""
+    """Returns the edge strength of each pixel of an image, relative to its surroundings."""
     import cv2
 
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
     gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    # leaves must not outshine the outline of a car
+    # normalised, so that foliage does not outweigh the outline of a car
     local = np.minimum(gradient / (cv2.GaussianBlur(gradient, (0, 0), 15.0) + 10.0), 3.0)
     return np.asarray(cv2.GaussianBlur(local, (0, 0), 2.0), np.float32)
 
@@ -137,7 +140,7 @@ def edge_strength(rgb: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]
 def _fit(
     camera: Camera, px: Float[np.ndarray, "n 2"], strength: Float32[np.ndarray, "h w"]
 ) -> Float64[np.ndarray, "k"]:
-    """The mean strength of the image's edges under the depth's, for each turn."""
+    """Returns the mean strength of the image's edges at the depth edges, for each rotation."""
     from scipy.spatial.transform import Rotation
 
     height, width = strength.shape
@@ -146,10 +149,10 @@ def _fit(
     rotations = Rotation.from_rotvec(turns_deg(), degrees=True).as_matrix()
     average, scores = float(strength.mean()), np.empty(len(rotations))
     for number, R in enumerate(rotations):
-        # what cannot be projected is NaN, and compares as false
+        # pixels that cannot be projected are NaN and compare as false
         u, v = np.rint(project(camera, rays @ R.T)).T
         inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        # what a turn moves off the image tells nothing
+        # a rotation that moves half of the edges off the image gets a neutral score
         scores[number] = (
             strength[v[inside].astype(np.int64), u[inside].astype(np.int64)].mean() if inside.mean() > 0.5 else average
         )
@@ -165,5 +168,5 @@ def _none() -> int:
 
 
 def _step_of_roll(a: Float64[np.ndarray, "3"], b: Float64[np.ndarray, "3"]) -> float:
-    """Rolls are tried in larger steps: one step apart is no disagreement."""
+    """Returns 1 degree of tolerance if the rolls differ, because rolls are tested in steps of 1 degree."""
     return 1.0 if a[2] != b[2] else 0.0

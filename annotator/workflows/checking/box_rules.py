@@ -1,6 +1,6 @@
-"""Rules about the boxes of one frame and the one before, without files: what looks wrong by its geometry alone.
+"""Rules about the geometry of the boxes of one frame and of the frame before.
 
-Each yields the place of an offending box in its list, with a message for a person.
+Each rule yields the index of an offending box in its list, with a message.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from jaxtyping import Float64
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.types import Label, Truth
 
-# How far a side may be from the median of its class, and how many typical deviations where a class varies by itself.
+# Factor by which a side may differ from the median of its class.
 SIZE_FACTOR = 1.6
-# The same within one object's track.
+# The same within one track.
 TRACK_SIZE_FACTOR = 1.35
+# A class with varying sizes is allowed this many of its own standard deviations.
 SIZE_DEVIATIONS = 5.0
-# Median absolute deviation to standard deviation, of a normal distribution.
+# Median absolute deviation to standard deviation, for a normal distribution.
 DEVIATION_OF_MAD = 1.4826
 LEAST_FOR_MEDIAN = 5
 HEADING_JUMP_RAD = float(np.deg2rad(60))
@@ -33,30 +34,30 @@ Place = tuple[int, str]
 
 @dataclass(frozen=True, eq=False)
 class UsualSize:
-    """How large the boxes of a class are.
+    """The usual size of the boxes of a class or track.
 
     Attributes:
         median_m: longer and shorter side on the ground, height.
-        factor: by how much each of them may differ.
+        factor: factor by which each of them may differ.
     """
 
     median_m: Float64[np.ndarray, "3"]
     factor: Float64[np.ndarray, "3"]
 
     def odd(self, size_m: Float64[np.ndarray, "3"]) -> bool:
-        """True for a size that differs by more; length and width may be exchanged."""
+        """True for a size that differs by more than `factor`; length and width may be swapped."""
         return bool((np.abs(np.log(_sides(size_m) / self.median_m)) > np.log(self.factor)).any())
 
 
 def usual_sizes(
     sizes: Iterable[tuple[str, Float64[np.ndarray, "3"]]], least_factor: float = SIZE_FACTOR
 ) -> dict[str, UsualSize]:
-    """The usual size of each class (or object) of which there are at least `LEAST_FOR_MEDIAN` boxes.
+    """Returns the usual size of each class (or track) with at least `LEAST_FOR_MEDIAN` boxes.
 
-    One whose sizes vary by themselves, such as tables, is allowed `SIZE_DEVIATIONS` of its own deviations.
+    A class with varying sizes, such as tables, is allowed `SIZE_DEVIATIONS` of its own standard deviations.
 
     Args:
-        least_factor: what every side may differ by in any case.
+        least_factor: factor that is always allowed.
     """
     by_class: dict[str, list[np.ndarray]] = defaultdict(list)
     for name, size_m in sizes:
@@ -72,11 +73,11 @@ def _usual(sides: Float64[np.ndarray, "n 3"], least_factor: float) -> UsualSize:
 
 
 def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[Place]:
-    """Boxes whose size is far from the usual one of their class."""
+    """Yields boxes whose size is far from the usual size of their class."""
     for number, each in enumerate(boxes):
-        known = usual.get(each.label)
-        if known is not None and known.odd(each.box.size_m):
-            yield number, odd_size_message(each.label, each.box.size_m, known)
+        of_class = usual.get(each.label)
+        if of_class is not None and of_class.odd(each.box.size_m):
+            yield number, odd_size_message(each.label, each.box.size_m, of_class)
 
 
 def odd_size_message(label: str, size_m: Float64[np.ndarray, "3"], usual: UsualSize) -> str:
@@ -88,12 +89,12 @@ def size_text(size_m: Float64[np.ndarray, "3"]) -> str:
 
 
 def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -> Iterator[Place]:
-    """Boxes that have turned by more than `HEADING_JUMP_RAD` since the frame before.
+    """Yields boxes that have turned by more than `HEADING_JUMP_RAD` since the frame before.
 
     Args:
-        earlier: the boxes of the frame before. A box is followed by its track, else to the nearest of its class
-            within its own length.
-        tracked_only: follow tracks only, where frames may not follow each other in time.
+        earlier: the boxes of the frame before. A box is matched by its track id, else with the nearest box of its
+            class within its own length.
+        tracked_only: match by track id only, for frames that may not be consecutive in time.
     """
     for number, each in enumerate(boxes):
         other = _predecessor(each, earlier, tracked_only)
@@ -106,7 +107,7 @@ def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -
 
 
 def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]:
-    """Pairs of boxes, the earlier one first, whose exact 3D IoU is at least `least_iou`, with the IoU."""
+    """Yields the pairs of boxes with an exact 3D IoU of at least `least_iou`, and the IoU; lower index first."""
     parts = [each.box for each in boxes]
     matrix = np.triu(iou_3d_matrix(parts, parts), 1) if len(parts) > 1 else np.zeros((0, 0))
     for first, second in np.argwhere(matrix >= least_iou).tolist():
@@ -114,7 +115,7 @@ def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]
 
 
 def few_points_message(label: str, count: int) -> str:
-    """Of a box with fewer than `LEAST_POINTS` points."""
+    """Returns the message for a box with fewer than `LEAST_POINTS` points."""
     return f"{count} points lie in the box of this {label}"
 
 
@@ -135,5 +136,5 @@ def _predecessor(each: Label | Truth, earlier: Boxes, tracked_only: bool) -> Lab
     if not near or min(near)[0] > reach:
         return None
     nearest = same[min(near)[1]]
-    # two known tracks that differ are two objects
+    # different track ids mean different objects
     return nearest if nearest.track_id is None or each.track_id is None else None

@@ -1,4 +1,4 @@
-"""Rules about one frame's camera and cloud: is this a camera, and is this the cloud that it sees?"""
+"""Rules about one frame's camera, and about whether its cloud fits the camera."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from annotator.workflows.checking.rules import (
     Rule,
 )
 
-# Focal length as a multiple of the image's width: fields of view from 150 to 2 degrees.
+# Focal length in image widths: fields of view from 150 to 2 degrees.
 FOCAL_LENGTHS = (0.13, 30.0)
-# Pixels are square, or were binned in one direction.
+# Ratio of the focal lengths: pixels are square, or binned in one direction.
 MOST_ASPECT = 2.0
-# Where the principal point may be, as a share of the image: images that were cropped have it far from the middle.
+# Range of the principal point as a fraction of the image size; cropped images have it far from the middle.
 PRINCIPAL_POINT = (0.2, 0.8)
-# The median distance of a cloud's points, metres.
+# Range of the median distance of a cloud's points, metres.
 DISTANCES_M = (0.05, 300.0)
 SAMPLE = 5000
 MOST_OFF_PIXEL_PX = 1.0
-# A camera of depth sees what is on its image, but for the border.
+# Nearly all points of a depth camera are on its image, except at the border.
 LEAST_ON_IMAGE, BORDER_PX = 0.9, 3.0
 CELL_PX = 16
 LEAST_COVERED = 0.02
@@ -37,7 +37,7 @@ Breach = tuple[Rule, str]
 
 
 def camera_rules(camera: Camera) -> Iterator[Breach]:
-    """What no camera of these images can be."""
+    """Yields what is implausible about a camera for its image size."""
     size = f"for images of {camera.width_px} x {camera.height_px} px"
     shares = camera.fx / camera.width_px, camera.fy / camera.width_px
     low, high = FOCAL_LENGTHS
@@ -46,14 +46,17 @@ def camera_rules(camera: Camera) -> Iterator[Breach]:
         yield IMPOSSIBLE_CAMERA, f"focal lengths {camera.fx:g} and {camera.fy:g} px {size}"
     middle = np.array([camera.cx / camera.width_px, camera.cy / camera.height_px])
     if (middle < PRINCIPAL_POINT[0]).any() or (middle > PRINCIPAL_POINT[1]).any():
-        yield CAMERA_OF_OTHER_SIZE, f"the principal point is ({camera.cx:g}, {camera.cy:g}) {size}; was it for others?"
+        yield (
+            CAMERA_OF_OTHER_SIZE,
+            f"the principal point is ({camera.cx:g}, {camera.cy:g}) {size}; is it the camera of another image size?",
+        )
 
 
 def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[Breach]:
-    """What the cloud of this camera cannot be.
+    """Yields what is implausible about a frame's cloud.
 
     Args:
-        of_depth_camera: its points all come from pixels of the image.
+        of_depth_camera: all points come from pixels of the image.
     """
     xyz_m = frame.cloud.xyz_m
     distance_m = float(np.median(np.linalg.norm(xyz_m, axis=1)))
@@ -68,10 +71,10 @@ def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[Breach]:
         if typical > MOST_OFF_PIXEL_PX:
             yield CLOUD_OFF_DEPTH, f"points project {typical:.1f} px away from their own pixels"
     size = np.array([frame.camera.width_px, frame.camera.height_px])
-    # comparisons with NaN are false: what is behind the camera is not on the image
+    # points behind the camera are NaN and compare as false
     on_image = ((px >= -BORDER_PX) & (px <= size + BORDER_PX)).all(axis=1)
     if of_depth_camera and on_image.mean() < LEAST_ON_IMAGE:
-        yield CLOUD_OFF_IMAGE, f"{1 - on_image.mean():.0%} of the points of this depth camera fall beside its image"
+        yield CLOUD_OFF_IMAGE, f"{1 - on_image.mean():.0%} of the points of this depth camera are outside its image"
     elif frame.depth_m is None:
         cells = np.unique(np.floor(px[on_image] / CELL_PX).clip(0).astype(np.int64), axis=0)
         covered = len(cells) / np.prod(np.ceil(size / CELL_PX))

@@ -1,4 +1,4 @@
-"""`annotator check PATH`: everything that is wrong with the datasets at a path."""
+"""`annotator check PATH`: checks the datasets at a path."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pydantic import BaseModel, ConfigDict
 from annotator.types.errors import FormatError
 from annotator.workflows.checking.dataset_check import DatasetCheck, DatasetFacts, Progress
 from annotator.workflows.checking.findings import Finding, Findings
-from annotator.workflows.checking.foreign import ForeignDataset
+from annotator.workflows.checking.other_software import OtherSoftwareDataset
 from annotator.workflows.checking.rules import BROKEN_LABEL, UNCHECKED_DATASET, UNREADABLE_DATASET, Severity
 from annotator.workflows.checking.sources import find_sources
 
 
 class DatasetReport(BaseModel):
-    """The findings by file and line, and how many there are of each severity, those that are only counted included."""
+    """The findings by file and line, and the number of each severity, including those that are only counted."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -28,7 +28,7 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
     """Checks every dataset at or below a path.
 
     Args:
-        progress: called with (frames looked at, frames of this dataset).
+        progress: called with (frames checked, frames of this dataset).
 
     Raises:
         RecordingError: there is no dataset.
@@ -37,25 +37,25 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
     for source in find_sources(path):
         if isinstance(source, tuple):
             findings.add_error(UNREADABLE_DATASET, source[1], source[0])
-        elif isinstance(source, ForeignDataset):
-            facts += _read_foreign(source, findings)
+        elif isinstance(source, OtherSoftwareDataset):
+            facts += _read_other_software(source, findings)
         else:
             facts.append(DatasetCheck(source, findings).run(progress))
     return DatasetReport(datasets=tuple(facts), findings=findings.all(), counts=findings.counts())
 
 
-def _read_foreign(dataset: ForeignDataset, findings: Findings) -> list[DatasetFacts]:
-    """What a dataset of other software holds; nothing is said of its size where a part of it cannot be read."""
+def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:
+    """Reads a dataset of other software; returns no facts if a part of it cannot be read."""
     frames = labels = faults = 0
 
-    def tell(fault: FormatError) -> None:
+    def on_fault(fault: FormatError) -> None:
         nonlocal faults
         findings.add_error(BROKEN_LABEL, fault, dataset.path)
         faults += 1
 
-    for part in dataset.parts(tell):
+    for part in dataset.parts(on_fault):
         frames, labels = frames + part[0], labels + part[1]
     if faults:
         return []
-    findings.add(UNCHECKED_DATASET, dataset.path, f"{dataset.format}: read, but their boxes are not looked at")
+    findings.add(UNCHECKED_DATASET, dataset.path, f"{dataset.format}: read, but their boxes are not checked")
     return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]

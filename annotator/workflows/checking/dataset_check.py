@@ -1,7 +1,7 @@
-"""The check of one dataset, frame by frame, and then of all its frames together.
+"""Checks one dataset, frame by frame, and then all frames together.
 
-Frames are read one at a time, and one that cannot be read stops nothing. What grows with the dataset are the sizes of
-its labels, for their medians.
+Frames are read one at a time; after an unreadable frame the check continues. Only the sizes of all labels are kept in
+memory, for their medians.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from annotator.workflows.checking.findings import Findings
 from annotator.workflows.checking.label_files import FoundLabel
 from annotator.workflows.checking.label_rules import (
     Breach,
-    is_in_this_world,
+    is_plausible,
     rules_among_labels,
     rules_in_frame,
     rules_of_labels,
 )
 from annotator.workflows.checking.rules import Rule
 from annotator.workflows.checking.sources import RecordingSource, Source
-from annotator.workflows.checking.strays import stray_names
-from annotator.workflows.truth import has_masks, load_mask
+from annotator.workflows.checking.unmatched_names import stray_names
+from annotator.workflows.recorded.reading import has_masks, load_mask
 
 CALIBRATION_FOLDERS, CALIBRATION_NAMES = ("calib", "extrinsics"), ("calib", "camera_", "intrinsics")
-# From so many boxes on, a fault of more than half of them is the dataset's.
+# With at least this many boxes, a fault of more than half of them is reported for the dataset.
 LEAST_BOXES = 6
 
 Progress = Callable[[int, int], None]
 
 
 class DatasetFacts(BaseModel):
-    """A dataset that was checked."""
+    """A checked dataset."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -56,7 +56,7 @@ class DatasetFacts(BaseModel):
 
 
 class _Sized(NamedTuple):
-    """What is kept of a label until all are known."""
+    """The size and place of a label, kept until all labels are read."""
 
     label: str
     size_m: np.ndarray
@@ -67,7 +67,7 @@ class _Sized(NamedTuple):
 
 @dataclass
 class DatasetCheck:
-    """Checks one dataset; the fields without a default are what it needs, the others what it must remember."""
+    """Checks one dataset; fields without a default are the arguments, the others are its state."""
 
     source: Source
     findings: Findings
@@ -81,10 +81,10 @@ class DatasetCheck:
     time_ns: int | None = None
 
     def run(self, progress: Progress | None) -> DatasetFacts:
-        """Looks at everything; what is wrong goes to `findings`.
+        """Checks everything and adds what is wrong to `findings`.
 
         Args:
-            progress: called with (frames looked at, frames).
+            progress: called with (frames checked, frames).
         """
         keys = self.source.keys
         chosen = set(np.linspace(0, len(keys) - 1, min(len(keys), FRAMES)).astype(int).tolist())
@@ -111,8 +111,8 @@ class DatasetCheck:
             file = getattr(error, "path", self.source.path)
             self.findings.add_error(_rule_of_file(file), error, self.source.path, frame=key)
         except Exception as error:
-            # whatever is in one file, the others are still looked at
-            message = f"frame {key}: {type(error).__name__}: {error}; this is a fault of annotator's reader"
+            # a bug of a reader in one frame must not stop the check of the others
+            message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"
             self.findings.add(rules.UNREADABLE_FILE, self.source.path, message, frame=key)
         return None
 
@@ -141,23 +141,23 @@ class DatasetCheck:
         files = self.source.labels
         if files is None:
             return
-        found = files.of(index, key, frame)
-        if found.missing is not None:
-            self.findings.add(rules.MISSING_LABELS, found.missing, f"frame {key} has no label file", frame=key)
-        for error in found.problems:
+        labels = files.of(index, key, frame)
+        if labels.missing is not None:
+            self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
+        for error in labels.problems:
             self.findings.add_error(rules.BROKEN_LABEL, error, self.source.path, frame=key)
-        # two rounds: boxes that are no boxes would break the geometry of the second
-        self._note(key, found.objects, rules_of_labels(found.objects))
-        objects = [each for each in found.objects if is_in_this_world(each)]
-        kept = [each for each in objects if not each.rejected]
-        self._note(key, kept, rules_among_labels(kept))
+        # in two steps: the geometry of the second cannot handle implausible boxes
+        self._note(key, labels.objects, rules_of_labels(labels.objects))
+        objects = [each for each in labels.objects if is_plausible(each)]
+        valid = [each for each in objects if not each.rejected]
+        self._note(key, valid, rules_among_labels(valid))
         if frame is not None:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
             self._note(key, objects, rules_in_frame(frame, objects))
-            self._note(key, kept, self._since_before(index, kept))
-        self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in found.objects]
-        self.wrong_files += bool(found.problems) or found.missing is not None
+            self._note(key, valid, self._since_before(index, valid))
+        self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in labels.objects]
+        self.wrong_files += bool(labels.problems) or labels.missing is not None
 
     def _note(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
         for rule, number, message in breaches:
@@ -166,7 +166,7 @@ class DatasetCheck:
 
     def _since_before(self, index: int, labels: Sequence[FoundLabel]) -> Iterator[Breach]:
         place = None
-        with suppress(AnnotatorError):  # a frame's file that is broken was told
+        with suppress(AnnotatorError):  # a broken file was reported when the frame was read
             place = self.source.place(index)
         before, self.before = self.before, None if place is None else (place, labels)
         if before is None or place is None or before[0] != (place[0], place[1] - 1):
@@ -177,9 +177,10 @@ class DatasetCheck:
                 yield rules.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
-            known = classes.get(truth.track_id, truth.label)
-            if truth.track_id is not None and known != truth.label:
-                yield rules.TRACK_CLASS, number, f"track {truth.track_id} is a {truth.label} now and was a {known}"
+            earlier_class = classes.get(truth.track_id, truth.label)
+            if truth.track_id is not None and earlier_class != truth.label:
+                message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the frame before"
+                yield rules.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
         files = self.source.labels
@@ -191,7 +192,7 @@ class DatasetCheck:
             try:
                 for file, line, name in strays:
                     self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
-            except FormatError as error:  # a list that is no text
+            except FormatError as error:  # a list that is not text
                 self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
 
     def _whole_dataset(self) -> None:
@@ -208,20 +209,20 @@ class DatasetCheck:
                 rules.BOXES_OFF_CLOUD,
                 rules.EMPTY_BOX,
                 self.seen,
-                "boxes hold no point; do labels, clouds and calibration belong together?",
+                "boxes contain no point; check that labels, clouds and calibration belong together",
             ),
             (
                 rules.BOXES_OFF_IMAGE,
                 rules.IMAGE_BOX_OFF,
                 self.with_row,
-                "2D boxes are off their 3D boxes; is it the right calibration?",
+                "2D boxes do not match their 3D boxes; check that it is the right calibration",
             ),
         ):
             if among >= LEAST_BOXES and self.faults[kind] * 2 > among:
                 self.findings.add(rule, path, f"{self.faults[kind]} of {among} {message}")
         announced = self.source.announced
         if announced is not None and announced != len(self.sizes) and not self.wrong_files:
-            message = f"says that there are {announced} objects, and there are {len(self.sizes)}"
+            message = f"declares {announced} objects, but there are {len(self.sizes)}"
             self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
@@ -229,7 +230,7 @@ class DatasetCheck:
 
 
 def _rule_of_file(file: Path) -> Rule:
-    """What it means that a file of a frame cannot be read."""
+    """Returns the rule that an unreadable file of a frame breaks."""
     if not file.exists():
         return rules.MISSING_FILE
     if file.parent.name in CALIBRATION_FOLDERS or file.name.startswith(CALIBRATION_NAMES):
@@ -238,7 +239,7 @@ def _rule_of_file(file: Path) -> Rule:
 
 
 def _spellings(names: set[str]) -> Iterator[list[str]]:
-    """Groups of class names that are one word, written in different ways."""
+    """Returns the groups of class names that differ only in case, blanks, `-` or `_`."""
     groups: dict[str, list[str]] = {}
     for name in sorted(names):
         groups.setdefault("".join(c for c in name.casefold() if c not in " -_"), []).append(name)

@@ -1,4 +1,4 @@
-"""What a check has found, collected so that a file of a million faults does not fill the memory."""
+"""Collects the findings of a check, with limited memory for files with very many faults."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from annotator.types.errors import AnnotatorError
 from annotator.workflows.checking.rules import Rule, Severity
 
 MOST_A_FILE = 20
-# About 20 MB; what comes again after so many different findings counts again.
+# About 20 MB; beyond this number of different findings, repeated ones are counted again.
 MOST_KNOWN = 200_000
 
 
@@ -19,9 +19,9 @@ class Finding(BaseModel):
     """One finding.
 
     Attributes:
-        file: the file (or folder) that it is about, below the path that was checked.
-        line: 1-based, where the file has lines.
-        frame: key of the frame, where it is about one.
+        file: the file (or folder) with the problem.
+        line: 1-based line number; None if the file has no lines.
+        frame: key of the frame; None for a whole dataset.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -40,17 +40,17 @@ class Finding(BaseModel):
 
 
 class Findings:
-    """Collects findings; the same one twice counts once, and of a rule `MOST_A_FILE` a file are kept in full."""
+    """Collects findings: equal ones count once, and `MOST_A_FILE` per rule and file are kept in full."""
 
     def __init__(self) -> None:
-        self._found: list[Finding] = []
-        # hashes, since the messages of those that are not kept would fill the memory
+        self._findings: list[Finding] = []
+        # hashes of all findings, which need less memory than their messages
         self._seen: set[int] = set()
         self._counts: Counter[tuple[Rule, str]] = Counter()
 
     def add(self, rule: Rule, file: Path, message: str, *, line: int | None = None, frame: str | None = None) -> None:
-        """Notes a breach of a rule."""
-        # without the frame: a file that many frames share is faulty once
+        """Adds a breach of a rule."""
+        # without the frame: a shared file is faulty once, not once per frame
         same = hash((rule, str(file), line, message))
         if same in self._seen:
             return
@@ -58,10 +58,10 @@ class Findings:
             self._seen.add(same)
         self._counts[rule, str(file)] += 1
         if self._counts[rule, str(file)] <= MOST_A_FILE:
-            self._found.append(_finding(rule, str(file), message, line, frame))
+            self._findings.append(_finding(rule, str(file), message, line, frame))
 
     def add_error(self, rule: Rule, error: AnnotatorError, file: Path, *, frame: str | None = None) -> None:
-        """Notes an error that says file and line by itself; `file` is for one that does not."""
+        """Adds an error with its own file and line; `file` is used if it has none."""
         named = getattr(error, "path", None)
         place = named if isinstance(named, Path) else file
         line = getattr(error, "line", None)
@@ -70,20 +70,20 @@ class Findings:
         self.add(rule, place, message, line=line, frame=frame)
 
     def counts(self) -> dict[Severity, int]:
-        """How many breaches of each severity were found, those that are not kept included."""
+        """Returns the number of breaches of each severity, including those that are not kept."""
         return {
             each: sum(count for (rule, _), count in self._counts.items() if rule.severity is each) for each in Severity
         }
 
     def all(self) -> tuple[Finding, ...]:
-        """All that was found, by file and line; what was not kept of a file is counted in a last row."""
+        """Returns all findings by file and line; the last row of a file counts those that are not kept."""
         more = [
             _finding(rule, file, f"and {count - MOST_A_FILE} more like this in this file", None, None)
             for (rule, file), count in self._counts.items()
             if count > MOST_A_FILE
         ]
-        # sorting keeps the order of what is equal, so that the counts come last
-        return tuple(sorted([*self._found, *more], key=lambda f: (f.file, f.line is None, f.line or 0)))
+        # sorting is stable, so the counts come last
+        return tuple(sorted([*self._findings, *more], key=lambda f: (f.file, f.line is None, f.line or 0)))
 
 
 def _finding(rule: Rule, file: str, message: str, line: int | None, frame: str | None) -> Finding:

@@ -1,6 +1,6 @@
-"""The labels of a dataset, row by row: a row that is wrong is told, and the others are still read.
+"""Reads the labels of a dataset row by row: wrong rows are reported, the others are still read.
 
-`workflows.truth` reads the same files for everybody else, and refuses a file with one wrong row.
+`workflows.recorded.reading` reads the same files for all other uses and refuses a file with a wrong row.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from typing import Protocol, runtime_checkable
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.boxes_json import entry_truth, read_entries
-from annotator.formats.kitti import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
-from annotator.formats.sunrgbd_labels import extracted_truth
+from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
+from annotator.formats.sunrgbd.labels import extracted_truth
 from annotator.formats.text_folder import text_rows
 from annotator.recordings import Recording
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
-from annotator.workflows.truth import label_file, load_truth
+from annotator.workflows.recorded.reading import label_file, load_truth
 
 
 @dataclass(frozen=True, eq=False)
 class FoundLabel:
-    """One object and where it stands.
+    """One object and its place in a file.
 
     Attributes:
-        truth: in the camera frame (in the labels' own where the frame could not be read).
-        line: of its row, where the format has lines.
-        row: as KITTI writes it, where it does.
-        rejected: somebody has looked at it and it is no object; it may lie on another.
+        truth: in the camera frame (in the labels' own frame if the frame could not be read).
+        line: line of its row; None for formats without lines.
+        row: its KITTI row; None for other formats.
+        rejected: rejected in review; it may overlap other objects.
     """
 
     truth: Truth
@@ -43,7 +43,7 @@ class FoundLabel:
 
 @dataclass(frozen=True, eq=False)
 class FrameLabels:
-    """The objects of a frame in file order, and what was wrong with others; `missing`: there should be a file."""
+    """The objects of a frame in file order, the problems of others, and the label file if it is missing."""
 
     objects: tuple[FoundLabel, ...] = ()
     problems: tuple[AnnotatorError, ...] = ()
@@ -55,13 +55,13 @@ class LabelFiles(Protocol):
     """The label files of a dataset."""
 
     def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        """The labels of a frame; `frame` None = it could not be read, and what its labels need of it is not known."""
+        """Returns the labels of a frame; `frame` is None if it could not be read."""
 
     def problems(self) -> Sequence[AnnotatorError]:
-        """What is wrong with files of the whole dataset, and labels of frames that are not there."""
+        """Returns the problems of label files of the whole dataset."""
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        """File, line and name of labels whose frames are not there; FormatError: a list of frames cannot be read."""
+        """Yields file, line and name of labels of missing frames; FormatError: a list of frames cannot be read."""
 
 
 RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | None]
@@ -69,7 +69,7 @@ RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel |
 
 @dataclass(frozen=True)
 class RowFiles:
-    """A text file a frame, a row an object."""
+    """One text file per frame, one row per object."""
 
     recording: Recording
     folder: Path
@@ -87,12 +87,12 @@ class RowFiles:
         T = None if frame is None else frame.T_camera_label
         for line, fields in rows:
             try:
-                found = self.parse(fields, T, path, line)
+                label = self.parse(fields, T, path, line)
             except FormatError as error:
                 problems.append(error)
             else:
-                if found is not None:
-                    objects.append(found)
+                if label is not None:
+                    objects.append(label)
         return FrameLabels(tuple(objects), tuple(problems))
 
     def problems(self) -> Sequence[AnnotatorError]:
@@ -107,7 +107,7 @@ class RowFiles:
 
 @dataclass(frozen=True)
 class TrackingFile:
-    """KITTI's `label_02.txt`: all frames in one file, kept while the check lasts."""
+    """KITTI's `label_02.txt`: all frames in one file, kept in memory during the check."""
 
     recording: Recording
     path: Path
@@ -134,9 +134,9 @@ class TrackingFile:
 
     def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
         if not key.isdecimal():
-            return FrameLabels(problems=(FormatError(self.path, f"counts frames by number, and {key!r} is none"),))
-        found = self.rows.get(int(key), ())
-        return FrameLabels(tuple(_moved(each, frame) for each in found))
+            return FrameLabels(problems=(FormatError(self.path, f"frames must have numbers as names, not {key!r}"),))
+        labels = self.rows.get(int(key), ())
+        return FrameLabels(tuple(_in_camera_frame(each, frame) for each in labels))
 
     def problems(self) -> Sequence[AnnotatorError]:
         return self.wrong
@@ -150,7 +150,7 @@ class TrackingFile:
 
 @dataclass(frozen=True)
 class BoxesFile:
-    """`boxes.json`: all frames in one file, kept while the check lasts."""
+    """`boxes.json`: all frames in one file, kept in memory during the check."""
 
     recording: Recording
     path: Path
@@ -184,7 +184,7 @@ class BoxesFile:
 
 @dataclass(frozen=True)
 class WholeFiles:
-    """Labels of any other format, as everybody else reads them: one wrong object is the whole file's fault."""
+    """Labels of any other format, read file by file: a wrong object is reported for the whole file."""
 
     recording: Recording
 
@@ -208,8 +208,8 @@ class WholeFiles:
 
 
 def label_files(recording: Recording) -> LabelFiles | None:
-    """The label files of a recording, or None where it has none of its own."""
-    file = next((found for key in recording.keys[:1] if (found := label_file(recording, key))), None)
+    """Returns the label files of a recording; None if it has none."""
+    file = label_file(recording, recording.keys[0]) if recording.keys else None
     if file is None:
         return None
     if recording.format == "kitti_object":
@@ -232,9 +232,9 @@ def _extracted_row(fields: list[str], T: RigidTransform | None, path: Path, line
     return FoundLabel(extracted_truth(fields, T, path, line), path, line)
 
 
-def _moved(found: FoundLabel, frame: Frame | None) -> FoundLabel:
-    """The label in the camera frame."""
+def _in_camera_frame(label: FoundLabel, frame: Frame | None) -> FoundLabel:
+    """Returns the label in the camera frame."""
     T = None if frame is None else frame.T_camera_label
     if T is None:
-        return found
-    return replace(found, truth=replace(found.truth, box=found.truth.box.transformed(T)))
+        return label
+    return replace(label, truth=replace(label.truth, box=label.truth.box.transformed(T)))

@@ -1,4 +1,4 @@
-"""Rules about one frame's labels: sizes, places, points, and what KITTI's rows say twice."""
+"""Rules about one frame's labels: sizes, places, points, and the redundant fields of KITTI's rows."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from annotator.formats.kitti import KittiLabel, label_box
-from annotator.formats.kitti_derived import NEAR_M, derived_box, observation_angle
+from annotator.formats.kitti.box_rows import NEAR_M, derived_box, observation_angle
+from annotator.formats.kitti.label_files import KittiLabel, label_box
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.point_index import PointIndex
@@ -40,38 +40,38 @@ MOST_ALPHA_OFF_RAD = 0.3
 UNKNOWN_ALPHA = -10.0
 TRUNCATED = (-1.0, 2.0)
 OCCLUDED = range(-1, 4)
-# A box on the image thinner than this is not on it.
+# Minimum side of a projected box; a thinner one counts as outside the image.
 LEAST_SEEN_PX = 1e-3
 
 Breach = tuple[Rule, int, str]
-"""A rule, the place of the label in its list, and a message."""
+"""A rule, the index of the label in its list, and a message."""
 
 
 def rules_of_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
-    """What each label says by itself."""
+    """Checks each label on its own."""
     for number, found in enumerate(labels):
         size_m = found.truth.box.size_m
         if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
             yield IMPOSSIBLE_SIZE, number, f"{found.truth.label} of {size_text(size_m)}"
         if np.abs(found.truth.box.center_m).max() > FARTHEST_M:
-            yield IMPOSSIBLE_PLACE, number, f"the middle of this {found.truth.label} is further than 10 km away"
+            yield IMPOSSIBLE_PLACE, number, f"the centre of this {found.truth.label} is more than 10 km away"
         if found.row is not None:
             for rule, message in _row_rules(found.row):
                 yield rule, number, message
 
 
-def is_in_this_world(found: FoundLabel) -> bool:
-    """False for a box so large or far that nothing can be computed with it."""
+def is_plausible(found: FoundLabel) -> bool:
+    """False for a box that is too large or too far away for further computations."""
     box = found.truth.box
     return bool(np.abs(box.center_m).max() <= FARTHEST_M and box.size_m.max() <= FARTHEST_M)
 
 
 def rules_among_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
-    """Boxes and tracks that are there twice."""
+    """Checks for duplicate boxes and track ids."""
     truths = [found.truth for found in labels]
     for first, second, iou in overlaps(truths, OVERLAP_IOU):
         a, b = truths[first].label, truths[second].label
-        other = f"{a} of line {labels[first].line}" if labels[first].line else f"{a} before"
+        other = f"{a} of line {labels[first].line}" if labels[first].line else f"earlier {a}"
         message = f"overlaps the {other} by {iou:.0%} (exact 3D IoU)"
         if iou >= (SAME_OBJECT_IOU if a == b else SAME_PLACE_IOU):
             yield DUPLICATE_LABEL, second, f"this {b} {message}; keep one of them"
@@ -80,28 +80,32 @@ def rules_among_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
     seen: set[int] = set()
     for number, truth in enumerate(truths):
         if truth.track_id is not None and truth.track_id in seen:
-            yield TRACK_TWICE, number, f"track {truth.track_id} is in this frame twice"
+            yield TRACK_TWICE, number, f"two objects of this frame have the track id {truth.track_id}"
         seen.update(() if truth.track_id is None else (truth.track_id,))
 
 
 def _row_rules(row: KittiLabel) -> Iterator[tuple[Rule, str]]:
     if not TRUNCATED[0] <= row.truncated <= TRUNCATED[1]:
-        yield FIELD_RANGE, f"truncated is {row.truncated:g}; it must be a share, 0 to 1 (tracking: 0, 1 or 2)"
+        yield FIELD_RANGE, f"truncated is {row.truncated:g}; it must be a fraction, 0 to 1 (tracking: 0, 1 or 2)"
     if row.occluded not in OCCLUDED:
         yield FIELD_RANGE, f"occluded is {row.occluded}; it must be 0, 1, 2 or 3"
     if row.score is not None:
-        yield FIELD_RANGE, f"a label has 15 fields; the 16th, a score ({row.score:g}), belongs in results only"
+        yield FIELD_RANGE, f"has a 16th field, a score ({row.score:g}), which only detections have; remove it"
     if row.right <= row.left or row.bottom <= row.top:
         edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
-        yield BROKEN_LABEL, f"left top right bottom must be in order, not {edges}"
-    off = math.remainder(row.alpha - observation_angle(row.rotation_y, row.x, row.z), 2 * math.pi)
+        yield BROKEN_LABEL, f"left < right and top < bottom must hold, not left top right bottom = {edges}"
+    expected = observation_angle(row.rotation_y, row.x, row.z)
+    off = math.remainder(row.alpha - expected, 2 * math.pi)
     if row.alpha != UNKNOWN_ALPHA and abs(off) > MOST_ALPHA_OFF_RAD:
-        yield ALPHA_OFF, f"alpha is {row.alpha:g}; rotation_y {row.rotation_y:g} and the place make it {off:+.2f} less"
+        yield (
+            ALPHA_OFF,
+            f"alpha is {row.alpha:g}; rotation_y {row.rotation_y:g} and the position give {expected:.2f}",
+        )
 
 
 def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breach]:
-    """Where the boxes are on the image and in the cloud."""
-    # a cloud that goes on behind the camera was labelled all around
+    """Checks the boxes against the image and the cloud."""
+    # if the cloud has points behind the camera, boxes outside the image are valid
     all_around = bool((frame.cloud.xyz_m[:, 2] <= 0).any())
     index = PointIndex.of(frame.cloud.xyz_m) if labels else None
     for number, found in enumerate(labels):
@@ -111,7 +115,7 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
                 yield BOX_BEHIND_CAMERA, number, f"this {truth.label} is behind the camera"
                 continue
             if box_on_image(frame.camera, truth.box, truth.label, LEAST_SEEN_PX) is None:
-                yield BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is beside the image"
+                yield BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is outside the image"
                 continue
         count = 0 if index is None else index.count(truth.box)
         if count < LEAST_POINTS:
@@ -129,12 +133,15 @@ def _image_box(frame: Frame, row: KittiLabel) -> Iterator[tuple[Rule, str]]:
     projected = np.array(derived.clipped)
     iou = _iou(labelled, projected)
     if iou < LEAST_IMAGE_IOU:
-        wanted = " ".join(f"{edge:.0f}" for edge in projected)
-        yield IMAGE_BOX_OFF, f"the 2D box of this {row.label} is off its 3D box, at {wanted} (IoU {iou:.2f})"
+        edges = " ".join(f"{edge:.0f}" for edge in projected)
+        yield (
+            IMAGE_BOX_OFF,
+            f"the 2D box of this {row.label} is not where its 3D box projects to: {edges} (IoU {iou:.2f})",
+        )
 
 
 def _iou(a: np.ndarray, b: np.ndarray) -> float:
-    """Of two boxes on an image, left top right bottom."""
+    """Returns the IoU of two boxes on an image, left top right bottom."""
     shared = np.prod(np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None))
     both = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
     return float(shared / both) if both > 0 else 0.0

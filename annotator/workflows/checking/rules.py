@@ -1,6 +1,6 @@
-"""The rules that a dataset is checked by; `docs/checks.md` has the same table for people.
+"""The rules of the dataset check; `docs/checks.md` has the same table.
 
-Ids are stable: programs may rely on them. One rule has one severity.
+Ids and severities are stable: programs may rely on them.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 
 class Severity(StrEnum):
-    """How bad a finding is.
+    """The severity of a finding.
 
-    ERROR: the data cannot be used as they are, or contradict themselves.
-    WARNING: looks wrong, a person should look.
+    ERROR: the data contradict themselves or cannot be used as they are.
+    WARNING: looks wrong; a person should look.
     NOTE: worth knowing.
     """
 
@@ -23,7 +23,7 @@ class Severity(StrEnum):
 
 
 class Rule(NamedTuple):
-    """A rule: its id, how bad a breach is, and what is found."""
+    """A rule: id, severity of a breach, and what it finds."""
 
     id: str
     severity: Severity
@@ -51,56 +51,58 @@ def _note(rule_id: str, meaning: str) -> Rule:
 
 
 # Files
-UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset and cannot be opened")
+UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset but cannot be opened")
 MISSING_FILE = _error("missing-file", "a frame lacks one of its files, such as an image without its cloud")
 UNREADABLE_FILE = _error("unreadable-file", "a frame's file is damaged, or has another size than those beside it")
 UNREADABLE_CALIBRATION = _error(
-    "unreadable-calibration", "a calibration lacks a matrix, or holds no camera or no rotation"
+    "unreadable-calibration", "a calibration lacks a matrix, or has an invalid camera matrix or rotation"
 )
 UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing, damaged or of another size than its image")
-MISSING_LABELS = _error("missing-labels", "a frame has no label file, and others of its dataset have one")
+MISSING_LABELS = _error("missing-labels", "a frame has no label file, but others of its dataset have one")
 STRAY_FILE = _error(
     "stray-file",
-    "labels or a calibration of a frame that is not there, or its name in `ImageSets/`, `*_data_idx.txt`, `splits/`",
+    "a missing frame has labels or a calibration, or is listed in `ImageSets/`, `*_data_idx.txt`, `splits/`",
 )
-MANIFEST_MISMATCH = _error("manifest-mismatch", "a dataset's manifest counts other than there is")
+MANIFEST_MISMATCH = _error("manifest-mismatch", "the counts in a dataset's manifest are wrong")
 
 UNCHECKED_DATASET = _note(
     "unchecked-dataset",
-    "labels that are read, and their boxes not looked at (nuScenes, OpenLABEL, labelCloud, COCO, YOLO)",
+    "labels were read, but their boxes not checked (nuScenes, OpenLABEL, labelCloud, COCO, YOLO)",
 )
 
 # Rows
-BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is no label")
-FIELD_RANGE = _warning(
-    "field-range", "a KITTI row's truncated or occluded is none of the format's values, or it has a score"
-)
+BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is not a valid label")
+FIELD_RANGE = _warning("field-range", "a KITTI row has an invalid value of truncated or occluded, or a score")
 CLASS_SPELLING = _warning("class-spelling", "two class names differ only in case, blanks, `-` or `_`")
-TRACK_TWICE = _error("track-twice", "two objects of a frame have one track id")
+TRACK_TWICE = _error("track-twice", "two objects of a frame have the same track id")
 TRACK_CLASS = _warning("track-class", "a track has changed its class since the frame before")
 
 # Boxes
 IMPOSSIBLE_SIZE = _error("impossible-size", "a side of a box is shorter than 5 mm or longer than 60 m")
-IMPOSSIBLE_PLACE = _error("impossible-place", "the middle of a box is further than 10 km away")
+IMPOSSIBLE_PLACE = _error("impossible-place", "the centre of a box is more than 10 km away")
 ODD_SIZE = _warning("odd-size", "a box is far from the median size of its class")
-DUPLICATE_LABEL = _error("duplicate-label", "two boxes are one: exact 3D IoU >= 0.7 (>= 0.9 for different classes)")
-BOX_OVERLAP = _warning("box-overlap", "two boxes of a class reach into each other: exact 3D IoU >= 0.3")
+DUPLICATE_LABEL = _error(
+    "duplicate-label", "two boxes are nearly the same: exact 3D IoU >= 0.7 (>= 0.9 for different classes)"
+)
+BOX_OVERLAP = _warning("box-overlap", "two boxes of a class overlap: exact 3D IoU >= 0.3")
 EMPTY_BOX = _warning("empty-box", "no point of the cloud lies in a box")
 SPARSE_BOX = _note("sparse-box", "fewer than 5 points of the cloud lie in a box")
 BOX_BEHIND_CAMERA = _error("box-behind-camera", "a box is fully behind the camera")
-BOX_OUTSIDE_IMAGE = _error("box-outside-image", "a box is in front of the camera and fully beside the image")
+BOX_OUTSIDE_IMAGE = _error("box-outside-image", "a box is in front of the camera but fully outside the image")
 HEADING_JUMP = _warning("heading-jump", "in a sequence a box has turned by more than 60 degrees in one frame")
 IMAGE_BOX_OFF = _warning("image-box-off", "KITTI: the labelled 2D box is not where the 3D box projects to (IoU < 0.4)")
-ALPHA_OFF = _warning("alpha-off", "KITTI: alpha contradicts rotation_y and the place by more than 0.3 rad")
+ALPHA_OFF = _warning(
+    "alpha-off", "KITTI: alpha differs from the value that rotation_y and the position give by more than 0.3 rad"
+)
 
 # Calibration
-IMPOSSIBLE_CAMERA = _error("impossible-camera", "focal lengths that no lens has, for images of this size")
+IMPOSSIBLE_CAMERA = _error("impossible-camera", "the focal lengths are impossible for images of this size")
 CAMERA_OF_OTHER_SIZE = _warning("camera-of-other-size", "the principal point is far from the middle of the image")
-CLOUD_SCALE = _warning("cloud-scale", "the points are so near or far that their unit can hardly be metres")
+CLOUD_SCALE = _warning("cloud-scale", "the points are so near or far that their unit is probably not metres")
 CLOUD_OFF_DEPTH = _error("cloud-off-depth", "points of a depth camera do not project onto their own pixels")
-CLOUD_OFF_IMAGE = _error("cloud-off-image", "a depth camera's points fall beside its image in mass")
-IMAGE_BARE = _warning("image-bare", "a LiDAR's points cover next to nothing of the image")
+CLOUD_OFF_IMAGE = _error("cloud-off-image", "many points of a depth camera project outside its image")
+IMAGE_BARE = _warning("image-bare", "a LiDAR's points cover almost none of the image")
 BOXES_OFF_CLOUD = _error("boxes-off-cloud", "more than half of a dataset's boxes hold no point")
-BOXES_OFF_IMAGE = _error("boxes-off-image", "KITTI: more than half of a dataset's 2D boxes are beside the 3D boxes")
+BOXES_OFF_IMAGE = _error("boxes-off-image", "KITTI: more than half of a dataset's 2D boxes do not match the 3D boxes")
 CALIBRATION_OFF = _warning("calibration-off", "edges in depth do not lie on edges of the image (4 frames or more)")
 TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later than the one before")

@@ -1,4 +1,4 @@
-"""What can be checked below a path: recordings with labels of their own, and `rcv` datasets."""
+"""Finds the datasets below a path: recordings with their own labels, and `rcv` datasets."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
 from annotator.formats.rcv.read import RcvDataset
 from annotator.recordings import Recording, open_recording
-from annotator.recordings.cloud_folder import CloudFolder
+from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
-from annotator.recordings.sunrgbd_scenes import SunRgbdScenes
+from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
-from annotator.workflows.checking.foreign import ForeignDataset, foreign_dataset
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
-from annotator.workflows.checking.strays import frame_names
+from annotator.workflows.checking.other_software import OtherSoftwareDataset, other_software_dataset
+from annotator.workflows.checking.unmatched_names import frame_names
 
 MOST_LEVELS = 4
-# Where formats keep a frame's calibration, or that of all; the first that is there.
+# Places of calibrations in the formats; the first existing file is used.
 CALIBRATIONS = (
     "calib/{key}.txt",
     "calib.txt",
@@ -37,11 +37,11 @@ class Source(Protocol):
 
     @property
     def path(self) -> Path:
-        """What was opened."""
+        """The path that was opened."""
 
     @property
     def format(self) -> str:
-        """A recording's format, or rcv."""
+        """The recording's format, or "rcv"."""
 
     @property
     def keys(self) -> Sequence[str]:
@@ -49,28 +49,28 @@ class Source(Protocol):
 
     @property
     def labels(self) -> LabelFiles | None:
-        """The label files, or None without any."""
+        """The label files; None without labels."""
 
     @property
     def has_pictures(self) -> bool:
-        """False where the images are drawn from the clouds."""
+        """False if the images are rendered from the clouds."""
 
     @property
     def announced(self) -> int | None:
-        """How many objects the dataset says that it has, where it does."""
+        """The number of objects in the dataset's manifest; None without a manifest."""
 
     def place(self, index: int) -> tuple[str, int]:
-        """The recording that a frame came from, and its number there."""
+        """Returns the original recording of a frame, and its number there."""
 
     @property
     def in_time_order(self) -> bool:
-        """True where the numbers of a recording's frames are known to be the order of time."""
+        """True if the frames' numbers are known to be in time order."""
 
     def read(self, index: int) -> Frame:
-        """A frame; any AnnotatorError where it cannot be read."""
+        """Reads a frame; raises an AnnotatorError if it cannot be read."""
 
     def calibration(self, index: int) -> Path:
-        """The file that a frame's camera comes from."""
+        """Returns the file of a frame's camera."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class RecordingSource:
 
 @dataclass(frozen=True)
 class RcvSource:
-    """An `rcv` dataset. Its frames come from several recordings, which need not be sequences."""
+    """An `rcv` dataset. Its frames may come from several recordings, which need not be sequences."""
 
     dataset: RcvDataset
     has_pictures: bool = True
@@ -187,29 +187,29 @@ class RcvLabelFiles:
                     yield file, line, name
 
 
-Found = Source | ForeignDataset | tuple[Path, AnnotatorError]
+Found = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
 
 
 def find_sources(path: Path) -> Iterator[Found]:
-    """The datasets at `path`, else those below it; or why one that looks like it cannot be opened.
+    """Yields the datasets at `path`, else those below it; a path with an error for one that cannot be opened.
 
     Raises:
         RecordingError: there is none.
     """
-    found = False
+    is_empty = True
     for source in _below(path, MOST_LEVELS):
-        found = True
+        is_empty = False
         yield source
-    if not found:
-        # says what each reader looked for
+    if is_empty:
+        # raises an error that lists what each reader looked for
         open_recording(path)
 
 
 def _below(path: Path, levels: int) -> Iterator[Found]:
-    foreign = foreign_dataset(path)
-    if foreign is not None:
-        yield foreign
-        if not foreign.is_recording:
+    dataset = other_software_dataset(path)
+    if dataset is not None:
+        yield dataset
+        if not dataset.is_recording:
             return
     try:
         yield _open(path)

@@ -1,4 +1,4 @@
-"""Labels out of a project, as a dataset in one of the formats of `table.py`."""
+"""Exports the labels of a project as a dataset in one of the formats of `table.py`."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ def export_project(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> ExportReport:
-    """Writes the chosen labels with their images and clouds to `out`; complete, or not at all.
+    """Writes the chosen labels with their images and clouds to `out`, atomically.
 
     Args:
-        split: how the dataset is divided; None = not.
-        progress: called with (frames written, frames to write); where unreadable frames are skipped, each counts twice.
+        split: how the dataset is divided into parts; None = one part.
+        progress: called with (frames written, frames to write); if unreadable frames are skipped, frames count twice.
 
     Raises:
-        ConfigError: no label (or picture) fits the filter, or the frames cannot be divided so.
-        FormatError: `out` is taken or cannot be written.
-        RecordingError: a frame that can no longer be read, if such are not skipped; or not one of them can.
+        ConfigError: no label (or image) fits the filter, or the frames cannot be divided as requested.
+        FormatError: `out` exists or cannot be written.
+        RecordingError: a frame cannot be read and such frames are not skipped, or no frame can be read.
     """
     choose, options, writer, losses = choose or ExportFilter(), options or ExportOptions(), WRITERS[format], Losses()
     states = choose.states or writer.states
@@ -59,7 +59,7 @@ def export_project(
     else:
         chosen = choose_frames(project, choose, states, split)
     if choose.skip_unreadable:
-        # both readings are work, and whoever watches may end either
+        # all frames are read twice: the progress covers both passes, and either can be cancelled
         first, progress = _halves(progress)
         chosen, unreadable = readable_frames(project, chosen, losses, first)
     if not writer.flat:
@@ -73,7 +73,7 @@ Progress = Callable[[int, int], None]
 
 
 def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:
-    """The progress of reading frames, and then of writing those that can be read."""
+    """Returns the progress functions of the first pass (reading) and the second pass (writing)."""
     if progress is None:
         return None, None
     return lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total)

@@ -1,4 +1,4 @@
-"""Which labels of a project leave, and in which parts of the dataset."""
+"""Selects the labels of a project to export, and divides their frames into parts."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from annotator.workflows.exporting.split import Split, assign
 
 @dataclass(frozen=True)
 class ExportFilter:
-    """Which labels leave.
+    """The labels to export.
 
     Attributes:
-        states: in which review states; None = those that the format takes by itself.
-        classes: None = all of the project's.
+        states: review states; None = the format's default.
+        classes: class names; None = all of the project.
         recordings: ids; None = all.
-        empty_frames: also frames without any such label, as far as they are still in their recordings.
-        skip_unreadable: leave out frames that cannot be read, where otherwise one of them ends the export.
+        empty_frames: also export frames without such a label, if they are still in their recordings.
+        skip_unreadable: leave out frames that cannot be read; otherwise such a frame ends the export with an error.
     """
 
     states: tuple[ReviewState, ...] | None = None
@@ -33,13 +33,13 @@ class ExportFilter:
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """One frame that leaves.
+    """One frame to export.
 
     Attributes:
         stored: the frame.
         recording: its recording's name.
-        labels: those of its labels that leave.
-        split: the part that it belongs to; None where the dataset is not divided.
+        labels: its labels to export.
+        split: its part of the dataset; None for a dataset without parts.
     """
 
     stored: StoredFrame
@@ -51,14 +51,14 @@ class Chosen:
 def choose_frames(
     project: Project, choose: ExportFilter, states: tuple[ReviewState, ...], split: Split | None
 ) -> list[Chosen]:
-    """The frames that leave, in the project's order.
+    """Returns the frames to export, in the project's order.
 
     Args:
-        states: those of `choose`, or the format's own.
-        split: how they are divided.
+        states: the states of `choose`, or the format's default.
+        split: how they are divided into parts.
 
     Raises:
-        ConfigError: the project has no such class, no label fits, or there are too few frames for a part.
+        ConfigError: the project has no such class, no label fits, or there are too few frames for the parts.
     """
     labels = labels_by_frame(project, choose, states)
     if not labels and not choose.empty_frames:
@@ -71,24 +71,26 @@ def choose_frames(
 def waiting_note(
     project: Project, choose: ExportFilter, states: tuple[ReviewState, ...], chosen: Sequence[Chosen]
 ) -> str | None:
-    """What to know of frames that leave as complete, while some of their objects wait for a review; None: all leave."""
+    """Returns a note about exported frames with unreviewed proposals, which are left out; None if there are none."""
     if ReviewState.PROPOSED in states:
         return None
-    leaving = {each.stored.id for each in chosen}
-    left = project.labels.select(states=[ReviewState.PROPOSED], recordings=choose.recordings, classes=choose.classes)
-    frames = [entry.frame_id for entry in left if entry.frame_id in leaving]
+    exported = {each.stored.id for each in chosen}
+    proposed = project.labels.select(
+        states=[ReviewState.PROPOSED], recordings=choose.recordings, classes=choose.classes
+    )
+    frames = [entry.frame_id for entry in proposed if entry.frame_id in exported]
     if not frames:
         return None
     return (
-        f"{len(frames)} proposals wait for a review on {len(set(frames))} of these frames, and were left out; "
-        "review them first where the labels shall be complete"
+        f"{len(frames)} unreviewed proposals on {len(set(frames))} of these frames were left out; review them first if "
+        "the labels must be complete"
     )
 
 
 def labels_by_frame(
     project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]
 ) -> dict[int, tuple[StoredLabel, ...]]:
-    """The labels that leave, by frame.
+    """Returns the labels to export, by frame id.
 
     Raises:
         ConfigError: the project has no such class.
@@ -108,10 +110,10 @@ def divided(
     labels: Mapping[int, tuple[StoredLabel, ...]],
     split: Split | None,
 ) -> list[Chosen]:
-    """These frames with their labels and parts.
+    """Returns the frames with their labels and parts.
 
     Raises:
-        ConfigError: there are too few frames for a part.
+        ConfigError: there are too few frames for the parts.
     """
     names = {recording.id: recording.name for recording in project.recordings.all()}
     places = [(names[f.recording_id], f.key) for f in frames]
@@ -123,12 +125,12 @@ def divided(
 
 
 def _nothing(project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]) -> str:
-    """Why nothing leaves, and what would."""
+    """Returns the error message for a filter that fits no label."""
     others = [state for state in (ReviewState.PROPOSED,) if state not in states]
     waiting = len(project.labels.select(states=others, recordings=choose.recordings, classes=choose.classes))
     advice = (
-        f"{waiting} are proposed and wait for a review (`annotator serve`); to export them as they are, choose the "
-        "state proposed, too"
+        f"{waiting} are proposed and not reviewed: review them (`annotator serve`), or also choose the state proposed "
+        "to export them as they are"
         if others and waiting
         else "run `annotator annotate` first, or choose other states"
     )

@@ -1,4 +1,4 @@
-"""Which pictures of a project leave in a format of 2D boxes, and with which boxes."""
+"""Selects the camera images and pseudo-views of a project to export in a format of 2D boxes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Pictures = Literal["images", "views", "both"]
 
 @dataclass(frozen=True, eq=False)
 class ChosenPictures(Chosen):
-    """The pictures of one frame that leave.
+    """The images of one frame to export.
 
     Attributes:
-        image: whether the camera image does.
-        drawn: the boxes drawn on it; the frame's labels that are not among them are projected onto it.
-        views: drawn pseudo-views of the frame.
+        image: True to export the camera image.
+        drawn: the boxes drawn on it; the frame's other labels are projected onto it.
+        views: labelled pseudo-views of the frame to export.
     """
 
     image: bool
@@ -41,35 +41,35 @@ def choose_pictures(
     pictures: Pictures,
     losses: Losses,
 ) -> list[ChosenPictures]:
-    """The frames whose pictures leave, in the project's order.
+    """Returns the frames whose images are exported, in the project's order.
 
-    A camera image leaves with the boxes drawn on it, and the outlines of those labels of the frame that are not drawn.
-    One that shows nothing is a background picture if somebody said so: drawn on, and empty, or finalised without a
-    label in any state but rejected. An image some of whose objects wait for a review, none of them drawn, would call
-    these background: it stays.
+    A camera image is exported with the boxes drawn on it, and with the outlines of the frame's other labels. An image
+    without boxes is exported as background if an operator confirmed it: its drawn boxes were saved as empty, or the
+    frame is finalised and has only rejected labels. An image with unreviewed proposals and without drawn boxes is not
+    exported, because a detector would learn to treat these objects as background.
 
     Args:
-        states: of the labels that leave.
-        losses: told of the images that stay.
+        states: review states of the labels to export.
+        losses: counts the images that are not exported.
 
     Raises:
-        ConfigError: the project has no such class, no picture fits, or there are too few frames for a part.
+        ConfigError: the project has no such class, no image fits, or there are too few frames for the parts.
     """
     labels = labels_by_frame(project, choose, states)
     images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}
     views = _views_by_frame(project, choose) if pictures != "images" else {}
-    leaving = _Images(project, choose, states, labels, images) if pictures != "views" else None
+    selection = _Images(project, choose, states, labels, images) if pictures != "views" else None
     frames: list[StoredFrame] = []
     with_image: set[int] = set()
     for frame in project.frames.of(choose.recordings):
-        if leaving is not None and leaving.leaves(frame, losses):
+        if selection is not None and selection.is_exported(frame, losses):
             with_image.add(frame.id)
         if frame.id in with_image or frame.id in views:
             frames.append(frame)
     if not frames and not loose_views(project, choose, pictures):
         raise ConfigError(
-            f"project {project.config.name} has no labelled {'picture' if pictures == 'both' else pictures} to export; "
-            "draw boxes, or review proposals (`annotator serve`)"
+            f"project {project.config.name} has no labelled {'images or views' if pictures == 'both' else pictures} to "
+            "export; draw boxes, or review proposals (`annotator serve`)"
         )
     return [
         ChosenPictures(
@@ -86,20 +86,20 @@ def choose_pictures(
 
 
 def loose_views(project: Project, choose: ExportFilter, pictures: Pictures) -> list[ViewBoxes]:
-    """Drawn pseudo-views that belong to no frame: brought from elsewhere, only to learn from."""
+    """Returns labelled pseudo-views without a frame: imported, for training only."""
     if pictures == "images" or choose.recordings is not None:
         return []
     return [view for view in project.boxes.on_views() if view.frame_id is None and _is_drawn(view.boxes, choose)]
 
 
-def wanted(boxes: Sequence[Box2D], classes: Collection[str] | None) -> list[Box2D]:
-    """Those of the wanted classes; None = all."""
+def of_classes(boxes: Sequence[Box2D], classes: Collection[str] | None) -> list[Box2D]:
+    """Returns the boxes of the given classes; None = all."""
     return [box for box in boxes if classes is None or box.label in classes]
 
 
 def _is_drawn(boxes: Sequence[Box2D], choose: ExportFilter) -> bool:
-    """True for a picture with a wanted box, or one that is said to show nothing."""
-    return not boxes or choose.empty_frames or bool(wanted(boxes, choose.classes))
+    """True for an image with a box of the chosen classes, or one confirmed as empty."""
+    return not boxes or choose.empty_frames or bool(of_classes(boxes, choose.classes))
 
 
 def _views_by_frame(project: Project, choose: ExportFilter) -> dict[int, list[ViewBoxes]]:
@@ -111,7 +111,7 @@ def _views_by_frame(project: Project, choose: ExportFilter) -> dict[int, list[Vi
 
 
 class _Images:
-    """Decides which camera images leave."""
+    """Decides which camera images are exported."""
 
     def __init__(
         self,
@@ -122,14 +122,14 @@ class _Images:
         images: dict[int, ImageBoxes],
     ) -> None:
         self._choose, self._labels, self._images = choose, labels, images
-        # whatever leaves: an object in a state that nobody asked for is no background, either
-        there = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
-        self._with_object = {entry.frame_id for entry in there}
-        waiting = [entry for entry in there if entry.label.state is ReviewState.PROPOSED]
+        # all states except rejected, because an object whose state was not chosen is not background either
+        existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
+        self._with_object = {entry.frame_id for entry in existing}
+        waiting = [entry for entry in existing if entry.label.state is ReviewState.PROPOSED]
         self._open = set() if ReviewState.PROPOSED in states else {entry.frame_id for entry in waiting}
 
-    def leaves(self, frame: StoredFrame, losses: Losses) -> bool:
-        """Whether this frame's image does; counts it where only open proposals keep it back."""
+    def is_exported(self, frame: StoredFrame, losses: Losses) -> bool:
+        """True if this frame's image is exported; counts a loss if only unreviewed proposals prevent it."""
         drawn = self._images.get(frame.id)
         if drawn is not None:
             return _is_drawn(drawn.boxes, self._choose)

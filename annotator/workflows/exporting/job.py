@@ -1,4 +1,4 @@
-"""What every writer of a format is given by the project."""
+"""The input of every format's writer: one export of a project."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from annotator.formats.dataset import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.losses import Losses
 from annotator.project import Project
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.exporting.report import ExportReport
-from annotator.workflows.frames import FrameSource
+from annotator.workflows.frame_source import FrameSource
 
 ImageFormat = Literal["png", "jpg"]
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """How a dataset is written; a format that has no use for one of them passes it over.
+    """How a dataset is written; formats ignore options that do not apply.
 
     Attributes:
-        image_format: of camera images; png is lossless.
-        pictures: what formats of 2D boxes hold: camera images, pseudo-views, or both.
+        image_format: format of camera images; png is lossless.
+        pictures: for formats of 2D boxes: export camera images, pseudo-views, or both.
         vertices: labelCloud: boxes as 8 corners instead of centre, size and angles.
     """
 
@@ -35,14 +35,14 @@ class ExportOptions:
 
 @dataclass(frozen=True, eq=False)
 class ExportJob:
-    """One export: what leaves, where to, and how.
+    """One export.
 
     Attributes:
-        chosen: the frames that leave with their labels, in order.
-        overwrite: an older dataset of the same format at `out` may be replaced.
+        chosen: the frames to export with their labels, in order.
+        overwrite: replace an older export of the same format at `out`.
         progress: called with (frames written, frames to write).
         losses: counted by the writer.
-        choose: what `chosen` was chosen by.
+        choose: the filter that selected `chosen`.
     """
 
     project: Project
@@ -56,14 +56,14 @@ class ExportJob:
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """All class names of the project, in its order: class numbers stay those of the project."""
+        """All class names of the project, in its order, so that class numbers are those of the project."""
         return self.project.config.classes
 
     def items(self) -> Iterator[DatasetItem]:
-        """The frames, read one by one.
+        """Reads the frames one by one.
 
         Raises:
-            RecordingError, FrameError: one that can no longer be read.
+            RecordingError, FrameError: a frame cannot be read.
         """
         source = FrameSource(self.project)
         for number, chosen in enumerate(self.chosen, 1):
@@ -73,7 +73,7 @@ class ExportJob:
                 self.progress(number, len(self.chosen))
 
     def report(self, format: str, objects_by_class: dict[str, int], frames: int | None = None) -> ExportReport:
-        """The result, with the losses counted so far; `frames`: if it is not that of the chosen ones."""
+        """Returns the report, with the losses counted so far; `frames` overrides the number of chosen frames."""
         return ExportReport(
             format=format,
             out=self.out,

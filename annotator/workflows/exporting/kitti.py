@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from annotator.formats.dataset import DatasetItem
-from annotator.formats.kitti import KittiLabel
-from annotator.formats.kitti_folder import write_kitti
-from annotator.formats.numbered import six_digit_ids
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.frame_class_names import six_digit_ids
+from annotator.formats.kitti.label_files import KittiLabel
+from annotator.formats.kitti.object_folder import write_kitti
 from annotator.workflows.exporting.job import ExportJob
 from annotator.workflows.exporting.report import ExportReport
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.kitti_view import dont_care_rows
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.kitti_rows import dont_care_rows
 
 
 def write(job: ExportJob) -> ExportReport:
-    """KITTI's own recordings keep their DontCare areas: nobody has labelled these here either.
+    """Writes the folder; KITTI's own recordings keep their DontCare areas.
 
     Raises as `write_kitti`, `dont_care_rows` and `ExportJob.items`.
     """

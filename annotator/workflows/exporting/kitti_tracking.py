@@ -1,25 +1,25 @@
-"""Labels as a KITTI tracking folder: a sequence for each recording."""
+"""Labels as a KITTI tracking folder: one sequence per recording."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from annotator.formats.dataset import DatasetItem
-from annotator.formats.kitti import KittiLabel
-from annotator.formats.kitti_tracking import sequence_ids, write_kitti_tracking
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.kitti.label_files import KittiLabel
+from annotator.formats.kitti.tracking_folder import sequence_ids, write_kitti_tracking
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting.job import ExportJob
 from annotator.workflows.exporting.report import ExportReport
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.kitti_view import dont_care_rows
-from annotator.workflows.tracks.place import next_track_id
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.kitti_rows import dont_care_rows
+from annotator.workflows.tracks.propose_boxes import next_track_id
 
 
 def write(job: ExportJob) -> ExportReport:
-    """Boxes without a track id get one of their own, which the report tells.
+    """Writes the folder; boxes without a track id get a new one, and the report counts them.
 
     Raises:
-        ConfigError: frames of a recording that do not follow each other in time, or are in several parts.
+        ConfigError: the frames of a recording are not a sequence, or are in several parts.
         FormatError, RecordingError: as `write_kitti_tracking`, `dont_care_rows` and `ExportJob.items`.
     """
     stored = {chosen.recording: chosen.stored.recording_id for chosen in job.chosen}
@@ -37,7 +37,7 @@ def write(job: ExportJob) -> ExportReport:
     report = job.report("kitti-tracking", counts)
     if not untracked:
         return report
-    note = f"{untracked} boxes had no track id of their own, and each got a new one; `annotator track` links boxes"
+    note = f"{untracked} boxes had no track id of their own and got a new one each; `annotator track` links boxes"
     return report.model_copy(update={"notes": (*report.notes, note)})
 
 
@@ -48,7 +48,7 @@ def _check(job: ExportJob, stored: dict[str, int]) -> None:
     for name, recording_id in stored.items():
         if not job.project.recordings.get(recording_id).is_sequence:
             raise ConfigError(
-                f"the frames of {name} do not follow each other in time; export it as kitti, or name the others with "
+                f"the frames of {name} are not a sequence; export it as kitti, or choose the other recordings with "
                 "--recordings"
             )
         if len(parts[name]) > 1:

@@ -1,4 +1,4 @@
-"""Labels as OpenLABEL documents, which hold each box's rotation, track, score, state and author."""
+"""Labels as OpenLABEL documents, which store each box's rotation, track, score, state and author."""
 
 from __future__ import annotations
 

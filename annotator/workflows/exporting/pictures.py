@@ -1,7 +1,7 @@
-"""Writes a dataset of 2D boxes: camera images, pseudo-views, or both, one picture in memory at a time.
+"""Writes a dataset of 2D boxes: camera images, pseudo-views, or both, one image in memory at a time.
 
-Beside what the format asks for there are `frames.csv` (which frame each camera image is) and, in each folder of
-pictures that has pseudo-views, `views.json` (where they lie in space), so that an import knows both again.
+In addition to the format's files it writes `frames.csv` (the frame of each camera image) and, in each image folder with
+pseudo-views, `views.json` (their geometry), so that an import can match both.
 """
 
 from __future__ import annotations
@@ -14,41 +14,46 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import new_folder
-from annotator.formats.dataset import DatasetItem, FileNames
+from annotator.formats.dataset_writing import (
+    DatasetItem,
+    FileNames,
+    LabelledPicture,
+    PictureWriter,
+    encoded_image,
+    writing,
+)
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
-from annotator.formats.labelled_picture import LabelledPicture, PictureWriter
 from annotator.formats.losses import Losses, Lost, count_lost
-from annotator.formats.writing import encoded_image, writing
-from annotator.geometry.image_shares import cut_to_picture
+from annotator.geometry.image_shares import clip_to_image
 from annotator.project import ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame
-from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, wanted
+from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob
 from annotator.workflows.exporting.report import ExportReport
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.outlines import undrawn
-from annotator.workflows.views_out import ViewPlace, write_places
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.views.outlines import undrawn
+from annotator.workflows.views.places import ViewPlace, write_places
 
-# What is thinner is no box to learn from, pixels.
+# Thinner boxes are left out, pixels.
 MIN_SIDE_PX = 1.0
-# Two boxes of a class that differ by less are the same to a file, pixels.
+# Boxes of a class that differ by less are equal, pixels.
 SAME_PX = 0.01
 
 Make = Callable[[Path, Sequence[str], Sequence[str]], PictureWriter]
 
 
 def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable[[Path], bool]) -> ExportReport:
-    """Writes the dataset; complete, or not at all.
+    """Writes the dataset atomically.
 
     Args:
-        make: makes the format's writer of a folder, the classes and the names of the parts.
-        is_dataset: whether a folder is a dataset of this format, which may be replaced.
+        make: creates the format's writer from a folder, the classes and the names of the parts.
+        is_dataset: True for a folder that is a dataset of this format, which may be replaced.
 
     Raises:
-        FormatError: `job.out` is taken, or the disk refuses.
+        FormatError: `job.out` exists, or writing fails.
         ConfigError: parts that the format does not have.
-        RecordingError: a frame that can no longer be read.
-        ProjectError: a picture of a pseudo-view is damaged.
+        RecordingError: a frame cannot be read.
+        ProjectError: the image of a pseudo-view is damaged.
     """
     parts = tuple(dict.fromkeys(c.split for c in job.chosen if c.split is not None))
     with new_folder(job.out, lambda old: job.overwrite and is_dataset(old) and (old / FRAMES_CSV).is_file()) as folder:
@@ -69,7 +74,7 @@ def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable
 
 @dataclass
 class _Tally:
-    """Gives the pictures one by one and keeps what is written beside them."""
+    """Yields the images one by one and collects the content of `frames.csv` and `views.json`."""
 
     job: ExportJob
     parts: tuple[str, ...]
@@ -88,7 +93,7 @@ class _Tally:
     def pictures(self) -> Iterator[LabelledPicture]:
         job, source = self.job, FrameSource(self.job.project)
         for number, chosen in enumerate(job.chosen, 1):
-            assert isinstance(chosen, ChosenPictures)  # the table says that these formats are chosen so
+            assert isinstance(chosen, ChosenPictures)  # `Writer.flat` formats use `choose_pictures`
             if chosen.image:
                 yield self._image(chosen, source.read(chosen.stored))
             for view in chosen.views:
@@ -98,10 +103,10 @@ class _Tally:
         with_frame = {v.view_id for c in job.chosen if isinstance(c, ChosenPictures) for v in c.views}
         for view in loose_views(job.project, job.choose, job.options.pictures):
             if view.view_id in with_frame:
-                # one picture in two parts: what is measured would have been learned
+                # the same image must not be in training and validation
                 job.losses.add(Lost.SAME)
                 continue
-            # a view of no frame is there to learn from, nothing is measured on it
+            # views without a frame are for training only
             part = "train" if "train" in self.parts else next(iter(self.parts), None)
             yield self._view(view, part, None)
 
@@ -110,14 +115,14 @@ class _Tally:
         labels = [entry.label for entry in chosen.labels]
         drawn = () if chosen.drawn is None else chosen.drawn.boxes
         seen = undrawn(frame.camera, labels, drawn, MIN_SIDE_PX)
-        # what is drawn stands for its label; the others leave as their outlines
+        # a drawn box replaces its label; the other labels are exported as their outlines
         outlined = [label for label in labels if not drawn or label.uid in seen]
         count_lost(
             losses, DatasetItem(chosen.recording, frame, outlined), (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.TIME)
         )
         losses.add(Lost.SOLID, len(outlined))
         losses.add(Lost.OUTSIDE, len(outlined) - len(seen))
-        boxes = [*wanted(drawn, self.job.choose.classes), *seen.values()]
+        boxes = [*of_classes(drawn, self.job.choose.classes), *seen.values()]
         kind = BoxKind.BOX if chosen.drawn is None else chosen.drawn.box_kind
         stem = self.names.add(chosen.recording, chosen.stored.key)
         self.origins.append(FrameOrigin(stem, chosen.recording, chosen.stored.key, chosen.split))
@@ -128,7 +133,7 @@ class _Tally:
         return LabelledPicture(f"{stem}.{image_format}", content, width_px, height_px, kept, chosen.split)
 
     def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> LabelledPicture:
-        """As PNG, whatever images are: the picture is known by its bytes."""
+        """Returns a pseudo-view, always as PNG: an import recognises it by its bytes."""
         recording, key = origin or (None, None)
         parts = ("view", view.view_id[:12]) if recording is None or key is None else (recording, key, "view")
         name = f"{self.names.add(*parts)}.png"
@@ -139,7 +144,7 @@ class _Tally:
         )
         views = self.job.project.views
         content, (width_px, height_px) = views.content(view.view_id), views.size(view.view_id)
-        boxes = wanted(view.boxes, self.job.choose.classes)
+        boxes = of_classes(view.boxes, self.job.choose.classes)
         kept = _fit(boxes, width_px, height_px, view.box_kind, self.job.losses)
         return LabelledPicture(name, content, width_px, height_px, kept, part)
 
@@ -150,19 +155,19 @@ class _Tally:
 
 
 def _fit(boxes: Sequence[Box2D], width_px: int, height_px: int, kind: BoxKind, losses: Losses) -> tuple[Box2D, ...]:
-    """The boxes cut to their picture; counts those of which nothing is left, and those that are there already."""
-    kept: list[Box2D] = []
+    """Returns the boxes clipped to their image; counts boxes outside it and duplicates."""
+    clipped: list[Box2D] = []
     for box in boxes:
-        cut = cut_to_picture(box, width_px, height_px, MIN_SIDE_PX)
+        cut = clip_to_image(box, width_px, height_px, MIN_SIDE_PX)
         if cut is None:
             losses.add(Lost.OUTSIDE)
-        elif any(_is_same(cut, other) for other in kept):
+        elif any(_is_same(cut, other) for other in clipped):
             losses.add(Lost.SAME)
         else:
-            kept.append(cut)
+            clipped.append(cut)
     if kind is BoxKind.BOX:
-        losses.add(Lost.KIND, len(kept))
-    return tuple(kept)
+        losses.add(Lost.KIND, len(clipped))
+    return tuple(clipped)
 
 
 def _is_same(box: Box2D, other: Box2D) -> bool:

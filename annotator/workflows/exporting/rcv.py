@@ -1,4 +1,4 @@
-"""Labels as a dataset in the `rcv` format, which holds all that the project knows of them."""
+"""Labels as a dataset in the `rcv` format, which stores all of their data."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def write(job: ExportJob) -> ExportReport:
 
 
 def _detectors(job: ExportJob) -> tuple[RcvDetector, ...]:
-    """The detectors that proposed these labels, whatever the project uses by now; in the order of their runs."""
+    """Returns the detectors that proposed these labels, in the order of their runs."""
     project = job.project
-    wanted = {entry.run_id for chosen in job.chosen for entry in chosen.labels}
+    run_ids = {entry.run_id for chosen in job.chosen for entry in chosen.labels}
     names = {(model.role.value, model.fingerprint): model.path.parent.name for model in project.models.all()}
-    found = dict.fromkeys(
+    detectors = dict.fromkeys(
         used
         for run in project.jobs.all()
-        if run.id in wanted
+        if run.id in run_ids
         for used in (("image", run.image_detector), ("view", run.view_detector))
     )
-    # a detector that was never trained here (it came with the run, as in the benchmarks) has no name but what it is
-    return tuple(RcvDetector(role=r, name=names.get((r, f), UNREGISTERED), fingerprint=f) for r, f in found)
+    # detectors that were not trained in the project (as in the benchmarks) have no name
+    return tuple(RcvDetector(role=r, name=names.get((r, f), UNREGISTERED), fingerprint=f) for r, f in detectors)

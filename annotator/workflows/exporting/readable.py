@@ -1,4 +1,4 @@
-"""Which of the frames that leave can be read."""
+"""Finds the frames of an export that can be read."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from annotator.project import Project
 from annotator.types.errors import FrameError
 from annotator.workflows.exporting.choose import Chosen
 from annotator.workflows.exporting.choose_pictures import ChosenPictures
-from annotator.workflows.frames import FrameSource
+from annotator.workflows.frame_source import FrameSource
 
 
 def readable_frames(
     project: Project, chosen: Sequence[Chosen], losses: Losses, progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[Chosen], tuple[str, ...]]:
-    """The frames that can be read, and the others as `RECORDING/KEY: reason`.
+    """Returns the frames that can be read, and the others as `RECORDING/KEY: reason`.
 
-    Every frame is read once and thrown away: writers name and count what they are given, so it must be known before.
-    A frame whose pseudo-views leave keeps these, they are the project's own.
+    Every frame is read once in advance, because writers name and number frames before they read them. Pseudo-views of
+    an unreadable frame are still exported, because the project stores them.
 
     Args:
-        losses: told of what is left out.
+        losses: counts the frames that are left out.
         progress: called with (frames read, frames to read).
 
     Raises:
-        FrameError: not one of them can be read; the first one's.
-        RecordingError: a recording is not where it was.
+        FrameError: no frame can be read; the error of the first one.
+        RecordingError: a recording has been moved.
     """
     source, left_out = FrameSource(project), []
-    kept: list[Chosen] = []
+    readable: list[Chosen] = []
     first: FrameError | None = None
     for number, each in enumerate(chosen, 1):
         views_alone = isinstance(each, ChosenPictures) and not each.image
@@ -41,12 +41,12 @@ def readable_frames(
             first = first or error
             left_out.append(f"{each.recording}/{each.stored.key}: {error}")
             if isinstance(each, ChosenPictures) and each.views:
-                kept.append(replace(each, image=False))
+                readable.append(replace(each, image=False))
         else:
-            kept.append(each)
+            readable.append(each)
         if progress is not None:
             progress(number, len(chosen))
-    if first is not None and not kept:
+    if first is not None and not readable:
         raise first
     losses.add(Lost.UNREADABLE, len(left_out))
-    return kept, tuple(left_out)
+    return readable, tuple(left_out)

@@ -1,4 +1,4 @@
-"""What an export wrote, and what its format could not hold."""
+"""The report of an export."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class ExportReport(BaseModel):
     """The result of an export.
 
     Attributes:
-        format: of the dataset.
-        out: where it is.
-        frames: how many (pictures, in formats of 2D boxes).
-        objects: boxes in all.
-        objects_by_class: with every class of the dataset, also those without a box.
-        splits: frames of each part; empty where it is not divided.
-        losses: what the format could not hold.
+        format: the dataset's format.
+        out: the dataset's folder or file.
+        frames: number of frames (of images, in formats of 2D boxes).
+        objects: number of boxes.
+        objects_by_class: number of boxes by class, with all classes of the dataset.
+        splits: number of frames by part; empty for a dataset without parts.
+        losses: what the format could not store.
         unreadable: frames that were left out, as `RECORDING/KEY: reason`.
-        notes: what else to know of it, a line each.
+        notes: other remarks, one line each.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

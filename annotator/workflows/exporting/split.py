@@ -1,4 +1,4 @@
-"""Dividing frames into the parts of a dataset, the same way every time."""
+"""Divides frames into the parts of a dataset, deterministically."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 
 class SplitBy(StrEnum):
-    """What is never divided: a frame, or a whole recording (whose frames resemble each other)."""
+    """The unit that stays in one part: a frame, or a whole recording (whose frames are similar)."""
 
     FRAMES = "frames"
     RECORDINGS = "recordings"
@@ -29,9 +29,9 @@ class Split:
     """How a dataset is divided.
 
     Attributes:
-        shares: each part's share of the frames, adding up to 1.
-        by: frames, or whole recordings.
-        seed: of the drawing.
+        shares: each part's fraction of the frames; the sum is 1.
+        by: divide by frames or by whole recordings.
+        seed: seed of the random order.
     """
 
     shares: Mapping[str, float]
@@ -40,10 +40,10 @@ class Split:
 
 
 def parse_shares(text: str) -> dict[str, float]:
-    """Shares such as "train=0.8,val=0.2"; they may also be counts in proportion, such as "train=4,val=1".
+    """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1".
 
     Raises:
-        ConfigError: not of that form, a part comes twice, or a share is not positive.
+        ConfigError: another form, a part that occurs twice, or a share that is not positive.
     """
     shares: dict[str, float] = {}
     for part in text.split(","):
@@ -53,14 +53,16 @@ def parse_shares(text: str) -> dict[str, float]:
         except ValueError:
             value = math.nan
         if not sign or not NAME.fullmatch(name) or not (0 < value < math.inf) or name in shares:
-            raise ConfigError(f"{text!r} does not say how to divide: name each part once, as in train=0.8,val=0.2")
+            raise ConfigError(
+                f"{text!r} is not a valid split: give each part once with its share, as in train=0.8,val=0.2"
+            )
         shares[name] = value
     total = sum(shares.values())
     return {name: share / total for name, share in shares.items()}
 
 
 def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
-    """The part of each frame. It does not depend on the order in which the frames come.
+    """Returns the part of each frame, independent of the order of the frames.
 
     Args:
         places: each frame's recording and key, all different.
@@ -74,26 +76,26 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
     if len(groups) < len(split.shares):
         raise ConfigError(
             f"{len(groups)} {split.by} cannot be divided into {len(split.shares)} parts "
-            f"({', '.join(split.shares)}); name fewer parts, or divide by frames"
+            f"({', '.join(split.shares)}); give fewer parts, or divide by frames"
         )
     part_of = _drawn(split, dict(groups))
     return [part_of[(r,) if split.by is SplitBy.RECORDINGS else (r, k)] for r, k in places]
 
 
 def _drawn(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[str, ...], str]:
-    """In a drawn order, each group goes where most frames are still wanted; every part gets one at least."""
+    """Assigns the groups in random order, each to the part that lacks the most frames; every part gets at least one."""
     names = sorted(groups)
     order = np.random.default_rng(split.seed).permutation(len(names))
     total = sum(groups.values())
-    wanted = {part: share * total for part, share in split.shares.items()}
-    empty, left = set(wanted), len(names)
+    missing = {part: share * total for part, share in split.shares.items()}
+    empty, left = set(missing), len(names)
     part_of: dict[tuple[str, ...], str] = {}
     for place in order:
-        # in the order of the shares, not of a set, which differs from run to run: the first of equals is taken
-        among = [name for name in wanted if name in empty or left > len(empty)]
-        part = max(among, key=lambda name: wanted[name])
+        # in the order of the shares, because max() takes the first of equals and a set has no fixed order
+        candidates = [name for name in missing if name in empty or left > len(empty)]
+        part = max(candidates, key=lambda name: missing[name])
         part_of[names[place]] = part
-        wanted[part] -= groups[names[place]]
+        missing[part] -= groups[names[place]]
         empty.discard(part)
         left -= 1
     return part_of

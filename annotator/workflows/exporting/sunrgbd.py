@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from annotator.formats.numbered import six_digit_ids
-from annotator.formats.sunrgbd_folder import write_sunrgbd
+from annotator.formats.frame_class_names import six_digit_ids
+from annotator.formats.sunrgbd.folder import write_sunrgbd
 from annotator.workflows.exporting.job import ExportJob
 from annotator.workflows.exporting.report import ExportReport
 

@@ -1,4 +1,4 @@
-"""The formats that labels can leave in: a new one is one line here, and one file beside this one."""
+"""The table of export formats. A new format needs one line here and one module in this folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
 
 
 class ExportFormat(StrEnum):
-    """Formats that labels can leave in."""
+    """Export formats."""
 
     RCV = "rcv"
     KITTI = "kitti"
@@ -34,11 +34,11 @@ class Writer:
     """How a format is written.
 
     Attributes:
-        summary: for people, a few words.
-        states: which labels leave where nobody says so: reviewed ones; in a format that holds the state of each, all
-            but rejected ones.
-        flat: 2D boxes on pictures, which need no 3D label (`choose_pictures.py`).
-        module: beside this one, with a function `write(job: ExportJob) -> ExportReport`.
+        summary: a short description to display.
+        states: default review states of exported labels: reviewed ones, or all but rejected ones if the format stores
+            the state.
+        module: module in this folder with a function `write(job: ExportJob) -> ExportReport`.
+        flat: True for formats of 2D boxes on images, which need no 3D label (`choose_pictures.py`).
     """
 
     summary: str
@@ -47,7 +47,7 @@ class Writer:
     flat: bool = False
 
     def write(self, job: ExportJob) -> ExportReport:
-        """Writes the dataset; complete, or not at all."""
+        """Writes the dataset atomically."""
         function: Callable[[ExportJob], ExportReport] = import_module(
             f"annotator.workflows.exporting.{self.module}"
         ).write
@@ -58,11 +58,15 @@ WRITERS: dict[ExportFormat, Writer] = {
     ExportFormat.RCV: Writer("images, coloured PLY clouds and fully oriented boxes", NOT_REJECTED, "rcv"),
     ExportFormat.KITTI: Writer("a KITTI object folder: training, ImageSets; upright boxes", REVIEWED, "kitti"),
     ExportFormat.KITTI_TRACKING: Writer(
-        "KITTI tracking sequences, one a recording; upright boxes with track ids", REVIEWED, "kitti_tracking"
+        "KITTI tracking sequences, one per recording; upright boxes with track ids", REVIEWED, "kitti_tracking"
     ),
-    ExportFormat.SUNRGBD: Writer("SUN RGB-D as VoteNet reads it, and the data set's own table", REVIEWED, "sunrgbd"),
+    ExportFormat.SUNRGBD: Writer(
+        "SUN RGB-D in VoteNet's layout, with the data set's own label table", REVIEWED, "sunrgbd"
+    ),
     ExportFormat.COCO: Writer("2D boxes on camera images and pseudo-views", REVIEWED, "coco", flat=True),
-    ExportFormat.YOLO: Writer("the same as Ultralytics trains on it", REVIEWED, "yolo", flat=True),
+    ExportFormat.YOLO: Writer(
+        "2D boxes on camera images and pseudo-views, for Ultralytics", REVIEWED, "yolo", flat=True
+    ),
     ExportFormat.OPENLABEL: Writer("ASAM OpenLABEL documents; fully oriented boxes", NOT_REJECTED, "openlabel"),
     ExportFormat.LABELCLOUD: Writer("a labelCloud project; fully oriented boxes", REVIEWED, "labelcloud"),
     ExportFormat.NUSCENES: Writer("nuScenes tables; fully oriented boxes", REVIEWED, "nuscenes"),

@@ -7,7 +7,7 @@ from annotator.workflows.exporting.job import ExportJob
 from annotator.workflows.exporting.pictures import write_pictures
 from annotator.workflows.exporting.report import ExportReport
 
-UNDIVIDED = "not divided: trained and measured on the same pictures; --split train=0.8,val=0.2 holds some back"
+UNDIVIDED = "without parts: the same images are used for training and validation; divide with --split train=0.8,val=0.2"
 
 
 def write(job: ExportJob) -> ExportReport:

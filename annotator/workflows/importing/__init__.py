@@ -1,4 +1,4 @@
-"""Labels from elsewhere onto a project's frames: 3D boxes in one of the formats of `table.py`, 2D boxes."""
+"""Imports labels for a project's frames: 3D boxes in one of the formats of `table.py`, and 2D boxes."""
 
 from annotator.workflows.importing.boxes_2d import Imported, import_image_boxes, import_view_boxes
 from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels

@@ -1,6 +1,6 @@
-"""2D boxes drawn elsewhere, in COCO or YOLO form: onto camera images, and onto pictures of pseudo-views.
+"""Imports 2D boxes in COCO or YOLO format, for camera images and pseudo-views.
 
-A dataset is looked through before anything is stored, so that one which does not fit changes nothing.
+The whole dataset is checked before anything is stored, so an invalid dataset changes nothing.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
 from annotator.workflows.importing.view_boxes import checked_views, store_on_view
-from annotator.workflows.views_out import ViewPlace, read_places
+from annotator.workflows.views.places import ViewPlace, read_places
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import brought.
+    """The result of an import.
 
     Attributes:
-        pictures: that now have boxes (or are known to be empty).
-        boxes: taken over.
+        pictures: number of images that got boxes, or are known to be empty.
+        boxes: number of boxes imported.
         other_classes: boxes left out because the project has no such class, by class name.
-        unmatched: file names that belong to no frame of the project.
-        views: how many of the pictures are pseudo-views.
-        unreadable: images whose frame cannot be read, which alone knows their size, as `key: reason`.
-        replaced: images whose boxes somebody else had drawn, and which have those of the dataset now.
-        finalised: pictures that were left alone because their frame is finalised.
-        renamed: the dataset's only recording, where it was taken for one of another name.
+        unmatched: file names without a frame in the project.
+        views: number of pseudo-views among the images.
+        unreadable: images left out because their size is unknown: their frame cannot be read; as `key: reason`.
+        replaced: number of images whose boxes, drawn by other authors, were replaced.
+        finalised: number of images left unchanged because their frame is finalised.
+        renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
     pictures: int
@@ -54,21 +54,20 @@ def import_image_boxes(
     recording: str | None = None,
     format: FlatFormat = FlatFormat.COCO,
 ) -> Imported:
-    """Boxes on camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg` is the frame 000012).
+    """Imports boxes of camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg`: 000012).
 
-    An image without boxes is taken as one that shows nothing. Finalised frames are left alone; on all others the boxes
-    replace those that were there, and it is told where somebody else had drawn them. What follows for the boxes on
-    pseudo-views is done, too: those that were drawn from a box that is not there any more go. Pictures that
-    `views.json` beside them names are pseudo-views, and taken over as `import_view_boxes` does.
+    An image without boxes is stored as empty. Finalised frames stay unchanged; on all others the boxes replace existing
+    ones, and replaced boxes of other authors are counted. Boxes on pseudo-views that were drawn from a removed box are
+    removed, too. Images listed in a `views.json` beside them are pseudo-views, imported as in `import_view_boxes`.
 
     Args:
         path: a file, or the folder of a dataset.
         kind: what the boxes measure.
-        recording: name of the recording that the file names belong to, where several have the same.
+        recording: name of the recording of the file names, if several recordings have such frames.
 
     Raises:
-        FormatError: not of that format; an image that two recordings have, that comes twice, or that has another size
-            than the frame; no image of the project, or only boxes of other classes; or as `import_view_boxes`.
+        FormatError: another format; an image that fits two recordings, occurs twice, or has another size than the
+            frame; no image of the project; only boxes of other classes; or as `import_view_boxes`.
         ProjectError: no such recording, or a view of a frame that the project does not have.
     """
     found = read_pictures(format, path)
@@ -79,15 +78,15 @@ def import_image_boxes(
 def import_view_boxes(
     project: Project, path: Path, pictures: Path, kind: BoxKind, format: FlatFormat = FlatFormat.COCO
 ) -> Imported:
-    """Boxes on pseudo-views, whose pictures lie in the folder `pictures` and are copied into the project.
+    """Imports boxes of pseudo-views; their images in the folder `pictures` are copied into the project.
 
-    Pictures that `annotator views` wrote keep their frame and their place in space; a picture on which nothing was
-    drawn is then skipped, since not every view needs to be labelled. Others teach the detector, and no more.
+    Images written by `annotator views` keep their frame and geometry; those without boxes are skipped, since not every
+    view needs to be labelled. Other images are used for training only.
 
     Raises:
-        FormatError: not of that format; a picture is missing, no PNG, there twice, or of another size; or there are
-            only boxes of other classes.
-        ProjectError: a frame that the project no longer has.
+        FormatError: another format; an image is missing, not PNG, occurs twice, or has another size; or there are only
+            boxes of other classes.
+        ProjectError: a frame that the project does not have.
     """
     found = read_pictures(format, path, pictures)
     return _import(project, found, {pictures: read_places(pictures)}, kind, None, all_views=True)
@@ -111,7 +110,7 @@ def _import(
     ]
     images = checked_images(project, found, on_images, recording) if on_images or not on_views else None
     views = checked_views(project, found.path, on_views)
-    # a view that comes along was drawn from the box on its image, which a file may have rounded
+    # an imported view was drawn from a box on its image; the file may have rounded that box
     drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
@@ -136,31 +135,31 @@ def _import(
 
 
 class _Tally:
-    """Counts what is taken over, and what is left out because the project has no such class."""
+    """Counts imported boxes, and boxes left out because the project has no such class."""
 
     def __init__(self, path: Path, project: Project, pictures: Sequence[PictureLabels]) -> None:
         """
         Raises:
-            FormatError: there are boxes, but none of a class of the project: every picture would count as empty.
+            FormatError: no box has a class of the project, so every image would be stored as empty.
         """
         self._classes = set(project.config.classes)
         self.pictures = self.boxes = 0
         self.other: Counter[str] = Counter()
         self.outcomes: Counter[Stored] = Counter()
-        found = {label for picture in pictures for label in picture.labels}
-        if found and not found & self._classes:
+        named = {label for picture in pictures for label in picture.labels}
+        if named and not named & self._classes:
             raise FormatError(
                 path,
-                f"its boxes are of class {', '.join(sorted(found))}, of which the project has none (it has "
-                f"{', '.join(project.config.classes)}); rename the categories in the file",
+                f"the project has none of its classes: they are {', '.join(sorted(named))}, the project has "
+                f"{', '.join(project.config.classes)}; rename the categories in the file",
             )
 
     def known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
-        """Those of the project's classes."""
+        """Returns the boxes of the project's classes."""
         return [box for box in boxes if box.label in self._classes]
 
     def add(self, boxes: Sequence[Box2D], stored: Stored) -> None:
-        """Counts a picture with its boxes, by what became of them."""
+        """Counts an image with its boxes, by the outcome of storing them."""
         self.outcomes[stored] += 1
         if stored is Stored.LEFT_ALONE:
             return

@@ -1,4 +1,4 @@
-"""3D boxes from elsewhere, onto the frames of a project."""
+"""Imports 3D boxes for the frames of a project."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from annotator.project import Change, NewLabel, Project, StoredFrame
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
-from annotator.workflows.frames import FrameSource
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.label_set import LabelSet
 
@@ -20,18 +20,18 @@ AUTHOR = "import"
 
 @dataclass
 class ImportedLabels:
-    """What was taken over.
+    """The result of an import.
 
     Attributes:
-        frames: that got labels, or have none in the dataset either.
-        labels: by class.
-        other_classes: left out because the project has no such class, by class.
-        already: frames left alone because they have labels or are finalised.
+        frames: number of frames that got labels, or are empty in the dataset.
+        labels: number of labels by class.
+        other_classes: boxes left out because the project has no such class, by class.
+        already: number of frames left unchanged because they have labels or are finalised.
         unmatched: names of labelled frames that the project does not have.
         unreadable: frames that cannot be read, as `key: reason`.
-        not_reviewed: boxes on `frames` left behind because nobody has accepted them in the dataset.
-        scores: of boxes on `frames`, left behind because they are no confidences in 0..1.
-        renamed: the dataset's only recording, where it was taken for one of another name.
+        not_reviewed: number of boxes on `frames` left out because they are not accepted in the dataset.
+        scores: number of scores on `frames` left out because they are not confidences in 0..1.
+        renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
     frames: int = 0
@@ -52,7 +52,7 @@ class MatchedFrames:
     Attributes:
         matched: each name with the project's frame, in the project's order.
         unmatched: names of frames that the project does not have.
-        renamed: the dataset's only recording, where it was taken for one of another name.
+        renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
     matched: tuple[tuple[str, StoredFrame], ...]
@@ -66,16 +66,16 @@ def import_labels(
     recording: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ImportedLabels:
-    """Takes over the boxes of every frame that has no label yet; each becomes an accepted label, imported.
+    """Imports the boxes of every frame without labels; each becomes an accepted label with the source imported.
 
     Args:
-        recording: name of the recording that plain frame names belong to, where several have frames of that name.
-        progress: called with (frames looked at, frames).
+        recording: name of the recording of plain frame names, if several recordings have such frames.
+        progress: called with (frames done, frames).
 
     Raises:
-        FormatError: none of the labelled frames is one of the project's, or a name fits several.
+        FormatError: none of the labelled frames is in the project, or a name fits several.
         NotFoundError: no such recording.
-        RecordingError: a recording is not where it was.
+        RecordingError: a recording has been moved.
     """
     frames = match_frames(project, found.path, found.frames, recording)
     source, done = FrameSource(project), ImportedLabels(unmatched=frames.unmatched, renamed=frames.renamed)
@@ -105,10 +105,10 @@ def import_labels(
 
 
 def truths_of(found: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
-    """The objects of a frame that a dataset names, boxes in the camera frame.
+    """Returns the objects of a frame of a dataset, boxes in the camera frame.
 
     Raises:
-        FormatError: the way to the camera takes a box out of reach; or as `LabelSet.truths`.
+        FormatError: the transform to the camera frame moves a box out of range; or as `LabelSet.truths`.
     """
     try:
         return found.truths(name, frame)
@@ -117,10 +117,10 @@ def truths_of(found: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
 
 
 def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
-    """Finds the project's frames that a dataset names.
+    """Finds the project's frames of a dataset's frame names.
 
     Args:
-        path: where the names come from, for messages.
+        path: the dataset, for messages.
         names: "RECORDING/KEY", or "KEY" alone; all different.
         recording: the only recording to look in.
 
@@ -130,7 +130,7 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
     """
     order = {frame.id: place for place, frame in enumerate(project.frames.of())}
     keys = {frame.key for frame in project.frames.of()}
-    # a recording's name has no "/", a key may have some
+    # a recording's name cannot contain "/", a key can
     places = {name: (None, name) if name in keys or "/" not in name else _place(name) for name in names}
     finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
     matched: dict[int, tuple[str, StoredFrame]] = {}
@@ -139,11 +139,13 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
         frames = finder.find(*place)
         if len(frames) > 1:
             several = ", ".join(map(finder.recording_of, frames))
-            raise FormatError(path, f"{name} is a frame of several recordings ({several}); name one (--recording)")
+            raise FormatError(path, f"{name} is a frame of several recordings ({several}); choose one with --recording")
         if not frames:
             unmatched.append(name)
         elif frames[0].id in matched:
-            raise FormatError(path, f"{matched[frames[0].id][0]} and {name} are both the frame {frames[0].key}")
+            raise FormatError(
+                path, f"{matched[frames[0].id][0]} and {name} are both the frame {frames[0].key}; keep one"
+            )
         else:
             matched[frames[0].id] = (name, frames[0])
     if not matched:
@@ -160,9 +162,9 @@ def _place(name: str) -> tuple[str, str]:
 
 
 def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
-    """Gives a frame its imported labels; False where somebody has labelled or finalised it, perhaps meanwhile.
+    """Stores imported labels; returns False if the frame has labels or is finalised, even by a concurrent edit.
 
-    A finalised frame without labels shows no object, as somebody has said.
+    A finalised frame without labels is confirmed as empty.
     """
     while True:
         stored = project.frames.get(frame_id)
@@ -170,7 +172,7 @@ def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel], 
             return False
         if not new:
             return True
-        # the frame was changed between the two lines, perhaps by a box on its image
+        # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            project.labels.create(frame_id, new, Change(stored.revision, author, Source.IMPORTED))
+            project.labels.create(frame_id, new, WriteContext(stored.revision, author, Source.IMPORTED))
             return True

@@ -1,4 +1,4 @@
-"""Which frame of a project a dataset means."""
+"""Finds the frames of a project that a dataset refers to."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from annotator.project import Project, StoredFrame
 
 @dataclass(frozen=True)
 class Renamed:
-    """A recording that a dataset names and the project does not have, and the project's that it was taken for."""
+    """A dataset's recording that the project does not have, and the project's recordings it was matched with."""
 
     named: str
     taken_for: tuple[str, ...]
@@ -19,12 +19,12 @@ class Renamed:
 class FrameFinder:
     """The frames of a project by recording and key.
 
-    Keys such as 000012 are everywhere: what a dataset says of another recording is about none of the project's frames.
-    Only where it names a single recording, and one that the project does not have, is that taken for the project's
-    recording under another name; `renamed` tells so.
+    Keys such as 000012 occur in many recordings, so frames of another recording do not match. Exception: if the
+    dataset has a single recording and the project has none of this name, it is matched with the project's recordings
+    by key alone, and `renamed` reports it.
 
     Args:
-        recording: name of the only recording to look in; None = all.
+        recording: name of the only recording to search; None = all.
         named: the recordings that the dataset names.
 
     Raises:
@@ -39,29 +39,29 @@ class FrameFinder:
         for frame in project.frames.of(chosen):
             self._by_key.setdefault(frame.key, []).append(frame)
             self._by_place[self._names[frame.recording_id], frame.key] = frame
-        known = {place[0] for place in self._by_place}
-        self._unknown = next(iter(named)) if len(set(named)) == 1 and not known & set(named) else None
+        existing = {place[0] for place in self._by_place}
+        self._unknown = next(iter(named)) if len(set(named)) == 1 and not existing & set(named) else None
 
     def find(self, recording: str | None, key: str) -> list[StoredFrame]:
-        """The frames that may be meant: more than one where several recordings have the key.
+        """Returns the matching frames: more than one if several recordings have the key.
 
         Args:
-            recording: as the dataset names it; None where it does not.
+            recording: the recording's name in the dataset; None if the dataset has no names.
         """
         if recording is None or recording == self._unknown:
             return self._by_key.get(key, [])
         exact = self._by_place.get((recording, key))
         return [] if exact is None else [exact]
 
-    def renamed(self, found: Iterable[StoredFrame]) -> Renamed | None:
-        """What the dataset's recording was taken for, where the project has none of its name.
+    def renamed(self, matched: Iterable[StoredFrame]) -> Renamed | None:
+        """Returns what the dataset's recording was matched with, if the project has none of its name.
 
         Args:
-            found: the frames that were found for it.
+            matched: the frames that were matched with it.
         """
-        taken_for = tuple(dict.fromkeys(map(self.recording_of, found)))
+        taken_for = tuple(dict.fromkeys(map(self.recording_of, matched)))
         return Renamed(self._unknown, taken_for) if self._unknown is not None and taken_for else None
 
     def recording_of(self, frame: StoredFrame) -> str:
-        """The name of a frame's recording."""
+        """Returns the name of a frame's recording."""
         return self._names[frame.recording_id]

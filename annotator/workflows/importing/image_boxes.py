@@ -1,4 +1,4 @@
-"""Labelled camera images: which frames of the project they are, and whether their boxes fit there."""
+"""Matches labelled camera images with the project's frames, and stores their boxes."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.formats.picture_file import read_picture
-from annotator.project import Change, Project, StoredFrame
+from annotator.formats.reading import read_picture
+from annotator.project import Project, StoredFrame, WriteContext
+from annotator.project.event_types import ImageBoxesSet
 from annotator.project.overview import read_page
-from annotator.project.payloads import ImageBoxesSet
 from annotator.project.records import storable
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
-from annotator.workflows.frames import FrameSource
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
-from annotator.workflows.view_followers import view_followers
+from annotator.workflows.views.follow_image_boxes import view_followers
 
-# Files keep two decimals of a pixel or more; nobody draws the same box again so exactly.
+# Boxes that differ by less are the same box, rounded in a file; a box that is drawn again differs by more, pixels.
 ROUNDED_PX = 0.01
 
 
@@ -37,23 +37,23 @@ class OnImage:
 
 
 class Stored(Enum):
-    """What became of the boxes for an image."""
+    """The outcome of storing the boxes of an image."""
 
     KEPT = "kept"
-    # in place of others that somebody else had drawn
+    # replaced boxes drawn by another author
     REPLACED = "replaced"
-    # the frame is finalised: nothing was changed
+    # not stored: the frame is finalised
     LEFT_ALONE = "left alone"
 
 
 @dataclass(frozen=True)
 class CheckedImages:
-    """Images with their frames, and what is told of the others.
+    """Images matched with frames, and the others.
 
     Attributes:
-        unmatched: file names of images that belong to no frame.
+        unmatched: file names of images without a frame.
         unreadable: frames that cannot be read, as `key: reason`.
-        renamed: the dataset's only recording, where it was taken for one of another name.
+        renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
     matched: tuple[OnImage, ...]
@@ -68,12 +68,12 @@ def checked_images(
     """Finds each image's frame, and its boxes in the frame's pixels.
 
     Args:
-        pictures: those of `found` that are camera images.
-        recording: name of the only recording to look in.
+        pictures: the camera images of `found`.
+        recording: name of the only recording to search.
 
     Raises:
-        FormatError: an image that several recordings have, that comes twice, or that has another size than the frame;
-            or none is of a frame of the project.
+        FormatError: an image fits several recordings, occurs twice, or has another size than the frame; or no image
+            has a frame in the project.
         NotFoundError: no such recording.
     """
     matched, unmatched, renamed = _matched(project, found, pictures, recording)
@@ -83,7 +83,7 @@ def checked_images(
         try:
             camera = source.read(stored).camera
         except FrameError as error:
-            # there is nothing to compare with; whoever needs the frame will be told what is wrong with it
+            # without the frame, a size given by the dataset cannot be checked and is used as it is
             if picture.size_px is not None:
                 ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*picture.size_px)))
             else:
@@ -98,7 +98,7 @@ def checked_images(
 def _matched(
     project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
 ) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str], Renamed | None]:
-    """The images with their frames, the names of those that have none, and what their recording was taken for."""
+    """Returns the images with their frames, the names of images without one, and the renamed recording."""
     path = found.path
     frames = FrameFinder(project, recording, {origin.recording for origin in found.origins.values()})
     matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
@@ -109,7 +109,7 @@ def _matched(
         fitting = frames.find(None if origin is None else origin.recording, key)
         if len(fitting) > 1:
             raise FormatError(
-                path, f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; name one of them"
+                path, f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; choose one with --recording"
             )
         if not fitting:
             unmatched.append(picture.file_name)
@@ -121,45 +121,45 @@ def _matched(
     if not matched:
         raise FormatError(
             path,
-            "none of its images is a frame of the project; a file's name without its suffix must be the frame's key "
-            "(000012.jpg is the frame 000012)",
+            "none of its images has a frame in the project; name image files after the frames' keys (000012.jpg for "
+            "the frame 000012)",
         )
     named = (stored for picture, stored in matched.values() if picture.stem in found.origins)
     return list(matched.values()), unmatched, frames.renamed(named)
 
 
 def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) -> None:
-    """Boxes on a scaled copy of the image would be taken for boxes on the image, shares of a cut one for shares."""
+    """Raises FormatError for boxes of a scaled or cropped copy of the frame's image, which would be misplaced."""
     width_px, height_px = size_px
     if picture.size_px is not None:
         if picture.size_px != size_px:
             raise FormatError(
                 path,
-                f"{picture.file_name} is {picture.size_px[0]} x {picture.size_px[1]} pixels, the frame {width_px} x "
-                f"{height_px}; label the image itself, not a scaled copy",
+                f"{picture.file_name} is {picture.size_px[0]} x {picture.size_px[1]} pixels, but the frame is "
+                f"{width_px} x {height_px}; label the image itself, not a scaled copy",
             )
         return
     file = picture.file(path)
     if file is None:
         return
     height, width = read_picture(file)[1].shape[:2]
-    # a scaled copy has whole pixels, too
+    # tolerance for the rounding of a scaled copy to whole pixels
     if abs(width * height_px - height * width_px) > max(width_px, height_px):
         raise FormatError(
             path,
-            f"{picture.file_name} is {width} x {height} pixels and the frame {width_px} x {height_px}: of another "
-            "shape; label the whole image, neither cut nor filled up",
+            f"{picture.file_name} is {width} x {height} pixels, but the frame is {width_px} x {height_px}: another "
+            "aspect ratio; label the whole image, neither cropped nor padded",
         )
 
 
 def store_on_image(
     project: Project, path: Path, image: OnImage, boxes: Sequence[Box2D], kind: BoxKind, drawn_from: Sequence[Box2D]
 ) -> Stored:
-    """Sets the boxes of a frame's camera image, and what follows for those on its views; not of a finalised frame.
+    """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
 
     Args:
-        path: where they come from, for messages.
-        drawn_from: boxes on the same image that views coming along were drawn from.
+        path: the dataset, for messages.
+        drawn_from: boxes on this image that imported views were drawn from.
     """
     while True:
         page = read_page(project, image.frame_id)
@@ -168,16 +168,16 @@ def store_on_image(
         before = () if page.image_boxes is None else page.image_boxes.boxes
         with storable(f"{path}: {image.file_name}"):
             on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
-        change = Change(page.frame.revision, AUTHOR, Source.IMPORTED)
-        # somebody may have changed the frame between the lines
+        context = WriteContext(page.frame.revision, AUTHOR, Source.IMPORTED)
+        # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            project.log.append(image.frame_id, [on_image, *view_followers(page, on_image)], change)
+            project.log.append(image.frame_id, [on_image, *view_followers(page, on_image)], context)
             is_drawn = page.image_boxes is not None and page.image_boxes.author != AUTHOR
             return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
 
 
 def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
-    """Boxes as they were, where a file has only rounded them: what was drawn from them stays."""
+    """Replaces boxes that a file has only rounded by the known ones, so that views drawn from them stay valid."""
     return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
 
 

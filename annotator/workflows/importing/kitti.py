@@ -10,19 +10,20 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.kitti_labels import Frames, read_kitti_labels, read_kitti_shifts
-from annotator.formats.kitti_row import label_frame
+from annotator.formats.kitti.box_rows import label_frame
+from annotator.formats.kitti.label_folders import Frames, read_kitti_labels, read_kitti_shifts
 from annotator.types import Frame, Truth
 from annotator.workflows.importing.label_set import LeftBehind, are_confidences
 
 
 @dataclass(frozen=True)
 class KittiLabels:
-    """Labels in rectified camera 0: as their dataset has it, else as the frame's recording, else the colour camera.
+    """Labels in rectified camera 0: of the dataset's calibration, else of the frame's recording, else the camera.
 
     Attributes:
-        shifts: from rectified camera 0 to the colour camera, metres, where the dataset says it.
-        lost_scores: how many scores of a frame's objects were no confidences; the objects have none then.
+        objects: objects by frame name.
+        lost_scores: number of scores per frame that were removed because they are not confidences.
+        shifts: shift from rectified camera 0 to the colour camera, metres, of frames with a calibration.
     """
 
     path: Path
@@ -50,7 +51,7 @@ def read(path: Path) -> KittiLabels:
 
 
 def labels_of(path: Path, found: Frames, shifts: Mapping[str, Float64[np.ndarray, "3"]]) -> KittiLabels:
-    """What was read from `path`; scores that are no confidences stay behind."""
+    """Returns the labels read from `path`; removes scores that are not confidences."""
     if are_confidences(truth.score for truths in found.values() for truth in truths):
         return KittiLabels(path, found, {}, shifts)
     lost = {name: sum(truth.score is not None for truth in truths) for name, truths in found.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.formats.kitti_tracking import read_kitti_tracks
+from annotator.formats.kitti.tracking_folder import read_kitti_tracks
 from annotator.workflows.importing.kitti import KittiLabels, labels_of
 
 

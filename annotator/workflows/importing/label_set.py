@@ -1,4 +1,4 @@
-"""3D boxes that somebody labelled elsewhere, whatever format they were read from."""
+"""The interface of imported 3D boxes in any format."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from annotator.types import Frame, Truth
 
 @dataclass(frozen=True)
 class LeftBehind:
-    """What a dataset says of a frame and `LabelSet.truths` does not.
+    """What `LabelSet.truths` leaves out of a frame.
 
     Attributes:
-        not_reviewed: boxes that nobody has accepted: proposed ones, and rejected ones.
-        scores: of the frame's objects, which are no confidences in 0..1.
+        not_reviewed: number of proposed and rejected boxes.
+        scores: number of scores that are not confidences in 0..1.
     """
 
     not_reviewed: int = 0
@@ -33,13 +33,13 @@ class LabelSet(Protocol):
 
     @property
     def frames(self) -> Sequence[str]:
-        """Names of the labelled frames, those without an object too: "RECORDING/KEY", or only "KEY"."""
+        """Names of the labelled frames, including empty ones: "RECORDING/KEY", or only "KEY"."""
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        """The objects of one of these frames, in the camera frame.
+        """Returns the objects of one of these frames, in the camera frame.
 
         Args:
-            frame: our frame of that name; formats whose boxes are not in the camera frame need its
+            frame: the project's frame of that name; formats whose boxes are not in the camera frame use its
                 `T_camera_label` or `up`.
 
         Raises:
@@ -47,9 +47,9 @@ class LabelSet(Protocol):
         """
 
     def left_behind(self, name: str) -> LeftBehind:
-        """What of one of these frames does not come along, to be told."""
+        """Returns what is left out of one of these frames, for the report."""
 
 
 def are_confidences(scores: Iterable[float | None]) -> bool:
-    """True where no score of a dataset is outside 0..1; one that is says that the others are raw figures, too."""
+    """True if all scores of a dataset are in 0..1; otherwise they are raw values of a detector."""
     return all(score is None or 0 <= score <= 1 for score in scores)

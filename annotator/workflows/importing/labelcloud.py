@@ -13,17 +13,17 @@ from annotator.workflows.importing.label_set import LeftBehind
 
 @dataclass(frozen=True)
 class LabelCloudLabels:
-    """Boxes in the frames of their clouds, which the project's calibrations, or ours, lead to the camera from."""
+    """Boxes in the frames of their clouds; moved to the camera by the dataset's calibration, else the frame's."""
 
     path: Path
-    found: Mapping[str, LabelCloudFrame]
+    by_frame: Mapping[str, LabelCloudFrame]
 
     @property
     def frames(self) -> Sequence[str]:
-        return tuple(self.found)
+        return tuple(self.by_frame)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        each = self.found[name]
+        each = self.by_frame[name]
         T = frame.T_camera_label if each.T_camera_cloud is None else each.T_camera_cloud
         return [Truth(label, box if T is None else box.transformed(T)) for label, box in each.boxes]
 
@@ -32,5 +32,5 @@ class LabelCloudLabels:
 
 
 def read(path: Path) -> LabelCloudLabels:
-    """Raises FormatError: no labelCloud project, or a label file that does not follow its form."""
+    """Raises FormatError: not a labelCloud project, or a label file that does not follow the format."""
     return LabelCloudLabels(path, read_labelcloud(path))

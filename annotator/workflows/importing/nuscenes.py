@@ -13,22 +13,22 @@ from annotator.workflows.importing.label_set import LeftBehind
 
 @dataclass(frozen=True)
 class NuScenesLabels:
-    """The annotations of every camera's pictures."""
+    """The annotations of every camera's images."""
 
     path: Path
-    found: Mapping[str, tuple[NuScenesBox, ...]]
+    by_frame: Mapping[str, tuple[NuScenesBox, ...]]
 
     @property
     def frames(self) -> Sequence[str]:
-        return tuple(self.found)
+        return tuple(self.by_frame)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return [Truth(each.label, each.box, each.track_id) for each in self.found[name]]
+        return [Truth(each.label, each.box, each.track_id) for each in self.by_frame[name]]
 
     def left_behind(self, name: str) -> LeftBehind:
         return LeftBehind()
 
 
 def read(path: Path) -> NuScenesLabels:
-    """Raises FormatError: no tables of nuScenes, or rows that do not follow its schema."""
+    """Raises FormatError: no nuScenes tables, or rows that do not follow the schema."""
     return NuScenesLabels(path, read_nuscenes(path))

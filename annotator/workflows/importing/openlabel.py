@@ -14,22 +14,22 @@ from annotator.workflows.importing.label_set import LeftBehind, are_confidences
 
 @dataclass(frozen=True)
 class OpenLabelLabels:
-    """The boxes that somebody has accepted or edited, and all of documents that do not say; the others stay behind.
+    """Accepted and edited boxes, and boxes without a review state; others are left out.
 
     Attributes:
-        scored: the objects' scores are confidences in 0..1; otherwise they stay behind, too.
+        scored: True if the scores are confidences in 0..1; otherwise they are left out.
     """
 
     path: Path
-    found: Mapping[str, OpenLabelFrame]
+    by_frame: Mapping[str, OpenLabelFrame]
     scored: bool
 
     @property
     def frames(self) -> Sequence[str]:
-        return tuple(self.found)
+        return tuple(self.by_frame)
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        T = None if self.found[name].of_camera else frame.T_camera_label
+        T = None if self.by_frame[name].of_camera else frame.T_camera_label
         return [
             Truth(
                 each.label,
@@ -37,22 +37,22 @@ class OpenLabelLabels:
                 each.track_id,
                 each.score if self.scored else None,
             )
-            for each in self.found[name].boxes
-            if _comes_along(each)
+            for each in self.by_frame[name].boxes
+            if _is_imported(each)
         ]
 
     def left_behind(self, name: str) -> LeftBehind:
-        boxes = self.found[name].boxes
-        along = [each for each in boxes if _comes_along(each)]
-        lost = 0 if self.scored else sum(each.score is not None for each in along)
-        return LeftBehind(len(boxes) - len(along), lost)
+        boxes = self.by_frame[name].boxes
+        imported = [each for each in boxes if _is_imported(each)]
+        lost = 0 if self.scored else sum(each.score is not None for each in imported)
+        return LeftBehind(len(boxes) - len(imported), lost)
 
 
-def _comes_along(box: OpenLabelBox) -> bool:
+def _is_imported(box: OpenLabelBox) -> bool:
     return box.state is None or box.state in REVIEWED
 
 
 def read(path: Path) -> OpenLabelLabels:
-    """Raises FormatError: no OpenLABEL, or a document that does not follow the standard."""
+    """Raises FormatError: not an OpenLABEL document, or one that does not follow the standard."""
     found = read_openlabel(path)
     return OpenLabelLabels(path, found, are_confidences(box.score for each in found.values() for box in each.boxes))

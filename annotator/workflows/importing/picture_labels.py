@@ -1,4 +1,4 @@
-"""Labelled pictures of a COCO or YOLO file or dataset, as one thing to import."""
+"""Reads the labelled images of a COCO or YOLO file or dataset into a common form."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from annotator.formats.yolo_read import YoloPicture, read_yolo
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
 
-# Of a name that is none.
+# Characters of an invalid name that a message quotes.
 SHOWN = 60
 
 
@@ -27,14 +27,14 @@ class FlatFormat(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class PictureLabels:
-    """The boxes of one picture.
+    """The boxes of one image.
 
     Attributes:
-        file_name: of the picture, as its dataset has it.
-        folder: that `file_name` is in.
+        file_name: the image's name in the dataset.
+        folder: the folder of `file_name`.
         labels: class of each box.
-        size_px: width and height as the dataset says them; None where boxes are shares of whatever size it has.
-        boxes_on: its boxes on a picture of this width and height, pixels.
+        size_px: width and height from the dataset; None if boxes are fractions of the image size.
+        boxes_on: returns the boxes on an image of the given width and height, pixels.
     """
 
     file_name: str
@@ -49,31 +49,31 @@ class PictureLabels:
         return PurePosixPath(self.file_name).stem
 
     def file(self, path: Path) -> Path | None:
-        """The picture's file, if it is there.
+        """Returns the image file; None if it does not exist.
 
         Args:
-            path: where the name comes from, for the message.
+            path: the dataset, for the message.
 
         Raises:
-            FormatError: the name leads out of its folder, or is none.
+            FormatError: the name is invalid or leads out of its folder.
         """
         file = self.folder / self.file_name
         if not is_within(self.folder, self.file_name):
             raise FormatError(
                 path,
-                f"{self.file_name[:SHOWN]!r} leads out of the folder of pictures, or is no name; use names within it",
+                f"{self.file_name[:SHOWN]!r} leads out of the image folder or is not a valid name; use names within it",
             )
         return file if file.is_file() else None
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSet:
-    """All labelled pictures of a file or dataset, read and checked.
+    """All labelled images of a file or dataset, read and checked.
 
     Attributes:
-        path: what was read.
-        pictures: in its order.
-        origins: by stem, the frame that a camera image is of, where the dataset says so (`frames.csv`).
+        path: the file or folder that was read.
+        pictures: the images in its order.
+        origins: the frames of camera images from `frames.csv`, by stem.
     """
 
     path: Path
@@ -82,14 +82,14 @@ class PictureSet:
 
 
 def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) -> PictureSet:
-    """The labelled pictures at `path`.
+    """Reads the labelled images at `path`.
 
     Args:
         path: an annotation file, or the folder of a dataset.
-        folder: of the pictures, where it is not the one that the dataset has.
+        folder: the image folder; None = the dataset's own.
 
     Raises:
-        FormatError: it does not follow the format.
+        FormatError: the dataset does not follow the format.
     """
     if format is FlatFormat.COCO:
         root = dataset_folder(path)
@@ -113,7 +113,7 @@ def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) ->
 def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
     name = picture.file_name
     if folder is not None and picture.picture is None:
-        # only its labels are there: the picture that they belong to is a pseudo-view, which is kept as PNG
+        # labels without an image belong to a pseudo-view, which is a PNG file
         name = f"{PurePosixPath(name).stem}.png"
     return PictureLabels(
         name,

@@ -14,7 +14,7 @@ from annotator.workflows.importing.label_set import LeftBehind
 
 @dataclass(frozen=True)
 class RcvLabels:
-    """The labels that somebody has accepted or edited; proposals nobody looked at and rejected boxes stay behind."""
+    """Accepted and edited labels; proposals and rejected boxes are left out."""
 
     path: Path
     labels: dict[str, tuple[Label, ...]]
@@ -32,6 +32,6 @@ class RcvLabels:
 
 
 def read(path: Path) -> RcvLabels:
-    """Raises FormatError: no `rcv` dataset, or a label file that does not follow the format."""
+    """Raises FormatError: not an `rcv` dataset, or a label file that does not follow the format."""
     dataset = read_rcv(path)
     return RcvLabels(path, dict(dataset.named_labels(i) for i in range(len(dataset))))

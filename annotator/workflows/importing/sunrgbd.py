@@ -1,4 +1,4 @@
-"""SUN RGB-D's labels: a folder in VoteNet's layout (upright boxes), or the data set's table (boxes that may lean)."""
+"""SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (boxes may be tilted)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.sunrgbd_meta import read_meta
-from annotator.formats.sunrgbd_sets import read_extracted_folder
-from annotator.formats.sunrgbd_upright import upright_frame
-from annotator.recordings.sunrgbd_calib import read_extracted_calibration
+from annotator.formats.sunrgbd.labels import read_extracted_folder
+from annotator.formats.sunrgbd.meta_table import read_meta
+from annotator.formats.sunrgbd.upright_depth import upright_frame
+from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
 from annotator.types import Frame, Truth
 from annotator.workflows.importing.label_set import LeftBehind
 
@@ -21,8 +21,8 @@ class SunLabels:
     """Labels in upright depth.
 
     Attributes:
-        objects: of each frame.
-        poses: T_camera_upright of the frames whose dataset says it; for the others it is that of our frame.
+        objects: objects by frame name.
+        poses: T_camera_upright of frames with a calibration in the dataset; for others it follows from the frame.
     """
 
     path: Path
@@ -42,14 +42,14 @@ class SunLabels:
 
 
 def read(path: Path) -> SunLabels:
-    """Raises FormatError (labels) or FrameError (calibration): they do not follow the format."""
+    """Raises FormatError for invalid labels, FrameError for invalid calibrations."""
     if path.suffix == ".mat":
         frames = read_meta(path)
         return SunLabels(path, {f.name: f.truths for f in frames}, {f.name: f.T_camera_upright for f in frames})
-    found = read_extracted_folder(path)
+    labelled = read_extracted_folder(path)
     calibrated = {
         name: read_extracted_calibration(each.calibration).T_camera_upright
-        for name, each in found.items()
+        for name, each in labelled.items()
         if each.calibration is not None and each.calibration.is_file()
     }
-    return SunLabels(path, {name: each.truths for name, each in found.items()}, calibrated)
+    return SunLabels(path, {name: each.truths for name, each in labelled.items()}, calibrated)

@@ -1,4 +1,4 @@
-"""The formats of 3D boxes that labels can come in: a new one is one line here, and one file beside this one."""
+"""The table of import formats of 3D boxes. A new format needs one line here and one module in this folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BoxFormat(StrEnum):
     NUSCENES = "nuscenes"
 
 
-# The module beside this one, with a function `read(path: Path) -> LabelSet`.
+# The module in this folder with a function `read(path: Path) -> LabelSet`.
 READERS: dict[BoxFormat, str] = {
     BoxFormat.RCV: "rcv",
     BoxFormat.KITTI: "kitti",
@@ -35,7 +35,7 @@ READERS: dict[BoxFormat, str] = {
 
 
 def read_labels(format: BoxFormat, path: Path) -> LabelSet:
-    """The labels at `path`, all of them read and checked.
+    """Reads and checks all labels at `path`.
 
     Raises:
         FormatError: they do not follow the format.

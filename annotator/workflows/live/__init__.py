@@ -1,1 +1,1 @@
-"""Live: frames as they come, from a device or a recording that is played; detected, shown and perhaps recorded."""
+"""Live detection: frames from a device or a played recording are detected, shown and optionally recorded."""

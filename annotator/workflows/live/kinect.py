@@ -5,16 +5,16 @@ from __future__ import annotations
 import threading
 import time
 
-from annotator.recordings.kinect_device import KinectDevice
+from annotator.recordings.kinect.device import KinectDevice
 from annotator.workflows.live.source import Taken
 
 
 class KinectSource:
-    """A `Source` of what a device sees now.
+    """A `Source` of the frames of a device.
 
     Attributes:
-        skipped: none: what the pipeline has no time for is dropped there.
-        gives_newest: not so: the driver queues what nobody takes.
+        skipped: 0, since late frames are dropped by the pipeline.
+        gives_newest: False, since the driver queues unread frames.
     """
 
     skipped = 0
@@ -23,7 +23,7 @@ class KinectSource:
     def __init__(self, which: str | None = None) -> None:
         """
         Args:
-            which: as of `KinectDevice`.
+            which: as for `KinectDevice`.
 
         Raises:
             DeviceError: there is no such device, or it cannot be used.
@@ -36,13 +36,15 @@ class KinectSource:
 
     def read(self, stop: threading.Event) -> Taken | None:
         """As `Source.read`."""
-        found = self._device.next_frame(stop)
-        return None if found is None else Taken(found.frame, found.arrived_s, time.perf_counter() - found.arrived_s)
+        arrived = self._device.next_frame(stop)
+        if arrived is None:
+            return None
+        return Taken(arrived.frame, arrived.arrived_s, time.perf_counter() - arrived.arrived_s)
 
     def resume(self) -> None:
-        """Leaves out what the device still holds."""
+        """Discards the frames in the driver's queue."""
         self._device.skip_old()
 
     def close(self) -> None:
-        """Gives the device back."""
+        """Releases the device."""
         self._device.close()

@@ -1,10 +1,10 @@
-"""Capture, detection and display side by side: each works on its newest frame, and none waits for a slower one.
+"""Runs capture, detection and display in parallel: each processes its newest frame, and none waits for a slower one.
 
     source -> [slot] -> detection -> [slot] -> display
                             \\-> record
 
-Each stage is a thread. Whatever ends one of them (the end of the source, an error, `stop`) ends all. Detectors get
-ready on the first frame, which takes long: no other one is taken meanwhile, and it is not measured.
+Each stage is a thread. The end of one (the source ends, an error, `stop`) ends all. The detectors are prepared on the
+first frame, which takes long: no frame is read in the meantime, and the first one is not measured.
 """
 
 from __future__ import annotations
@@ -15,46 +15,45 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from annotator.types.errors import ConfigError, DeviceError, FrameError
-from annotator.workflows.live.demand import Demand
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.figures import Drops, Figures, Meter
-from annotator.workflows.live.slot import Slot
+from annotator.workflows.live.handover import Demand, Slot
+from annotator.workflows.live.rates import Drops, Figures, Meter
 from annotator.workflows.live.source import Source, Taken
 
-# A thread that has been told to end, and is not in the middle of a call that never returns, does so within this.
-ENDS_WITHIN_S = 20.0
+# Time within which all threads end after `stop`, unless one hangs in a call.
+END_TIMEOUT_S = 20.0
 
 Show = Callable[[Detected], None]
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @runtime_checkable
 class Detection(Protocol):
-    """Finds the boxes of one frame after the other."""
+    """Detects the boxes of successive frames."""
 
     def detect(self, taken: Taken) -> Detected:
-        """The boxes of a frame."""
+        """Detects the boxes of a frame."""
 
 
 @runtime_checkable
-class Keep(Protocol):
-    """Takes what was detected, to be recorded; never waits."""
+class Sink(Protocol):
+    """Receives detected frames, to record them."""
 
     @property
     def dropped(self) -> int:
-        """Frames that could not be taken."""
+        """Number of frames not accepted."""
 
     def put(self, detected: Detected) -> None:
-        """One frame with its boxes."""
+        """Receives a frame with its boxes, without waiting."""
 
 
 class Pipeline:
     """Runs from `start` until its source ends, a stage fails, or it is stopped.
 
     Attributes:
-        source: where frames come from; closed at the end.
-        meter: what was measured.
-        ended: set once all threads have come to their end.
+        source: of the frames; closed at the end.
+        meter: the measurements.
+        ended: set once all threads have ended.
     """
 
     def __init__(
@@ -63,27 +62,27 @@ class Pipeline:
         detection: Detection,
         show: Show,
         *,
-        keep: Keep | None = None,
-        most_frames: int | None = None,
-        tell: Tell = lambda line: None,
+        record: Sink | None = None,
+        max_frames: int | None = None,
+        report: Report = lambda line: None,
     ) -> None:
         """
         Args:
             show: the display; called by a thread of its own.
-            keep: gets all that is detected, too.
-            most_frames: end after so many frames of the source; None = with the source.
-            tell: gets a line on each frame that cannot be read.
+            record: receives all detected frames.
+            max_frames: end after so many frames of the source; None = when the source ends.
+            report: called with a message for each frame that cannot be read.
 
         Raises:
-            ConfigError: no frame at all is asked for.
+            ConfigError: `max_frames` is less than 1.
         """
-        if most_frames is not None and most_frames < 1:
-            raise ConfigError(f"{most_frames} frames show nothing; give 1 or more")
+        if max_frames is not None and max_frames < 1:
+            raise ConfigError(f"cannot show {max_frames} frames; give 1 or more")
         self.source = source
         self.meter = Meter()
         self.ended = threading.Event()
-        self._detection, self._show, self._keep = detection, show, keep
-        self._most_frames, self._tell = most_frames, tell
+        self._detection, self._show, self._record = detection, show, record
+        self._max_frames, self._report = max_frames, report
         self._taken: Slot[Taken] = Slot()
         self._detected: Slot[Detected] = Slot()
         self._demand = Demand()
@@ -95,10 +94,10 @@ class Pipeline:
         self._lock = threading.Lock()
         self._at_end: list[Callable[[], None]] = []
         self._threads = [
-            threading.Thread(target=self._guarded, args=(stage,), name=name, daemon=True)
+            threading.Thread(target=self._run_stage, args=(stage,), name=name, daemon=True)
             for name, stage in (("capture", self._capture), ("detect", self._detect), ("display", self._display))
         ]
-        self._left = len(self._threads)
+        self._running_stages = len(self._threads)
 
     def start(self) -> None:
         """Starts all stages."""
@@ -106,7 +105,7 @@ class Pipeline:
             thread.start()
 
     def stop(self) -> None:
-        """Asks all stages to end; what waits between them is given up."""
+        """Asks all stages to end; frames between them are dropped."""
         for event in (self._stop, self._running, self._ready):
             event.set()
         self._demand.close()
@@ -114,10 +113,10 @@ class Pipeline:
             slot.close(empty=True)
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Waits for the end; True where it has come.
+        """Waits for the end; returns False after `timeout_s` seconds.
 
         Raises:
-            AnnotatorError: why a stage failed.
+            AnnotatorError: a stage has failed.
         """
         if not self.ended.wait(timeout_s):
             return False
@@ -129,16 +128,16 @@ class Pipeline:
         """Stops, and waits until all stages have ended.
 
         Raises:
-            AnnotatorError: why a stage failed.
-            DeviceError: the source does not come back from the device.
+            AnnotatorError: a stage has failed.
+            DeviceError: a stage hangs, e.g. the source in a call of the device.
         """
         self.stop()
-        if not self.wait(ENDS_WITHIN_S):
+        if not self.wait(END_TIMEOUT_S):
             alive = ", ".join(thread.name for thread in self._threads if thread.is_alive())
             raise DeviceError(f"{self.source.name}: {alive} does not end; unplug the device, or end the process")
 
     def at_end(self, call: Callable[[], None]) -> None:
-        """Has `call` called, by a thread of the pipeline, when all has ended."""
+        """Calls `call` from a thread of the pipeline when all stages have ended; at once if they have."""
         with self._lock:
             if not self.ended.is_set():
                 self._at_end.append(call)
@@ -147,19 +146,19 @@ class Pipeline:
 
     @property
     def is_paused(self) -> bool:
-        """Whether no frame is taken for now."""
+        """True while no frames are read."""
         return not self._running.is_set()
 
     def pause(self, paused: bool) -> None:
-        """Takes no frame until it is told otherwise."""
+        """Pauses or resumes reading frames."""
         if paused:
             self._running.clear()
-        if not paused or self._stop.is_set():  # asked after clearing: a stop in between is not to be undone
+        if not paused or self._stop.is_set():  # checked after clearing, so that a concurrent stop is not undone
             self._running.set()
 
     def figures(self) -> Figures:
-        """What was measured lately."""
-        dropped = 0 if self._keep is None else self._keep.dropped
+        """Returns the present measurements."""
+        dropped = 0 if self._record is None else self._record.dropped
         drops = Drops(self.source.skipped, self._taken.dropped, self._detected.dropped, dropped)
         return self.meter.figures(drops)
 
@@ -167,7 +166,7 @@ class Pipeline:
 
     def _capture(self) -> None:
         try:
-            while not self._stop.is_set() and self._most_frames != self.meter.read + self.meter.broken:
+            while not self._stop.is_set() and self._max_frames != self.meter.read + self.meter.broken:
                 if not self._running.is_set():
                     self._running.wait()
                     self.source.resume()
@@ -178,7 +177,7 @@ class Pipeline:
                     taken = self.source.read(self._stop)
                 except FrameError as error:
                     self.meter.broken += 1
-                    self._tell(str(error))
+                    self._report(str(error))
                     continue
                 if taken is None:
                     break
@@ -199,8 +198,8 @@ class Pipeline:
                 detected = self._detection.detect(taken)
                 self._demand.ends()
                 self.meter.detected += 1
-                if self._keep is not None:
-                    self._keep.put(detected)
+                if self._record is not None:
+                    self._record.put(detected)
                 self._detected.put(detected)
                 self._ready.set()
         finally:
@@ -213,8 +212,8 @@ class Pipeline:
             stages_s = {**detected.stages_s, "show": time.perf_counter() - begin}
             self.meter.shown(detected.taken_s, stages_s, is_first=detected.is_first)
 
-    def _guarded(self, stage: Callable[[], None]) -> None:
-        """Runs a stage; its failure ends the others, and is kept for who waits."""
+    def _run_stage(self, stage: Callable[[], None]) -> None:
+        """Runs a stage. A failure ends the other stages, and is raised by `wait`."""
         try:
             stage()
         except BaseException as error:
@@ -222,8 +221,8 @@ class Pipeline:
                 self._error = self._error or error
             self.stop()
         with self._lock:
-            self._left -= 1
-            if self._left:
+            self._running_stages -= 1
+            if self._running_stages:
                 return
             self.ended.set()
             calls = tuple(self._at_end)

@@ -1,4 +1,4 @@
-"""A recording that is played as if a camera stood where it was taken: at its own rate, in its own order."""
+"""Plays a recording like a live camera, at the recorded frame rate."""
 
 from __future__ import annotations
 
@@ -14,34 +14,33 @@ from annotator.recordings import Recording
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.live.source import Taken
 
-# Frames a second of recordings that do not know when their frames were taken: a LiDAR turns ten times a second, RGB-D
-# cameras give 30.
+# Frames per second of recordings without times: a LiDAR turns ten times per second, RGB-D cameras take 30 frames.
 RATE_BY_FORMAT = {"kitti_object": 10.0, "kitti_tracking": 10.0, "kitti_raw": 10.0, "cloud_folder": 10.0}
 DEFAULT_RATE = 30.0
-# A longer pause within a recording is shortened to this, seconds.
-LONGEST_GAP_S = 1.0
-# Who asks when a frame is nearly as old as the next one is far gets the next one: seconds, and a share of the time
-# between the two. Frames of a source of 30 a second that is asked at any moment are 9 ms old on average in place of 17,
-# for 1 ms of waiting.
+# Longer gaps in a recording are shortened to this, seconds.
+MAX_GAP_S = 1.0
+# If the next frame is due within this time, seconds and share of the gap between the two, the present one is left out.
+# At 30 frames per second and random read times, frames are then 9 ms old on average instead of 17 ms, for 1 ms of
+# waiting.
 PATIENCE_S, PATIENCE_SHARE = 0.010, 0.25
 
 
 class Repeat(StrEnum):
-    """What comes after the last frame."""
+    """What follows the last frame."""
 
     NO = "no"
     AGAIN = "again"
     BACK = "back"
-    """Back to the first one and forth again, so that motion goes on without a jump."""
+    """Backwards to the first frame and forwards again, so that motion has no jump."""
 
 
 class Playback:
-    """A `Source` that plays a recording. A frame whose successor is due, or nearly so, is left out.
+    """A `Source` that plays a recording. A frame is left out if the next one is due or nearly due.
 
     Attributes:
-        recording: what is played.
-        gives_newest: it leaves out what nobody has asked for in time.
-        skipped: frames that were left out.
+        recording: the recording.
+        gives_newest: True, since late frames are left out.
+        skipped: number of frames left out.
     """
 
     gives_newest = True
@@ -49,13 +48,13 @@ class Playback:
     def __init__(self, recording: Recording, *, rate: float | None = None, repeat: Repeat = Repeat.NO) -> None:
         """
         Args:
-            rate: frames a second; None = the recording's own; infinite = as fast as it can be read.
+            rate: frames per second; None = as recorded; infinite = as fast as frames can be read.
 
         Raises:
             ConfigError: a rate of zero or less.
         """
         if rate is not None and not rate > 0:
-            raise ConfigError(f"a rate of {rate:g} frames a second shows nothing; give more than 0")
+            raise ConfigError(f"cannot play at {rate:g} frames per second; give more than 0")
         self.recording = recording
         self.skipped = 0
         self._gap_s = None if rate is None else 1 / rate
@@ -71,7 +70,7 @@ class Playback:
 
     @property
     def rate(self) -> float:
-        """Frames a second, where they come evenly; else the median."""
+        """Frames per second; with recorded times, from their median gap."""
         if self._times_s is None or len(self._times_s) < 2:
             gap_s = self._gap_s if self._gap_s is not None else 1 / default_rate(self.recording)
             return np.inf if gap_s == 0 else 1 / gap_s
@@ -82,12 +81,12 @@ class Playback:
 
         Raises:
             FrameError: this frame cannot be read.
-            RecordingError: none of a whole round could be.
+            RecordingError: none of the recording's frames can be read.
         """
-        turn = self._await_turn(stop)
-        if turn is None:
+        due = self._wait_for_next(stop)
+        if due is None:
             return None
-        index, taken_s = turn
+        index, taken_s = due
         begin = time.perf_counter()
         try:
             frame = self.recording.frame(index)
@@ -103,20 +102,20 @@ class Playback:
         return Taken(frame, taken_s, time.perf_counter() - begin)
 
     def resume(self) -> None:
-        """The next frame is due now."""
+        """Makes the next frame due now."""
         self._due_s = None
 
     def close(self) -> None:
-        """Recordings hold nothing open."""
+        """Does nothing: a recording has no open files."""
 
-    def _await_turn(self, stop: threading.Event) -> tuple[int, float] | None:
-        """The next frame's number and when it was due, once it is; those whose successors are nearly due are left out.
+    def _wait_for_next(self, stop: threading.Event) -> tuple[int, float] | None:
+        """Waits until the next frame is due; returns its index and due time. Skips frames that are too late.
 
-        None at the end, or when `stop` is set.
+        Returns None at the end, or when `stop` is set.
         """
         while self._next is not None:
             now = time.perf_counter()
-            # at full speed nothing is ever late
+            # at full speed no frame is late
             index, due_s = self._next, now if self._due_s is None or self._gap_s == 0 else self._due_s
             self._next = next(self._order, None)
             gap_s = 0.0 if self._next is None else self._gap(index, self._next)
@@ -130,16 +129,16 @@ class Playback:
         return None
 
     def _gap(self, index: int, following: int) -> float:
-        """From one frame to the next that is played, seconds."""
+        """Returns the time between two successively played frames, seconds."""
         if self._gap_s is not None:
             return self._gap_s
         if self._times_s is None or abs(following - index) != 1:  # from the last one to the first
             return 1 / self.rate
-        return min(abs(self._times_s[following] - self._times_s[index]), LONGEST_GAP_S)
+        return min(abs(self._times_s[following] - self._times_s[index]), MAX_GAP_S)
 
 
 def times_s(recording: Recording) -> Sequence[float] | None:
-    """When each frame was taken, seconds from any moment; None where the recording does not know it of all of them."""
+    """Returns when each frame was taken, seconds of any one clock; None unless all times are recorded."""
     times_ns: Sequence[int | None] | None = getattr(recording, "times_ns", None)
     if times_ns is None or any(each is None for each in times_ns):
         return None
@@ -147,14 +146,14 @@ def times_s(recording: Recording) -> Sequence[float] | None:
 
 
 def default_rate(recording: Recording) -> float:
-    """Frames a second of a recording that knows no times."""
+    """Returns the frames per second of a recording without times."""
     return RATE_BY_FORMAT.get(recording.format, DEFAULT_RATE)
 
 
 def _order(frames: int, repeat: Repeat) -> Iterator[int]:
-    once = range(frames)
+    indices = range(frames)
     if repeat is Repeat.NO:
-        return iter(once)
+        return iter(indices)
     if repeat is Repeat.BACK:
-        return itertools.cycle([*once, *once[-2:0:-1]])
-    return itertools.cycle(once)
+        return itertools.cycle([*indices, *indices[-2:0:-1]])
+    return itertools.cycle(indices)

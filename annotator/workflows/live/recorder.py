@@ -1,7 +1,7 @@
-"""What was seen, kept as a recording: written by a thread of its own, put in its place when it is complete.
+"""Records live frames: a thread writes them, and the recording is moved to its path when it is complete.
 
-Until then it grows in a hidden folder beside its place, which is a recording after every frame. What a killed process
-has left there is put in order when somebody records to the same place again (`rescue`).
+Until then it is a hidden folder beside that path, which is a valid recording after every frame. The next recording to
+the same path rescues the folders that killed processes have left (`rescue`).
 """
 
 from __future__ import annotations
@@ -27,38 +27,38 @@ from annotator.recordings.frame_writer import FrameWriter, trim
 from annotator.types.errors import ConfigError, RecordingError
 from annotator.workflows.live.detection import Detected
 
-# Frames that wait for the disk at most; a frame is up to 10 MB.
-MOST_WAITING = 16
+# Maximum number of frames that wait for the disk; a frame takes up to 10 MB.
+MAX_WAITING = 16
 LOCK = ".lock"
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
-    """One frame of a finished recording: its key there, what was found, and how long that took."""
+class RecordedFrame:
+    """A frame of a finished recording: its key, its proposals, and the duration of the detection."""
 
     key: str
-    found: FrameProposals
+    result: FrameProposals
     seconds: float
 
 
 class Recorder:
-    """Takes detected frames until `finish`; what was found is kept until it is closed.
+    """Records detected frames until `finish`; holds their proposals until `close`.
 
     Attributes:
-        out: where the recording will be.
-        dropped: frames that the disk was too slow for.
+        out: path of the finished recording.
+        dropped: number of frames not recorded because the disk was too slow.
     """
 
-    def __init__(self, out: Path, tell: Tell = lambda line: None) -> None:
+    def __init__(self, out: Path, report: Report = lambda line: None) -> None:
         """
         Args:
-            out: a folder that is not there yet.
-            tell: gets a line on what is found of earlier recordings that were cut off.
+            out: a folder that does not exist yet.
+            report: called with a message for each interrupted recording that is rescued.
 
         Raises:
-            ConfigError: something is at `out`, it cannot be made, or somebody records to it now.
+            ConfigError: `out` exists, cannot be created, or another process records to it.
         """
         self.out = out.resolve()
         self.dropped = 0
@@ -66,44 +66,48 @@ class Recorder:
             raise ConfigError(f"{out}: exists already; record to another path, or remove it first")
         try:
             self.out.parent.mkdir(parents=True, exist_ok=True)
-            rescue(self.out, tell)
+            rescue(self.out, report)
             self._part = Path(tempfile.mkdtemp(prefix=_prefix(self.out), dir=self.out.parent))
-            self._held = _hold(self._part)
-            # unbuffered: what does not fit is known at its own frame. Beside the recording: /tmp may be memory
-            self._found = tempfile.TemporaryFile(buffering=0, dir=self.out.parent)  # noqa: SIM115 - closed by `close`
+            self._lock_file = _lock(self._part)
+            # unbuffered, so that a full disk fails at the frame itself; beside the recording, since /tmp may be memory
+            self._results = tempfile.TemporaryFile(buffering=0, dir=self.out.parent)  # noqa: SIM115 - closed by `close`
         except OSError as error:
-            raise ConfigError(f"{out}: cannot be made ({error.strerror or error}); record to another path") from error
+            raise ConfigError(
+                f"{out}: cannot be created ({error.strerror or error}); record to another path"
+            ) from error
         self._writer = FrameWriter(self._part)
-        self._kept = 0
-        self._waiting: queue.Queue[Detected | None] = queue.Queue(MOST_WAITING)
-        # the moments of a played recording are no times of day: all are told by one clock
+        self._result_count = 0
+        self._waiting: queue.Queue[Detected | None] = queue.Queue(MAX_WAITING)
+        # converts `perf_counter` times to wall-clock times, by one offset for the whole recording
         self._epoch_s = time.time() - time.perf_counter()
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._write, name="record", daemon=True)
         self._thread.start()
 
     def put(self, detected: Detected) -> None:
-        """One frame with its boxes; never waits.
+        """Adds a frame with its boxes, without waiting.
 
         Raises:
-            RecordingError: why nothing more can be written.
+            RecordingError: an earlier frame could not be written.
         """
-        self.require_whole()
+        self.require_complete()
         try:
             self._waiting.put_nowait(detected)
         except queue.Full:
             self.dropped += 1
 
     def finish(self) -> int:
-        """Waits until all is written, and puts the recording in its place; its frames. Without one there is none.
+        """Waits until all frames are written, moves the recording to `out`, and returns the number of its frames.
+
+        Without any frame, no recording is left.
 
         Raises:
-            RecordingError: it cannot be put there; the message says where it is.
+            RecordingError: it cannot be moved to `out`; the message says where it is.
         """
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()
-        self._held.close()
+        self._lock_file.close()
         if not self._writer.frames:
             rmtree(self._part, ignore_errors=True)
             return 0
@@ -114,13 +118,13 @@ class Recorder:
             self._part.rename(self.out)
         except OSError as error:
             raise RecordingError(
-                f"{self.out}: cannot be made ({error.strerror or error}); its {self._writer.frames} frames are in "
+                f"{self.out}: cannot be created ({error.strerror or error}); its {self._writer.frames} frames are in "
                 f"{self._part}"
             ) from error
         return self._writer.frames
 
-    def require_whole(self) -> None:
-        """Tells of a finished recording that it has an end that nobody wanted, where `put` had no occasion to.
+    def require_complete(self) -> None:
+        """Raises if the recording was cut short.
 
         Raises:
             RecordingError: why the last frames could not be written.
@@ -128,15 +132,15 @@ class Recorder:
         if self._error is not None:
             raise self._error
 
-    def kept(self) -> Iterator[Kept]:
-        """The frames of a finished recording with what was found on them, in order."""
-        self._found.seek(0)
-        for _ in range(self._kept):
-            yield pickle.load(self._found)
+    def recorded(self) -> Iterator[RecordedFrame]:
+        """Yields the frames of a finished recording with their proposals, in order."""
+        self._results.seek(0)
+        for _ in range(self._result_count):
+            yield pickle.load(self._results)
 
     def close(self) -> None:
-        """Forgets what was found."""
-        self._found.close()
+        """Deletes the proposals."""
+        self._results.close()
 
     def __enter__(self) -> Recorder:
         return self
@@ -149,95 +153,95 @@ class Recorder:
     def _write(self) -> None:
         while (detected := self._waiting.get()) is not None:
             if self._error is not None:
-                continue  # whoever puts the next one is told; what waits must not hold up the end
+                continue  # the next `put` raises the error; frames that wait are dropped, so that `finish` returns
             try:
                 time_ns = round(1e9 * (self._epoch_s + detected.taken_s))
                 key = self._writer.add(detected.frame, time_ns)
-                self._keep(Kept(key, detected.found, detected.detect_s))
+                self._store(RecordedFrame(key, detected.found, detected.detect_s))
             except Exception as error:
                 self._error = error
 
-    def _keep(self, kept: Kept) -> None:
-        """No list in memory: every proposal has its whole trace, and a recording may go on for hours."""
-        data = pickle.dumps(kept)
+    def _store(self, frame: RecordedFrame) -> None:
+        """Writes proposals to a file: with their traces, those of a long recording would not fit in memory."""
+        data = pickle.dumps(frame)
         try:
-            if self._found.write(data) < len(data):
+            if self._results.write(data) < len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
             raise RecordingError(
-                f"{self.out}: what was found on frame {kept.key} cannot be written ({error.strerror or error}); "
-                "make room, or record to another disk"
+                f"{self.out}: the proposals of frame {frame.key} cannot be written ({error.strerror or error}); "
+                "free some space, or record to another disk"
             ) from error
-        self._kept += 1
+        self._result_count += 1
 
 
 def require_recordable(recording: Recording) -> None:
-    """Refuses what could not be read back as it was seen.
+    """Checks that a played recording can be recorded again without loss.
 
     Raises:
-        ConfigError: the frames do not follow each other in time, or have no pictures of their own.
+        ConfigError: the frames are not a sequence, or have no camera images.
     """
     if not recording.is_sequence:
         raise ConfigError(
-            f"{recording.path}: its frames ({recording.format}) do not follow each other in time, each may be of "
-            "another camera; leave --record away, and add the recording itself to the project"
+            f"{recording.path}: its frames ({recording.format}) do not follow each other in time, and may come from "
+            "different cameras; omit --record, and add the recording itself to the project"
         )
     if recording.format == "cloud_folder" and getattr(recording, "images", None) is None:
         raise ConfigError(
-            f"{recording.path}: has no camera images, only pictures that are drawn from its points; leave --record "
-            "away, and add the recording itself to the project"
+            f"{recording.path}: has no camera images, only images drawn from its points; omit --record, and add the "
+            "recording itself to the project"
         )
 
 
-def rescue(out: Path, tell: Tell) -> None:
-    """Puts in order what killed processes have left beside `out`: what has frames becomes a recording of its own.
+def rescue(out: Path, report: Report) -> None:
+    """Turns the folders that killed processes have left beside `out` into recordings; removes those without frames.
 
     Raises:
-        ConfigError: somebody records to `out` now.
-        OSError: something there cannot be changed.
+        ConfigError: another process records to `out`.
+        OSError: a folder cannot be changed.
     """
     for part in sorted(out.parent.glob(f"{glob.escape(_prefix(out))}*")):
         try:
-            held = _hold(part)
+            lock_file = _lock(part)
         except BlockingIOError as error:
             raise ConfigError(
-                f"{out}: another `annotator live` records to it; end that one, or name another path"
+                f"{out}: another `annotator live` records to it; end that one, or record to another path"
             ) from error
-        with held:
+        with lock_file:
             frames = trim(part)
             (part / LOCK).unlink(missing_ok=True)
             if not frames:
                 rmtree(part)
-                tell(f"{part}: was left by a recording that had not begun; it is removed")
+                report(f"{part}: was left by an interrupted recording without frames; it is removed")
                 continue
-            place = _free(out)
+            rescued = _rescue_path(out)
             part.chmod(0o755)
-            part.rename(place)
-        tell(f"{place}: {frames} frames of a recording that was cut off; add them with `annotator add`")
+            part.rename(rescued)
+        report(f"{rescued}: {frames} frames of an interrupted recording; add them with `annotator add`")
 
 
 def _prefix(out: Path) -> str:
     return f".{out.name}.recording-"
 
 
-def _free(out: Path) -> Path:
+def _rescue_path(out: Path) -> Path:
     number = 1
-    while (place := out.with_name(f"{out.name}-rescued-{number}")).exists():
+    while (path := out.with_name(f"{out.name}-rescued-{number}")).exists():
         number += 1
-    return place
+    return path
 
 
-def _hold(part: Path) -> IO[bytes]:
-    """A file in a folder that is held until it is closed; a killed process gives it back.
+def _lock(part: Path) -> IO[bytes]:
+    """Locks a folder by a file in it, until the file is closed or the process ends.
 
     Raises:
-        BlockingIOError: somebody holds it.
+        BlockingIOError: another process has locked it.
         OSError: the folder cannot be written.
     """
     file = (part / LOCK).open("wb")
     try:
         import fcntl
-    except ImportError:  # not a POSIX system: nothing to hold it with
+    except ImportError:  # not a POSIX system: no lock
         return file
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""Where live frames come from."""
+"""The interface of sources of live frames."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from annotator.types import Frame
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A frame that has just come.
+    """A frame from a source.
 
     Attributes:
-        taken_s: when the camera had it, or a camera in the recording's place would have had it; `time.perf_counter`.
-        read_s: how long it took to get it from there, seconds.
+        taken_s: when the camera took it, or when it was due in playback; `time.perf_counter`.
+        read_s: time to read it, seconds.
     """
 
     frame: Frame
@@ -25,30 +25,30 @@ class Taken:
 
 @runtime_checkable
 class Source(Protocol):
-    """A camera, or what stands for one. One thread reads."""
+    """A camera, or a played recording. Read by one thread."""
 
     @property
     def name(self) -> str:
-        """What it is, for people."""
+        """The name shown to the operator."""
 
     @property
     def gives_newest(self) -> bool:
-        """True where whoever asks later gets a newer frame; False where frames pile up unless they are taken."""
+        """True if `read` returns the newest frame; False if unread frames queue up."""
 
     @property
     def skipped(self) -> int:
-        """Frames that it has left out to keep its pace."""
+        """Number of frames left out to keep the frame rate."""
 
     def read(self, stop: threading.Event) -> Taken | None:
-        """Waits for the next frame; None at the end, or when `stop` is set.
+        """Waits for the next frame; returns None at the end, or when `stop` is set.
 
         Raises:
-            FrameError: this frame cannot be read; the next one may be fine.
-            DeviceError: the camera is gone, or gives nothing any more.
+            FrameError: this frame cannot be read; the next one may be readable.
+            DeviceError: the camera is disconnected or delivers no frames.
         """
 
     def resume(self) -> None:
-        """Called after a pause: what has become old meanwhile is left out."""
+        """Discards frames that are old by now; called after a pause."""
 
     def close(self) -> None:
-        """Gives the camera back."""
+        """Releases the camera."""

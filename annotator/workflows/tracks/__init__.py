@@ -1,1 +1,1 @@
-"""Objects over a recording: links between frames, boxes carried from one frame to others."""
+"""Tracks of objects through a recording: linking boxes, and carrying boxes from one frame to others."""

@@ -1,4 +1,4 @@
-"""From a reviewed frame to the next one: its objects are looked for where they were, or their boxes are copied."""
+"""Carries the reviewed boxes of a frame to the next frame, by detection or by copying."""
 
 from __future__ import annotations
 
@@ -8,34 +8,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
+from annotator.project.event_types import LabelTracked
 from annotator.project.overview import neighbours, read_page
-from annotator.project.payloads import LabelTracked
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.propose import propose
-from annotator.rcv.seeds import Seed
+from annotator.rcv.warm_start import WarmStart
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.motion import predicted
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.labelling import frame_config
-from annotator.workflows.open_frame import OpenFrame
-from annotator.workflows.tracks.place import Wanted, next_track_id, part_of, proposing
-from annotator.workflows.tracks.seeds import owners
-from annotator.workflows.tracks.snap import Snap
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks.fit_boxes import FitBox
+from annotator.workflows.tracks.previous_boxes import match_proposals
+from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events
 from annotator.workflows.tracks.times import times_of
+from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.open_frame import OpenFrame
 
 
 @dataclass(frozen=True)
 class Followed:
-    """What was proposed in the next frame.
+    """The result of following objects to the next frame.
 
     Attributes:
         frame_id: the next frame.
-        changed: ids of the frames that were changed, and the receipt of each.
-        proposed: boxes that were proposed in it.
-        lost: objects of the frame before that the detectors did not find again.
+        changed: the changed frames: (frame id, receipt) each.
+        proposed: number of boxes proposed in the next frame.
+        lost: number of objects that the detectors did not find again.
     """
 
     frame_id: int
@@ -54,29 +53,29 @@ def propose_next(
     *,
     effort: Effort | None = None,
 ) -> Followed:
-    """Proposes boxes in the next frame, starting from this one's reviewed boxes; an object keeps its track.
+    """Proposes boxes in the next frame, starting from this frame's reviewed boxes. Objects keep their track ids.
 
     Args:
-        revision: of the frame, as the operator has seen it.
-        author: who asks for it, and can undo it: one action.
-        open_frame: gives the next frame.
+        revision: of the frame, as shown to the operator.
+        author: who asks for it, and can undo it as one action.
+        open_frame: returns the next frame.
 
     Raises:
-        ConfigError: there is no next frame (frames without an order in time have none), it is finalised, or this one
-            has no reviewed box.
-        StaleRevisionError: somebody has changed one of the frames meanwhile.
+        ConfigError: the recording is not a sequence, there is no next frame, it is finalised, or this frame has no
+            reviewed box.
+        StaleRevisionError: one of the frames was changed in the meantime.
         NotFoundError, RecordingError, FrameError: no such frame, or the next one cannot be read.
     """
     step = _Step.of(project, frame_id, revision, None)
-    frame = open_frame(step.following).frame
-    config: RcvConfig = frame_config(project, frame).model_copy(update={"box_kind": detectors.box_kind})
-    seeds = [Seed(stored.label.label, stored.label.box) for stored in step.labels]
-    found = propose([frame], detectors.image, detectors.view, config, [seeds], detectors.compute)[0].proposals
-    places = owners([stored.label for stored in step.labels], found)
-    ids = step.track_ids([place is not None for place in places])
-    track_of = {place: ids[number] for number, place in enumerate(places) if place is not None}
-    wanted = [Wanted(each.label, each.box, track_of.get(place), each) for place, each in enumerate(found)]
-    return step.store(wanted, ids, author, effort, lost=places.count(None))
+    frame = open_frame(step.next_frame).frame
+    config = frame_config(project, frame, detectors.box_kind)
+    seeds = [WarmStart(stored.label.label, stored.label.box) for stored in step.labels]
+    proposals = propose([frame], detectors.image, detectors.view, config, [seeds], detectors.compute)[0].proposals
+    matches = match_proposals([stored.label for stored in step.labels], proposals)
+    ids = step.track_ids([index is not None for index in matches])
+    track_of = {index: ids[number] for number, index in enumerate(matches) if index is not None}
+    boxes = [NewProposal(each.label, each.box, track_of.get(index), each) for index, each in enumerate(proposals)]
+    return step.store(boxes, ids, author, effort, lost=matches.count(None))
 
 
 def copy_next(
@@ -86,36 +85,36 @@ def copy_next(
     author: str,
     *,
     uid: str | None = None,
-    snap: Snap | None = None,
+    fit: FitBox | None = None,
     effort: Effort | None = None,
 ) -> Followed:
-    """Proposes reviewed boxes of a frame in the next one, moved as their tracks move.
+    """Proposes the boxes of a frame in the next one, moved along their tracks.
 
     Args:
-        revision, author: as of `propose_next`.
-        uid: of this label only, reviewed or not; None = of all reviewed ones.
-        snap: fits every box to the next frame's points.
+        revision, author: as for `propose_next`.
+        uid: only this label, reviewed or not; None = all reviewed labels.
+        fit: fits each box to the next frame's points.
 
     Raises:
         ConfigError, StaleRevisionError, NotFoundError, RecordingError, FrameError: as `propose_next`.
     """
     step = _Step.of(project, frame_id, revision, uid)
     moved = [_moved(project, step, stored) for stored in step.labels]
-    if snap is not None:
+    if fit is not None:
         labels = [stored.label.label for stored in step.labels]
-        moved = [snap(step.following, box, label) for box, label in zip(moved, labels, strict=True)]
+        moved = [fit(step.next_frame, box, label) for box, label in zip(moved, labels, strict=True)]
     ids = step.track_ids([True] * len(moved))
-    wanted = [Wanted(stored.label.label, box, own) for stored, box, own in zip(step.labels, moved, ids, strict=True)]
-    return step.store(wanted, ids, author, effort, lost=0)
+    boxes = [NewProposal(each.label.label, box, id) for each, box, id in zip(step.labels, moved, ids, strict=True)]
+    return step.store(boxes, ids, author, effort, lost=0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A frame, the labels that are followed, and the frame behind it."""
+    """A frame, the next frame, and the labels to carry over."""
 
     project: Project
     frame: StoredFrame
-    following: StoredFrame
+    next_frame: StoredFrame
     labels: tuple[StoredLabel, ...]
 
     @classmethod
@@ -124,77 +123,77 @@ class _Step:
         frame = page.frame
         recording = project.recordings.get(frame.recording_id)
         if not recording.is_sequence:
-            raise ConfigError(f"the frames of {recording.name} do not follow each other in time; none is the next one")
+            raise ConfigError(f"the frames of {recording.name} do not follow each other in time; there is no next one")
         if frame.revision != revision:
             raise StaleRevisionError(f"frame {frame.key}", revision, frame.revision)
         if uid is None:
             labels = tuple(stored for stored in page.labels if stored.label.state in REVIEWED)
         else:
             labels = tuple(stored for stored in page.labels if stored.label.uid == uid)
-        after = neighbours(project, frame)[1]
-        if after is None:
-            raise ConfigError(f"frame {frame.key} is the last of its recording; there is none to go on in")
+        next_id = neighbours(project, frame)[1]
+        if next_id is None:
+            raise ConfigError(f"frame {frame.key} is the last of its recording; there is no next frame")
         if not labels:
             raise ConfigError(f"frame {frame.key} has no reviewed box to start from; accept one first")
-        following = project.frames.get(after)
-        if following.finalised:
-            raise ConfigError(f"frame {following.key} is finalised; reopen it first")
-        return cls(project, frame, following, labels)
+        next_frame = project.frames.get(next_id)
+        if next_frame.finalised:
+            raise ConfigError(f"frame {next_frame.key} is finalised; reopen it first")
+        return cls(project, frame, next_frame, labels)
 
     def track_ids(self, is_followed: Sequence[bool]) -> list[int | None]:
-        """The track of each label; a new one for those that have none and are followed."""
-        fresh = next_track_id(self.project, self.frame.recording_id)
-        found = []
-        for stored, is_new in zip(self.labels, is_followed, strict=True):
-            number = stored.label.track_id
-            if number is None and is_new:
-                number, fresh = fresh, fresh + 1
-            found.append(number)
-        return found
+        """Returns the track id of each label; a new one for followed labels without one."""
+        next_id = next_track_id(self.project, self.frame.recording_id)
+        ids = []
+        for stored, has_next in zip(self.labels, is_followed, strict=True):
+            track_id = stored.label.track_id
+            if track_id is None and has_next:
+                track_id, next_id = next_id, next_id + 1
+            ids.append(track_id)
+        return ids
 
     def store(
         self,
-        wanted: Sequence[Wanted],
+        boxes: Sequence[NewProposal],
         track_ids: Sequence[int | None],
         author: str,
         effort: Effort | None,
         lost: int,
     ) -> Followed:
-        """Proposes boxes in the frame behind, and gives labels the tracks that they lack."""
-        payloads = proposing(self.project, self.following, wanted)
+        """Proposes boxes in the next frame, and sets the new track ids of this frame's labels."""
+        payloads = proposal_events(self.project, self.next_frame, boxes)
         if not payloads:
-            none_found = "the detectors find nothing there" if not wanted else "all boxes are there already"
-            raise ConfigError(f"nothing was proposed in frame {self.following.key}: {none_found}")
-        named = [
+            reason = "the detectors find nothing there" if not boxes else "all boxes are there already"
+            raise ConfigError(f"nothing was proposed in frame {self.next_frame.key}: {reason}")
+        tracked = [
             LabelTracked(uid=stored.label.uid, track_id=number)
             for stored, number in zip(self.labels, track_ids, strict=True)
             if number != stored.label.track_id
         ]
-        parts: list[FramePart] = [part_of(self.following, payloads, author, effort)]
-        if named:
-            parts.append(part_of(self.frame, named, author))
+        parts: list[FramePart] = [part_of(self.next_frame, payloads, author, effort)]
+        if tracked:
+            parts.append(part_of(self.frame, tracked, author))
         receipts = self.project.log.append_to_frames(parts)
         changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
         proposed = sum(payload.kind == "label_proposed" for payload in payloads)
-        return Followed(self.following.id, changed, proposed, lost)
+        return Followed(self.next_frame.id, changed, proposed, lost)
 
 
 def _moved(project: Project, step: _Step, stored: StoredLabel) -> OrientedBox:
-    """A label's box where its track's last reviewed boxes lead in the next frame."""
+    """Returns a label's box moved to the next frame by the motion of its track's last reviewed boxes."""
     label = stored.label
     if label.track_id is None:
         return label.box
     frames = [frame for frame in project.frames.of([step.frame.recording_id]) if frame.index is not None]
-    places = {frame.id: place for place, frame in enumerate(frames)}
-    here, config = places[step.frame.id], TrackingConfig()
+    indices = {frame.id: index for index, frame in enumerate(frames)}
+    here, config = indices[step.frame.id], TrackingConfig()
     earlier = {
-        places[other.frame_id]: other.label.box
+        indices[other.frame_id]: other.label.box
         for other in project.labels.select(
             states=REVIEWED, recordings=[step.frame.recording_id], tracks=[label.track_id]
         )
-        if here - config.max_gap <= places.get(other.frame_id, here) < here
+        if here - config.max_gap <= indices.get(other.frame_id, here) < here
     }
     known = sorted(earlier)[1 - config.motion_boxes :]
     times = times_of(FrameSource(project).recording(step.frame.recording_id), frames)
-    boxes = [*(earlier[place] for place in known), label.box]
+    boxes = [*(earlier[index] for index in known), label.box]
     return predicted(boxes, times[np.array([*known, here])].tolist(), float(times[here + 1]))

@@ -1,4 +1,4 @@
-"""Boxes between the key frames of a track: those where somebody has reviewed its box."""
+"""Interpolates the boxes of a track between its key frames, which are the frames with a reviewed box."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, Sto
 from annotator.tracking.interpolate import between
 from annotator.types import Label
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.types.tracks import MOST_TRACK
-from annotator.workflows.frames import FrameSource
-from annotator.workflows.tracks.place import Wanted, part_of, proposing
-from annotator.workflows.tracks.snap import Snap
+from annotator.types.label import MOST_TRACK
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks.fit_boxes import FitBox
+from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
 from annotator.workflows.tracks.times import times_of
 
 
 @dataclass(frozen=True)
 class Interpolated:
-    """What was filled in.
+    """The result of an interpolation.
 
     Attributes:
         track_id: of the track.
-        filled: ids of the frames that have a new proposal, and the receipt of each.
-        finalised: frames that were left alone because they are finalised.
-        covered: frames that were left alone because somebody has reviewed or rejected a box there.
+        filled: the frames with a new proposal: (frame id, receipt) each.
+        finalised: number of frames left alone because they are finalised.
+        covered: number of frames left alone because they have a reviewed or rejected box there.
     """
 
     track_id: int
@@ -36,9 +36,9 @@ class Interpolated:
 
 @dataclass(frozen=True, eq=False)
 class _Key:
-    """A key frame: its place among the frames of the recording, and its box."""
+    """A key frame: its index in the recording's present frames, and its label."""
 
-    place: int
+    index: int
     label: Label
 
 
@@ -50,25 +50,26 @@ def interpolate(
     *,
     first: str | None = None,
     last: str | None = None,
-    snap: Snap | None = None,
+    fit: FitBox | None = None,
     effort: Effort | None = None,
 ) -> Interpolated:
     """Proposes boxes of a track in the frames between its key frames, as one action.
 
-    Centre, size and rotation change evenly from one key frame to the next, by the frames' times where they are known.
-    Nothing that somebody has reviewed changes; open proposals of the same object give way.
+    Centre, size and rotation are interpolated by the frames' times if they are recorded, else by their indices.
+    Reviewed and rejected labels stay; unreviewed proposals of the same object are replaced.
 
     Args:
         author: who asks for it, and can undo it.
-        first, last: keys of two key frames, the earlier one first; None = from the first, up to the last one.
-        snap: fits every new box to its frame's points.
-        effort: what asking for it has cost.
+        first, last: keys of two key frames, the earlier one first; None = the first or the last key frame.
+        fit: fits each new box to its frame's points.
+        effort: the operator's effort for this action.
 
     Raises:
-        NotFoundError: no such recording, or frame.
-        ConfigError: no track id, fewer than two key frames, a named frame that is none, or nothing to fill.
-        StaleRevisionError: somebody has changed one of the frames meanwhile.
-        RecordingError, FrameError: a frame that `snap` needs cannot be read.
+        NotFoundError: no such recording or frame.
+        ConfigError: an invalid track id, fewer than two key frames, `first` or `last` is not a key frame, or there is
+            nothing to fill.
+        StaleRevisionError: one of the frames was changed in the meantime.
+        RecordingError, FrameError: a frame that `fit` needs cannot be read.
     """
     if abs(track_id) > MOST_TRACK:
         raise ConfigError(f"track ids are at most {MOST_TRACK}, not {track_id:.6g}; give the id of a track")
@@ -81,15 +82,15 @@ def interpolate(
     parts: list[FramePart] = []
     finalised = covered = 0
     for before, after in pairwise(keys):
-        inside = range(before.place + 1, after.place)
-        ends = (times[before.place], times[after.place])
-        boxes = between(before.label.box, after.label.box, *ends, [times[place] for place in inside])
-        for frame, box in zip(frames[before.place + 1 : after.place], boxes, strict=True):
+        inside = range(before.index + 1, after.index)
+        ends = (times[before.index], times[after.index])
+        boxes = between(before.label.box, after.label.box, *ends, [times[index] for index in inside])
+        for frame, box in zip(frames[before.index + 1 : after.index], boxes, strict=True):
             if frame.finalised:
                 finalised += 1
                 continue
-            fitted = box if snap is None else snap(frame, box, before.label.label)
-            payloads = proposing(project, frame, [Wanted(before.label.label, fitted, track_id)])
+            fitted = box if fit is None else fit(frame, box, before.label.label)
+            payloads = proposal_events(project, frame, [NewProposal(before.label.label, fitted, track_id)])
             covered += not payloads
             if payloads:
                 parts.append(part_of(frame, payloads, author, None if parts else effort))
@@ -108,17 +109,17 @@ def interpolate_back(
     revision: int,
     author: str,
     *,
-    snap: Snap | None = None,
+    fit: FitBox | None = None,
     effort: Effort | None = None,
 ) -> Interpolated:
-    """As `interpolate`, from the key frame before a reviewed label to the label.
+    """Runs `interpolate` from the previous key frame to a reviewed label.
 
     Args:
-        revision: of the label's frame, as the operator has seen it.
+        revision: of the label's frame, as shown to the operator.
 
     Raises:
-        StaleRevisionError: somebody has changed the frame since.
-        ConfigError: the label is not reviewed, has no track, or is the first of it; or as `interpolate`.
+        StaleRevisionError: the frame was changed in the meantime.
+        ConfigError: the label is not reviewed, has no track, or is the first of its track; or as `interpolate`.
         NotFoundError, RecordingError, FrameError: as `interpolate`; or no such label.
     """
     frame, label = project.frames.get(frame_id), project.labels.get(uid).label
@@ -130,7 +131,7 @@ def interpolate_back(
         raise ConfigError("the box belongs to no track; give it the track id of the earlier box first")
     frames = [each for each in project.frames.of([frame.recording_id]) if each.index is not None]
     keys = _keys(project, frames, frame.recording_id, label.track_id)
-    earlier = [frames[key.place].key for key in keys if (frames[key.place].index or 0) < (frame.index or 0)]
+    earlier = [frames[key.index].key for key in keys if (frames[key.index].index or 0) < (frame.index or 0)]
     if not earlier:
         raise ConfigError(f"track {label.track_id} has no reviewed box in an earlier frame")
     return interpolate(
@@ -140,52 +141,50 @@ def interpolate_back(
         author,
         first=earlier[-1],
         last=frame.key,
-        snap=snap,
+        fit=fit,
         effort=effort,
     )
 
 
 def _keys(project: Project, frames: Sequence[StoredFrame], recording_id: int, track_id: int) -> list[_Key]:
-    """The key frames of a track, in order.
+    """Returns the key frames of a track, in order.
 
     Raises:
         ConfigError: two reviewed boxes of the track in one frame.
     """
-    places = {frame.id: place for place, frame in enumerate(frames)}
-    found: dict[int, _Key] = {}
+    indices = {frame.id: index for index, frame in enumerate(frames)}
+    keys: dict[int, _Key] = {}
     for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
-        if stored.frame_id not in places:
+        if stored.frame_id not in indices:
             continue
-        place = places[stored.frame_id]
-        if place in found:
+        index = indices[stored.frame_id]
+        if index in keys:
             raise ConfigError(
-                f"frame {frames[place].key} has two reviewed boxes of track {track_id}; give one of them another track"
+                f"frame {frames[index].key} has two reviewed boxes of track {track_id}; give one of them another track"
             )
-        found[place] = _Key(place, stored.label)
-    return [found[place] for place in sorted(found)]
+        keys[index] = _Key(index, stored.label)
+    return [keys[index] for index in sorted(keys)]
 
 
 def _chosen(
     keys: list[_Key], frames: Sequence[StoredFrame], track_id: int, first: str | None, last: str | None
 ) -> list[_Key]:
-    """Those from one key to another.
+    """Returns the key frames from `first` to `last`.
 
     Raises:
         NotFoundError, ConfigError: as `interpolate`.
     """
-    by_key = {frame.key: place for place, frame in enumerate(frames)}
+    by_key = {frame.key: index for index, frame in enumerate(frames)}
     ends = []
     for name in (first, last):
         if name is not None and name not in by_key:
             raise NotFoundError(f"the recording has no frame {name!r}")
-        if name is not None and by_key[name] not in {key.place for key in keys}:
+        if name is not None and by_key[name] not in {key.index for key in keys}:
             raise ConfigError(f"frame {name} has no reviewed box of track {track_id}")
         ends.append(None if name is None else by_key[name])
     low = 0 if ends[0] is None else ends[0]
     high = len(frames) if ends[1] is None else ends[1]
-    chosen = [key for key in keys if low <= key.place <= high]
+    chosen = [key for key in keys if low <= key.index <= high]
     if len(chosen) < 2:
-        raise ConfigError(
-            f"track {track_id} has {len(chosen)} reviewed boxes there; two are needed to fill between them"
-        )
+        raise ConfigError(f"track {track_id} has {len(chosen)} reviewed boxes there; interpolation needs at least two")
     return chosen

@@ -1,8 +1,8 @@
-"""`annotator track`: the boxes of a recording linked into tracks, and open proposals smoothed over theirs.
+"""`annotator track`: links the boxes of a recording into tracks, and smooths unreviewed proposals along them.
 
-An automatic pass: it gives track ids, and better boxes to proposals that wait for a review. What people have reviewed
-keeps its box; ids that people (or files) have given stay, and so does everything in finalised frames. It starts from
-what was proposed, not from what it made of that before, so that a second run changes nothing.
+This automatic pass sets track ids and changes the boxes of unreviewed proposals. It keeps the boxes of reviewed labels,
+track ids given by operators or files, and everything in finalised frames. Smoothing starts from the boxes as proposed,
+so a second run changes nothing.
 """
 
 from __future__ import annotations
@@ -13,41 +13,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.project import REVIEWED, Change, FramePart, Project, StoredFrame, StoredLabel
-from annotator.project.payloads import LinkedLabel, TracksLinked
+from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project.event_types import LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
-from annotator.recordings.kitti_folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, Track, link
-from annotator.tracking.numbers import numbered
 from annotator.tracking.smooth import TrackBox, smoothed
+from annotator.tracking.track_ids import numbered
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
-from annotator.workflows.frames import FrameSource
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.times import times_of
 
 AUTHOR = "tracks"
 LINKED_STATES = (ReviewState.PROPOSED, *REVIEWED)
-# Frames that are written in one transaction: each costs a wait for the disk, and others wait meanwhile.
-FRAMES_AT_ONCE = 50
-# How often a recording is linked anew because somebody has changed one of its frames meanwhile.
+# Frames per transaction: each transaction waits for the disk, and other writers wait for the transaction.
+FRAMES_PER_WRITE = 50
+# Attempts to link a recording whose frames are changed concurrently.
 ATTEMPTS = 5
-# A proposal without a score, or with next to none, still counts for something.
-LEAST_WEIGHT = 0.05
+# Minimum weight of a proposal with a very low score.
+MIN_WEIGHT = 0.05
 
 
 @dataclass
 class LinkSummary:
-    """What linking did.
+    """Counts of linking.
 
     Attributes:
-        recordings: that were linked.
-        boxes: labels in their tracks.
-        tracks: how many these are.
-        changed: labels that got another track id or box.
-        left: labels without a track id in finalised frames, which stay as they are.
-        unordered: names of recordings that were left out because their frames do not follow each other in time.
-        busy: names of recordings that somebody went on changing; linking them again finishes them.
+        recordings: number of linked recordings.
+        boxes: number of labels in their tracks.
+        tracks: number of tracks.
+        changed: number of labels with a new track id or box.
+        left: number of labels without a track id in finalised frames, which are not changed.
+        unordered: names of recordings left out because their frames are not a sequence.
+        busy: names of recordings not finished because they were changed concurrently; link them again.
     """
 
     recordings: int = 0
@@ -71,14 +71,14 @@ def link_tracks(
 
     Args:
         recordings: ids; None = all.
-        smooth: give open proposals the size and the smooth heading of their track; otherwise they get back the boxes
-            that they were proposed with.
+        smooth: give unreviewed proposals the common size and smoothed heading of their track; otherwise restore the
+            boxes as proposed.
         config: how boxes are linked.
         progress: called with (recordings done, recordings to do).
 
     Raises:
         NotFoundError: no such recording.
-        RecordingError: a recording is not where it was.
+        RecordingError: a recording is missing or cannot be read.
     """
     chosen = project.recordings.all() if recordings is None else [project.recordings.get(id) for id in recordings]
     summary, config = LinkSummary(), config or TrackingConfig()
@@ -102,13 +102,14 @@ def link_tracks(
 
 
 class _Recording:
-    """One recording as it is now, and what linking makes of it.
+    """A recording and the result of linking it.
 
     Attributes:
-        frames: those that have labels, in order.
-        labels: of each of them.
-        tracks, numbers: the objects, and the id of each.
-        left: labels in finalised frames that have no id.
+        frames: the frames with labels, in order.
+        labels: of each of these frames.
+        tracks: the linked tracks.
+        numbers: the id of each track.
+        left: number of labels in finalised frames without an id.
     """
 
     def __init__(self, project: Project, recording_id: int, config: TrackingConfig, smooth: bool) -> None:
@@ -127,10 +128,10 @@ class _Recording:
         )
         self._proposed = project.proposals.boxes(recording_id)
         recording = FrameSource(project).recording(recording_id)
-        every = times_of(recording, present)
-        # KITTI's cameras drive
+        all_times = times_of(recording, present)
+        # KITTI's cameras are on a moving car
         self._is_still = not isinstance(recording, KittiFolder)
-        times = dict(zip((frame.id for frame in present), every.tolist(), strict=True))
+        times = dict(zip((frame.id for frame in present), all_times.tolist(), strict=True))
         self._times = [times[frame.id] for frame in self.frames]
         seen = [
             [Seen(stored.label.label, self._box(stored), _given(stored, frame)) for stored in labels]
@@ -141,27 +142,27 @@ class _Recording:
         self._boxes = {} if not smooth else self._smooth_boxes(config)
 
     def store(self, summary: LinkSummary) -> bool:
-        """Writes what is new, some frames at once; False where somebody has changed a frame meanwhile."""
+        """Writes the changes; returns False if a frame was changed in the meantime."""
         ids = {
             member: number for track, number in zip(self.tracks, self.numbers, strict=True) for member in track.members
         }
         parts: list[FramePart] = []
         counts: list[int] = []
-        for place, (frame, labels) in enumerate(zip(self.frames, self.labels, strict=True)):
+        for index, (frame, labels) in enumerate(zip(self.frames, self.labels, strict=True)):
             if frame.finalised:
                 continue
-            entries = [self._change(stored, frame, ids[place, number]) for number, stored in enumerate(labels)]
+            entries = [self._change(stored, frame, ids[index, number]) for number, stored in enumerate(labels)]
             changed = tuple(entry for entry in entries if entry is not None)
             if changed:
-                change = Change(frame.revision, AUTHOR, Source.AUTO)
-                parts.append(FramePart(frame.id, [TracksLinked(labels=changed)], change))
+                context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
+                parts.append(FramePart(frame.id, [TracksLinked(labels=changed)], context))
                 counts.append(len(changed))
-        for first in range(0, len(parts), FRAMES_AT_ONCE):
+        for first in range(0, len(parts), FRAMES_PER_WRITE):
             try:
-                self.project.log.append_to_frames(parts[first : first + FRAMES_AT_ONCE])
+                self.project.log.append_to_frames(parts[first : first + FRAMES_PER_WRITE])
             except (StaleRevisionError, FinalisedFrameError):
                 return False
-            summary.changed += sum(counts[first : first + FRAMES_AT_ONCE])
+            summary.changed += sum(counts[first : first + FRAMES_PER_WRITE])
         return True
 
     def _change(self, stored: StoredLabel, frame: StoredFrame, number: int) -> LinkedLabel | None:
@@ -169,7 +170,7 @@ class _Recording:
         is_given = _given(stored, frame) is not None
         is_new = not is_given and label.track_id != number
         box = self._boxes.get(label.uid, self._box(stored))
-        # as it will be read back: what is the same to the last bit is no change
+        # compared as records, since these are what is stored
         record = BoxRecord.of(box)
         is_moved = self._may_move(stored) and record != BoxRecord.of(label.box)
         if not is_new and not is_moved:
@@ -177,42 +178,42 @@ class _Recording:
         return LinkedLabel(uid=label.uid, track_id=None if is_given else number, box=record if is_moved else None)
 
     def _box(self, stored: StoredLabel) -> OrientedBox:
-        """A label's box as it was proposed, or as a person has made it."""
+        """Returns a label's box as proposed, or as changed by an operator."""
         return self._proposed[stored.label.uid] if self._may_move(stored) else stored.label.box
 
     def _may_move(self, stored: StoredLabel) -> bool:
-        """True for open proposals of the recursion; those between key frames are smooth already."""
+        """Returns True for unreviewed proposals of the recursion; interpolated ones are smooth already."""
         return stored.label.state is ReviewState.PROPOSED and stored.label.uid in self._proposed
 
     def _smooth_boxes(self, config: TrackingConfig) -> dict[str, OrientedBox]:
-        found: dict[str, OrientedBox] = {}
+        smoothed_boxes: dict[str, OrientedBox] = {}
         for track in self.tracks:
-            members = [self.labels[place][number] for place, number in track.members]
+            members = [self.labels[index][number] for index, number in track.members]
             boxes = [
-                TrackBox(self._times[place], self._box(each), _weight(each), self._is_fixed(each, self.frames[place]))
-                for (place, _), each in zip(track.members, members, strict=True)
+                TrackBox(self._times[index], self._box(each), _weight(each), self._is_fixed(each, self.frames[index]))
+                for (index, _), each in zip(track.members, members, strict=True)
             ]
             smooth = zip(members, boxes, smoothed(boxes, config, self._is_still), strict=True)
-            found |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
-        return found
+            smoothed_boxes |= {each.label.uid: box for each, before, box in smooth if not before.is_fixed}
+        return smoothed_boxes
 
     def _is_fixed(self, stored: StoredLabel, frame: StoredFrame) -> bool:
         return frame.finalised or not self._may_move(stored)
 
 
 def _given(stored: StoredLabel, frame: StoredFrame) -> int | None:
-    """The track id that stays: somebody gave it, or the frame is finalised."""
+    """Returns a track id that must stay: given by an operator or a file, or in a finalised frame; else None."""
     return None if stored.track_linked and not frame.finalised else stored.label.track_id
 
 
 def _weight(stored: StoredLabel) -> float:
     score = stored.label.score
-    return 1.0 if score is None else float(np.clip(score, LEAST_WEIGHT, 1.0))
+    return 1.0 if score is None else float(np.clip(score, MIN_WEIGHT, 1.0))
 
 
 def _numbers(tracks: Sequence[Track], labels: Sequence[Sequence[StoredLabel]]) -> list[int]:
-    before = [
-        [known for place, number in track.members if (known := labels[place][number].label.track_id) is not None]
+    previous = [
+        [known for index, number in track.members if (known := labels[index][number].label.track_id) is not None]
         for track in tracks
     ]
-    return numbered([track.given for track in tracks], before)
+    return numbered([track.given for track in tracks], previous)

@@ -1,4 +1,4 @@
-"""When the frames of a recording were, as far as that is known without reading them."""
+"""The times of a recording's frames, without reading the frames."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from jaxtyping import Float64
 
 from annotator.project import StoredFrame
 from annotator.recordings import Recording
-from annotator.recordings.kitti_folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder
 from annotator.tracking.motion import frame_times
 
 
 @runtime_checkable
 class Timed(Protocol):
-    """A recording that knows all times."""
+    """A recording with a time for each frame."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -24,17 +24,18 @@ class Timed(Protocol):
 
     @property
     def times_ns(self) -> tuple[int | None, ...] | None:
-        """When each frame was taken, nanoseconds on any one clock; None where nobody has written it down."""
+        """When each frame was taken, nanoseconds of any one clock; None if not recorded."""
 
 
 def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
-    """The times of some frames of a recording, in frames (`frame_times`), so that dropped ones are gaps.
+    """Returns the times of some frames of a recording in units of the frame interval (`frame_times`), so that dropped
+    frames are gaps. Without recorded times, these are the frames' indices.
 
     Args:
-        frames: in the order of the recording. Of recordings without times of their own the frames' places count.
+        frames: in the order of the recording.
 
     Raises:
-        FrameError: the recording's own times are broken.
+        FrameError: the recording's times are broken.
     """
     times_ns = _times_ns(recording, frames)
     if times_ns is None:

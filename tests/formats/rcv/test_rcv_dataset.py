@@ -16,7 +16,7 @@ from dataset_samples import BOXES, assert_same_box, make_box, make_label
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.dataset import DatasetItem
+from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv, read_rcv
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError, FrameError
@@ -239,7 +239,7 @@ def test_existing_folders(tmp_path: Path) -> None:
     (other / "keep.txt").write_text("mine")
     with pytest.raises(FormatError, match="is not empty"):  # overwriting is for datasets only
         export_rcv(other, items, INFO, overwrite=True)
-    with pytest.raises(FormatError, match="is no folder"):
+    with pytest.raises(FormatError, match="is not a folder"):
         export_rcv(other / "keep.txt", items, INFO, overwrite=True)
     assert (other / "keep.txt").read_text() == "mine"
 
@@ -248,8 +248,8 @@ def test_what_is_refused(tmp_path: Path) -> None:
     item = DatasetItem("rec", make_frame(), [])
     cases: list[tuple[list[DatasetItem], str]] = [
         ([], "no frame to export"),
-        ([item, item], "rec, frame 000001: the frame comes twice"),
-        ([DatasetItem("rec", make_frame(), [auto_label(label="cat")])], "label 'cat' is none of the classes hand"),
+        ([item, item], "rec, frame 000001: the frame is exported twice"),
+        ([DatasetItem("rec", make_frame(), [auto_label(label="cat")])], "label 'cat' is not one of the classes hand"),
     ]
     for items, says in cases:
         with pytest.raises(FormatError, match=says):
@@ -283,9 +283,9 @@ def edit(path: Path, **changes: Any) -> None:
         ("labels/rec-000001.json", {"size": [1, 1, 0]}, "objects.0.size.2"),
         ("labels/rec-000001.json", {"score": 2}, "objects.0.score"),
         ("labels/rec-000001.json", {"colour": "red"}, "objects.0.colour"),
-        ("labels/rec-000001.json", {"objects": [], "id": "x"}, "says that its id is 'x'"),
-        ("labels/rec-000001.json", {"objects": [], "image": "../../secret.png"}, "is not a file of this dataset"),
-        ("labels/rec-000001.json", {"objects": [], "points": 6}, "holds 5 points, rec-000001.json says 6"),
+        ("labels/rec-000001.json", {"objects": [], "id": "x"}, "has the id 'x'"),
+        ("labels/rec-000001.json", {"objects": [], "image": "../../secret.png"}, "is outside this dataset"),
+        ("labels/rec-000001.json", {"objects": [], "points": 6}, "holds 5 points, but rec-000001.json says 6"),
         ("dataset.json", {"version": 2}, "version"),
         ("dataset.json", {"frames": []}, "frames must list 1 different ids"),
     ],
@@ -321,10 +321,16 @@ def test_truncated_and_missing_files_say_which(tmp_path: Path, file: str, says: 
         read_rcv(out).frame(0)
 
 
-def test_a_foreign_ply_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [(b"float x", b"double x"), (b"element vertex 5", b"element vertex "), (b"vertex 5", b"vertex  5")],
+    ids=["another type", "no count", "another layout"],
+)
+def test_a_foreign_ply_is_refused(tmp_path: Path, ours: bytes, theirs: bytes) -> None:
     out = tmp_path / "out"
     export_rcv(out, [DatasetItem("rec", make_frame(), [])], INFO)
     path = out / "clouds/rec-000001.ply"
-    path.write_bytes(path.read_bytes().replace(b"float x", b"double x"))
+    assert ours in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(ours, theirs))
     with pytest.raises(FormatError, match="another layout"):
         read_rcv(out).frame(0)

@@ -26,7 +26,7 @@ from review_desk import Desk, begin
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
 from annotator.web.settings import ServerSettings
-from annotator.workflows.recordings import register_recording
+from annotator.workflows.add_recordings import register_recording
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -43,7 +43,8 @@ CHROMIUM_ARGS = (
     "--disable-background-networking",
 )
 VIEWPORT = {"width": 1366, "height": 768}
-TIMEOUT_MS = 40_000.0
+# A limit for what hangs: software draws the 3D view, beside whatever else the machine does.
+TIMEOUT_MS = 120_000.0
 # Software WebGL would take most of the time of tests that look at no 3D view.
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 IS_CLEAN = """!document.querySelector("dialog[open]")
@@ -80,6 +81,7 @@ def browser() -> Iterator[Browser]:
     chromium = find_chromium()
     if chromium is None:
         pytest.skip(f"none of {', '.join(CHROMIUM_NAMES)} on the path; install chromium, or set ANNOTATOR_CHROMIUM")
+    playwright.expect.set_options(timeout=TIMEOUT_MS)
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGS))
         yield browser

@@ -97,19 +97,9 @@ def same_corners(a: OrientedBox, b: OrientedBox) -> bool:
     return bool((distance.min(axis=0) < 1e-9).all() and (distance.min(axis=1) < 1e-9).all())
 
 
-def test_corners_and_quaternions_are_the_packages(call: Call) -> None:
+def test_corners_are_the_packages(call: Call) -> None:
     for box in random_boxes(5):
         np.testing.assert_allclose(call("box3d.corners", as_json(box)), box_corners(box), atol=1e-12)
-        quaternion = call("rotation.toQuaternion", box.rotation.tolist())
-        theirs = Rotation.from_matrix(box.rotation).as_quat(canonical=True, scalar_first=True)
-        np.testing.assert_allclose(quaternion, theirs, atol=1e-12)
-        np.testing.assert_allclose(call("rotation.fromQuaternion", quaternion), box.rotation, atol=1e-12)
-
-
-@pytest.mark.parametrize("turn", [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1]), np.eye(3)])
-def test_half_turns_have_a_quaternion(call: Call, turn: np.ndarray) -> None:
-    quaternion = call("rotation.toQuaternion", turn.tolist())
-    np.testing.assert_allclose(call("rotation.fromQuaternion", quaternion), turn, atol=1e-12)
 
 
 @pytest.mark.parametrize("lens", [*LENSES, TILTED_LENS])

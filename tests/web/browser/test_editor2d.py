@@ -242,7 +242,7 @@ def test_shift_draws_over_a_selected_box(bench) -> None:
 def test_arrows_nudge_by_whole_pixels_and_are_one_change(bench) -> None:
     it = bench()
     it.js("editor.setBoxes([value], 0)", _box(50.25, 60.5, 150.25, 120.5))
-    it.js("editor.focus()")
+    it.js("editor.root.focus()")
     for key in ("ArrowRight", "ArrowDown", "Shift+ArrowLeft", "Alt+ArrowRight", "Alt+Shift+ArrowDown"):
         it.page.keyboard.press(key)
     it.page.wait_for_function("() => window.bench.log.length > 0")

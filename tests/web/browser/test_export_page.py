@@ -12,7 +12,7 @@ import pytest
 from browser_page import label_truth, sign_in
 
 from annotator.formats.rcv import read_rcv
-from annotator.project import Change, NewLabel, Project
+from annotator.project import NewLabel, Project, WriteContext
 from annotator.types import OrientedBox
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 def test_nothing_to_export_says_what_to_do_next(signed_in: Page, room: Project) -> None:
     signed_in.goto(f"/#/{room.path.name}/export")
     expect(signed_in.get_by_test_id("export-start")).to_be_disabled()
-    expect(signed_in.get_by_text("No box is accepted yet")).to_be_visible()
+    expect(signed_in.get_by_text("No boxes are accepted yet")).to_be_visible()
 
 
 def test_a_dataset_is_made_and_downloaded(
@@ -41,8 +41,8 @@ def test_a_dataset_is_made_and_downloaded(
     expect(signed_in.get_by_test_id("export-note")).to_contain_text(f"{chosen} boxes")
     signed_in.get_by_test_id("export-skip-unreadable").check()
     signed_in.get_by_test_id("export-start").click()
-    expect(signed_in.get_by_test_id("job-export-text")).to_contain_text(f"{count} boxes", timeout=60_000)
-    expect(signed_in.get_by_test_id("export-lost")).to_contain_text("1 frames cannot be read, and were left out")
+    expect(signed_in.get_by_test_id("job-export-text")).to_contain_text(f"{count} boxes")
+    expect(signed_in.get_by_test_id("export-lost")).to_contain_text("1 frames cannot be read and were left out")
     unreadable = signed_in.get_by_test_id("export-unreadable").locator("li")
     expect(unreadable).to_contain_text("people/depth/000000.png: the file is empty")
     expect(unreadable).not_to_contain_text(str(tmp_path))
@@ -61,7 +61,7 @@ def test_a_dataset_is_made_and_downloaded(
     (job,) = jobs.all()
     jobs.file(job.id).unlink()
     jobs._tidy()
-    expect(signed_in.get_by_test_id("download-gone")).to_have_text("The dataset is no longer kept; export again.")
+    expect(signed_in.get_by_test_id("download-gone")).to_have_text("The dataset is no longer kept. Export it again.")
     expect(signed_in.get_by_test_id("download")).to_have_count(0)
 
 
@@ -80,7 +80,7 @@ def test_a_format_that_holds_less_says_what_it_left_out(shared_page: Page, shop:
     expect(page.get_by_test_id("export-form").get_by_role("alert")).to_contain_text("train=0.8,val=0.2")
     page.get_by_test_id("export-shares").fill("train=1,val=1")
     page.get_by_test_id("export-start").click()
-    expect(page.get_by_test_id("export-parts")).to_contain_text("train: 1 frame", timeout=60_000)
+    expect(page.get_by_test_id("export-parts")).to_contain_text("train: 1 frame")
     expect(page.get_by_test_id("export-lost")).to_contain_text("boxes have a track id")
 
 
@@ -91,14 +91,14 @@ def test_statistics_say_what_the_server_says(signed_in: Page, shop: Shop, room: 
     assert told["labels"]["total"] == count
     row = signed_in.get_by_test_id("stats-states").locator("tr", has_text="person")
     expect(row.locator("td").last).to_have_text(str(count))
-    expect(signed_in.locator(".chart .plot-container").first).to_be_visible(timeout=30_000)
+    expect(signed_in.locator(".chart .plot-container").first).to_be_visible()
 
 
 def test_a_warning_opens_its_box_in_review(shared_page: Page, shop: Shop, room: Project) -> None:
     label_truth(room, shop.recording, 2)
     frame = room.frames.of()[0]
     nowhere = OrientedBox.from_parts(np.array([0.0, -4.0, 3.0]), np.eye(3), np.array([0.5, 0.5, 1.7]))
-    made = room.labels.create(frame.id, [NewLabel("person", nowhere)], Change(frame.revision, "Ada"))
+    made = room.labels.create(frame.id, [NewLabel("person", nowhere)], WriteContext(frame.revision, "Ada"))
     sign_in(shared_page, shop.live.url)
     shared_page.goto(f"/#/{room.path.name}/checks")
     shared_page.get_by_test_id("checks-empty").locator(f'[data-uid="{made.uids[0]}"]').click()

@@ -15,9 +15,9 @@ from browser_page import brings_views, drag_box, draw_on_views, sign_in, until
 from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Project, Role
-from annotator.types import BoxKind, Label, ReviewState
-from annotator.workflows.detectors_ready import Readiness, ReadyDetector
+from annotator.project import Project
+from annotator.types import BoxKind, DetectorKind, Label, ReviewState
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
@@ -49,7 +49,7 @@ class Bench:
 
     @property
     def labels(self) -> list[Label]:
-        return list(self.project.frame_state(FRAME).labels)
+        return list(self.project.labels.of_frame(FRAME))
 
     @property
     def image_boxes(self) -> list[dict[str, float]]:
@@ -284,7 +284,7 @@ def test_what_boxes_mean_is_told_to_the_server(bench: Bench) -> None:
 
 def test_another_operators_boxes_appear_by_themselves(bench: Bench) -> None:
     bench.other_saves(bench.scene.image_box(1))
-    bench.page.get_by_test_id("object").wait_for(timeout=1000)
+    bench.page.get_by_test_id("object").wait_for()
 
 
 def _save_in_between(bench: Bench, box: dict[str, Any]) -> None:
@@ -340,7 +340,7 @@ def test_keys_lead_from_frame_to_frame_and_the_table_lists_them(bench: Bench) ->
     bench.page.keyboard.press("?")
     table = bench.page.get_by_test_id("key-table")
     table.wait_for()
-    assert table.get_by_text("Accept and go to the next").count() == 1
+    assert table.get_by_text("Accept, then go to the next").count() == 1
     bench.page.keyboard.press("Escape")
     table.wait_for(state="detached")
 
@@ -371,11 +371,11 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def taught(**detectors: Any) -> None:
         ready = {
-            Role(role): Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
+            DetectorKind(role): Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
             for role, detector in detectors.items()
         }
         look = lambda project, role, wait_s=None: ready.get(role, Readiness("none"))  # noqa: E731
-        monkeypatch.setattr(bench.live.context.annotation.detectors, "look", look)
+        monkeypatch.setattr(bench.live.context.caches.detectors, "look", look)
         info = bench.live.client.get(bench.api).json()
         models = {role: {"id": 1} if role in detectors else None for role in ("image", "view")}
         bench.page.route(f"**{bench.api}", lambda route: route.fulfill(json={**info, "detectors": models}))
@@ -390,10 +390,10 @@ def test_suggestions_are_accepted_with_enter(
 ) -> None:
     perfect = knowing("people", kind=BoxKind.SILHOUETTE)
     teach(image=perfect.image, view=perfect.view)
-    expect(bench.page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3, timeout=15_000)
+    expect(bench.page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3)
     for accepted in range(1, 6):
         where = bench.page.get_by_test_id("image-editor") if accepted == 1 else bench.page.locator(".views")
-        expect(where.locator(".box.suggested").first).to_be_attached(timeout=15_000)
+        expect(where.locator(".box.suggested").first).to_be_attached()
         bench.page.keyboard.press("Enter")
         expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", str(accepted))
         bench.saved()
@@ -462,7 +462,7 @@ def test_a_detector_that_cannot_be_loaded_is_told_once(bench: Bench, tmp_path: P
     weights.parent.mkdir()
     weights.write_bytes(b"no weights")
     bench.project.models.register(
-        Role.VIEW, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint="broken"
+        DetectorKind.VIEW, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint="broken"
     )
     bench.draw_on_image(0)
     told = bench.page.get_by_test_id("toast-warn").filter(has_text="the view detector cannot be loaded")

@@ -21,7 +21,7 @@ def test_a_dragged_edge_moves_one_face_by_as_many_metres(desk: Desk, wait_for, v
     pull = 31.0
     right = (rect["x"] + rect["width"], rect["y"] + rect["height"] / 2)
     desk.drag((right[0] - 1, right[1]), (right[0] - 1 + pull, right[1]))
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
     after = desk.label.box
     changed = np.flatnonzero(np.abs(after.size_m - before.size_m) > 1e-9)
     assert len(changed) == 1
@@ -66,7 +66,7 @@ def test_arrow_keys_move_the_box_of_the_focused_view_as_one_edit(desk: Desk, wai
     front = next(view for view in answer.value.json()["views"] if view["name"] == "front")
     desk.page.mouse.click(*middle(desk.box("front")))
     desk.press("ArrowRight", "ArrowRight", "ArrowRight")
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
     shift = np.array(front["axes"]) @ (desk.label.box.center_m - before.center_m)
     np.testing.assert_allclose(shift, [3 * front["metres_per_px"], 0, 0], atol=1e-6)
     assert desk.project.frames.get(desk.frame).revision == revision + 1
@@ -80,7 +80,7 @@ def test_the_rotation_handle_turns_the_box_about_its_centre(desk: Desk, wait_for
     arm = np.subtract(handle, center)
     turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ arm
     desk.drag(handle, (center[0] + turned[0], center[1] + turned[1]))
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
     after = desk.label.box
     turn = Rotation.from_matrix(before.rotation.T @ after.rotation).as_rotvec()
     assert np.linalg.norm(turn) == pytest.approx(angle, abs=np.radians(1.5))
@@ -96,7 +96,7 @@ def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None
     field.fill("1.25")
     assert "not saved" in desk.page.get_by_test_id("label-state").inner_text()
     field.press("Enter")
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
     assert desk.label.box.size_m[0] == pytest.approx(1.25)
     assert desk.project.frames.get(desk.frame).revision == revision + 1
     desk.settled()
@@ -104,7 +104,7 @@ def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None
     wanted = float(yaw.input_value()) + 20
     yaw.fill(f"{wanted:.1f}")
     yaw.press("Tab")
-    wait_for(lambda: desk.project.frames.get(desk.frame).revision == revision + 2, 5)
+    wait_for(lambda: desk.project.frames.get(desk.frame).revision == revision + 2)
     turn = Rotation.from_matrix(before.rotation.T @ desk.label.box.rotation).magnitude()
     assert np.degrees(turn) == pytest.approx(20, abs=0.2)
 
@@ -126,7 +126,7 @@ def test_keys_work_when_the_focus_is_in_the_3d_view(desk_3d: Desk, wait_for) -> 
     page.mouse.click(where["x"] + 8, where["y"] + where["height"] - 8)
     page.get_by_test_id("viewport-frame").content_frame.locator("body").evaluate("body => window.focus()")
     desk.press("Space")
-    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED)
 
 
 def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(desk_3d: Desk, wait_for) -> None:
@@ -134,7 +134,7 @@ def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(d
     with page.expect_response(lambda response: '"gizmo":"translate"' in (response.request.post_data or "")) as answer:
         desk.press("t")
     expect(page.get_by_test_id("gizmo-translate")).to_have_attribute("aria-pressed", "true")
-    bench = desk.live.server.app.state.workbenches.get(answer.value.url.split("/")[-2], "Ada")
+    bench = desk.live.server.app.state.viewports.get(answer.value.url.split("/")[-2], "Ada")
     node = bench._server.scene.get_handle_by_name("/selected")
     rect = page.get_by_test_id("viewport").bounding_box()
     assert rect is not None
@@ -155,7 +155,7 @@ def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(d
     expect(page.get_by_test_id("label-state")).to_have_text("not saved")
     assert desk.label.state is ReviewState.PROPOSED
     page.mouse.up()
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED, 10)
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED)
     after = desk.project.labels.get(uid).label.box
     moved = after.center_m - box.center_m
     assert np.linalg.norm(moved) > 0.05

@@ -26,10 +26,10 @@ def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.press("Control+Enter")
     desk.page.get_by_test_id("dialog-yes").click()
-    wait_for(lambda: desk.project.frames.get(frames[0]).finalised, 5)
+    wait_for(lambda: desk.project.frames.get(frames[0]).finalised)
     expect(desk.page.get_by_test_id("act-finalise")).to_have_text("Reopen frame")
     desk.page.get_by_test_id("act-finalise").click()
-    wait_for(lambda: not desk.project.frames.get(frames[0]).finalised, 5)
+    wait_for(lambda: not desk.project.frames.get(frames[0]).finalised)
 
 
 def test_of_two_frames_asked_for_the_later_one_is_opened(desk: Desk) -> None:
@@ -53,13 +53,13 @@ def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
     answer = desk.live.client.post(f"{desk.api}/frames/{frame}/changes", json=body)
     assert answer.status_code == 200
     row = desk.page.locator(f'[data-testid="frame-box"][data-uid="{uid}"][data-state="rejected"]')
-    row.wait_for(timeout=2000)
+    row.wait_for()
 
 
 def test_a_frame_that_cannot_be_read_says_so_in_place_of_its_picture(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page, frames = desk.page, desk.live.context.annotation.frames
+    page, frames = desk.page, desk.live.context.caches.frames
     page.evaluate("localStorage.setItem('label-order', 'time')")
     first, second, third = (stored.id for stored in desk.project.frames.of()[:3])
     truncated = FrameError(Path("people/depth/000001.png"), "the file is truncated", "copy it again")

@@ -14,9 +14,9 @@ from browser_page import drag_box, refuse
 from drawing import Scene
 from review_desk import FRAMES, Desk
 
-from annotator.project import Change
+from annotator.project import WriteContext
 from annotator.types import BoxKind, OrientedBox, ReviewState
-from annotator.workflows.detectors_ready import Readiness, ReadyDetector
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 if TYPE_CHECKING:
     from annotator.workflows.detectors import Detectors
@@ -27,8 +27,8 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 def test_fitting_again_starts_from_the_box(desk: Desk, wait_for) -> None:
     frame, label = desk.frame, desk.label
     off = OrientedBox.from_parts(label.box.center_m + np.array([0.15, 0, 0]), label.box.rotation, label.box.size_m)
-    change = Change(desk.project.frames.get(frame).revision, "Bob")
-    desk.project.labels.edit(frame, label.uid, change, label=label.label, box=off)
+    context = WriteContext(desk.project.frames.get(frame).revision, "Bob")
+    desk.project.labels.edit(frame, label.uid, context, label=label.label, box=off)
     desk.page.reload()
     desk.page.locator(f'[data-testid="frame-box"][data-uid="{label.uid}"]').click()
     desk.settled()
@@ -36,19 +36,19 @@ def test_fitting_again_starts_from_the_box(desk: Desk, wait_for) -> None:
         desk.press("g")
     assert answer.value.ok
     fitted = np.array(answer.value.json()["box"]["center"])
-    wait_for(lambda: np.abs(desk.label.box.center_m - fitted).max() < 1e-6, 5)
+    wait_for(lambda: np.abs(desk.label.box.center_m - fitted).max() < 1e-6)
 
 
 def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
     for label in desk.project.labels.of_frame(frames[FRAMES - 1]):
-        change = Change(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
-        desk.project.labels.accept(frames[FRAMES - 1], label.uid, change)
+        context = WriteContext(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
+        desk.project.labels.accept(frames[FRAMES - 1], label.uid, context)
     before = desk.project.labels.of_frame(frames[FRAMES - 1])
     desk.page.goto(f"/#/{desk.name}/review/{frames[FRAMES]}")
     desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
     desk.press("c")
-    wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before), 5)
+    wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before))
 
 
 # A new box is accepted again before the server has answered: what is sent, and which boxes are left unsaved.
@@ -82,7 +82,7 @@ def test_a_new_box_is_drawn_on_the_image(
 ) -> None:
     page, known = desk.page, {stored.label.uid for stored in desk.project.labels.select()}
     ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
-    detectors = desk.live.context.annotation.detectors
+    detectors = desk.live.context.caches.detectors
     monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: ready)
     index = desk.project.frames.get(desk.frame).index
     assert index is not None
@@ -101,7 +101,7 @@ def test_a_new_box_is_drawn_on_the_image(
     page.locator("dialog").wait_for(state="detached")
     page.get_by_test_id("ortho-top").get_by_test_id("editor2d").focus()
     desk.press("ArrowRight", "Space")  # the arrow keys leave a draft for a moment
-    wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1, 5)
+    wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1)
     (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
     assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
     assert made.label.box.size_m[0] == pytest.approx(0.9)

@@ -14,7 +14,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 def test_one_key_accepts_a_right_proposal_and_counts_one_action(desk: Desk, wait_for) -> None:
     first, items = desk.uid, desk.page.get_by_test_id("queue-item").count()
     desk.press("Space")
-    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED, 5)
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED)
     expect(desk.page.get_by_test_id("queue-item")).to_have_count(items - 1)
     desk.settled()
     assert desk.uid != first
@@ -40,22 +40,22 @@ def test_the_queue_is_worked_off_with_one_key_a_proposal(desk: Desk, wait_for) -
 def test_an_edit_is_undone_and_done_again(desk: Desk, wait_for) -> None:
     before, uid = desk.label.box, desk.uid
     desk.press("f")
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
     turned = desk.label.box
     desk.settled()
     desk.press("Control+z")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.PROPOSED, 5)
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.PROPOSED)
     np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, before.size_m)
     desk.settled()
     desk.press("Control+Shift+z")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.EDITED)
     np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, turned.size_m)
 
 
 def test_the_heading_turns_by_90_degrees_and_the_body_stays(desk: Desk, wait_for) -> None:
     before = desk.label.box
     desk.press("f")
-    wait_for(lambda: desk.label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
     after = desk.label.box
     np.testing.assert_allclose(after.size_m, before.size_m[[1, 0, 2]], atol=1e-9)
     np.testing.assert_allclose(after.rotation[:, 0], before.rotation[:, 1], atol=1e-9)
@@ -73,16 +73,16 @@ def test_reject_delete_tab_and_the_class_by_a_digit(desk: Desk, wait_for) -> Non
     desk.press("Shift+Tab")
     assert desk.uid == first
     desk.press("2")
-    wait_for(lambda: desk.label.label == "chair", 5)
+    wait_for(lambda: desk.label.label == "chair")
     desk.settled()
     second = uids[(uids.index(first) + 1) % len(uids)]
     desk.press("Tab", "x")
-    wait_for(lambda: desk.project.labels.get(str(second)).label.state is ReviewState.REJECTED, 5)
+    wait_for(lambda: desk.project.labels.get(str(second)).label.state is ReviewState.REJECTED)
     desk.settled()
     gone = desk.uid
     frame = desk.frame
     desk.press("Delete")
-    wait_for(lambda: gone not in {label.uid for label in desk.project.labels.of_frame(frame)}, 5)
+    wait_for(lambda: gone not in {label.uid for label in desk.project.labels.of_frame(frame)})
 
 
 def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) -> None:

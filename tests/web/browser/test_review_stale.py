@@ -7,7 +7,7 @@ import pytest
 from browser_page import refuse
 from review_desk import Desk
 
-from annotator.project import Change
+from annotator.project import WriteContext
 from annotator.types import ReviewState
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
@@ -17,15 +17,15 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 def test_a_stale_edit_shows_both_versions_and_loses_neither(desk: Desk, wait_for, choice: str) -> None:
     frame, uid, before = desk.frame, desk.uid, desk.label.box
     # a change that the page has not heard of
-    change = Change(desk.project.frames.get(frame).revision, "Bob")
-    desk.project.labels.accept(frame, uid, change)
+    context = WriteContext(desk.project.frames.get(frame).revision, "Bob")
+    desk.project.labels.accept(frame, uid, context)
     desk.press("f")
     desk.page.get_by_test_id("stale-dialog").wait_for()
     assert desk.label.state is ReviewState.ACCEPTED
     desk.page.get_by_test_id(f"dialog-{choice}").click()
     desk.page.get_by_test_id("stale-dialog").wait_for(state="detached")
     wanted = ReviewState.ACCEPTED if choice == "theirs" else ReviewState.EDITED
-    wait_for(lambda: desk.label.state is wanted, 5)
+    wait_for(lambda: desk.label.state is wanted)
     size = before.size_m if choice == "theirs" else before.size_m[[1, 0, 2]]
     np.testing.assert_allclose(desk.label.box.size_m, size, atol=1e-9)
     desk.settled()
@@ -61,7 +61,7 @@ def test_a_box_that_could_not_be_saved_stays_until_it_is_saved_or_discarded(desk
 
     page.unroute("**/changes")
     page.get_by_test_id("draft-retry").click()
-    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.EDITED, 5)
+    wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.EDITED)
     np.testing.assert_allclose(desk.label.box.size_m, size[[1, 0, 2]], atol=1e-9)
     expect(page.get_by_test_id("not-saved")).to_be_hidden()
     assert page.evaluate("dispatchEvent(new Event('beforeunload', { cancelable: true }))")

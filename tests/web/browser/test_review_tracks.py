@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from review_desk import Desk
 
-from annotator.project import Change, NewLabel
+from annotator.project import NewLabel, WriteContext
 from annotator.types import Label, ReviewState
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
@@ -26,7 +26,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     expect(page.get_by_test_id("track-strip")).to_be_hidden()
     page.get_by_test_id("field-track").fill("7")
     page.get_by_test_id("field-track").press("Enter")
-    wait_for(lambda: desk.label.track_id == 7, 5)
+    wait_for(lambda: desk.label.track_id == 7)
     assert desk.label.state is ReviewState.PROPOSED, "its box was not looked at"
     desk.settled()
     expect(page.get_by_test_id("track-tick")).to_have_count(1)
@@ -34,7 +34,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     # the track that is still typed comes along with the answer
     page.get_by_test_id("field-track").fill("70")
     desk.press("Space")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED, 5)
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED)
     assert desk.project.labels.get(uid).label.track_id == 70
     # the page has gone on to the next proposal
     page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
@@ -44,14 +44,14 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     desk.settled()
     # a rejected box is accepted, too, where only its track was typed
     desk.press("x")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.REJECTED, 5)
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.REJECTED)
     desk.settled()
     page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
     desk.settled()
     page.get_by_test_id("field-track").fill("71")
     desk.press("Space")
-    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED, 5)
+    wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED)
     assert desk.project.labels.get(uid).label.track_id == 71
     desk.settled()
     page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
@@ -59,7 +59,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     desk.settled()
     page.get_by_test_id("field-track").fill("7")
     page.get_by_test_id("field-track").press("Enter")
-    wait_for(lambda: desk.label.track_id == 7, 5)
+    wait_for(lambda: desk.label.track_id == 7)
     assert desk.label.state is ReviewState.ACCEPTED
     page.locator("body").click(position={"x": 2, "y": 2})
 
@@ -78,12 +78,12 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     assert desk.uid == copied.uid
     desk.press("Control+z")
-    wait_for(lambda: not of_track(desk, frames[1]), 5)
+    wait_for(lambda: not of_track(desk, frames[1]))
 
     # somebody reviews the object in frame 4; what lies between is filled from there
     first = project.labels.get(uid).label
-    change = Change(project.frames.get(frames[3]).revision, "bob")
-    project.labels.create(frames[3], [NewLabel(first.label, first.box, track_id=7)], change)
+    context = WriteContext(project.frames.get(frames[3]).revision, "bob")
+    project.labels.create(frames[3], [NewLabel(first.label, first.box, track_id=7)], context)
     page.goto(f"/#/{desk.name}/review/{frames[3]}")
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
     expect(page.get_by_test_id("track-tick")).to_have_count(2)
@@ -100,10 +100,10 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     desk.settled()
     desk.press("Control+z")
-    wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]), 5)
+    wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]))
     page.get_by_test_id("color-by-track").uncheck()
     desk.press("?")
-    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's reviewed box before")
+    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's last reviewed box")
     desk.press("Escape")
 
 
@@ -116,4 +116,4 @@ def test_what_cannot_be_carried_on_is_said(desk: Desk) -> None:
     expect(desk.page.get_by_text("has no reviewed box to start from")).to_be_visible()
     expect(desk.page.get_by_test_id("act-fill")).to_be_hidden()
     desk.press("Shift+N")
-    expect(desk.page.get_by_text("belongs to no track")).to_be_visible()
+    expect(desk.page.get_by_text("This box has no track")).to_be_visible()

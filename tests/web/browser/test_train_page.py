@@ -1,4 +1,4 @@
-"""Train and propose in a real browser: what there is to learn from, a very small training, its proposals."""
+"""Train in a real browser: what there is to learn from, and a training that is stopped; `test_scenario` ends one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 
 def test_nothing_to_learn_from_says_what_to_do_next(signed_in: Page, room: Project) -> None:
     signed_in.goto(f"/#/{room.path.name}/train")
-    expect(signed_in.get_by_text("There are no boxes to learn from yet")).to_be_visible()
+    expect(signed_in.get_by_text("There are no boxes to train on yet")).to_be_visible()
     expect(signed_in.get_by_test_id("train-start")).to_be_hidden()
     expect(signed_in.get_by_test_id("propose-start")).to_be_disabled()
 
@@ -33,28 +33,21 @@ def test_bad_settings_are_told_where_they_are(signed_in: Page, room: Project, ge
 
 
 @pytest.mark.slow
-def test_a_training_is_watched_and_another_one_stopped(signed_in: Page, room: Project, generated: Path) -> None:
+def test_a_training_is_found_again_and_stopped(signed_in: Page, room: Project, generated: Path) -> None:
     page = signed_in
     count = label_truth(room, generated / "people", 2)
     page.goto(f"/#/{room.path.name}/train")
     expect(page.get_by_test_id("material-image")).to_contain_text(f"{count} reviewed 3D boxes")
     page.get_by_text("Settings").click()
     page.get_by_test_id("train-role-view").uncheck()
-    page.get_by_test_id("train-pictures-image").fill("16")
+    page.get_by_test_id("train-pictures-image").fill("5000")
     page.get_by_test_id("train-size-image").fill("64")
     page.get_by_test_id("train-start").click()
-    expect(page.get_by_test_id("stop-train")).to_be_visible(timeout=30_000)
+    expect(page.get_by_test_id("stop-train")).to_be_visible()
     expect(page.get_by_test_id("job-indicator")).to_be_visible()
     page.reload()  # it goes on, and the page finds it again
-    expect(page.get_by_test_id("curves-losses").locator(".plot-container")).to_be_visible(timeout=200_000)
-    expect(page.get_by_test_id("job-train-text")).to_contain_text("trained", timeout=300_000)
-    expect(page.locator('[data-testid="model-row"][data-active="true"]')).to_have_count(1, timeout=30_000)
-    expect(page.get_by_test_id("material-image")).not_to_contain_text("nothing yet")
-    expect(page.get_by_test_id("material-view")).to_contain_text("nothing yet")
-
-    page.get_by_test_id("train-role-image").uncheck()
-    page.get_by_test_id("train-start").click()
+    expect(page.get_by_test_id("job-train-text")).to_contain_text("train the image detector")
     page.get_by_test_id("stop-train").click()
-    expect(page.get_by_test_id("job-train-text")).to_contain_text("topped", timeout=60_000)
+    expect(page.get_by_test_id("job-train-text")).to_contain_text("topped")
     expect(page.get_by_test_id("train-start")).to_be_enabled()
     expect(page.get_by_test_id("propose-start")).to_be_disabled()

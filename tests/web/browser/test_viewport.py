@@ -64,7 +64,7 @@ def room(shop: Shop) -> Project:
 @pytest.fixture
 def labels(room: Project) -> list[Label]:
     """The boxes on its first frame."""
-    return list(room.frame_state(room.frames.of()[0].id).labels)
+    return list(room.labels.of_frame(room.frames.of()[0].id))
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def drawn(page: Page) -> float:
 
 
 def bench(live: Live, page: Page) -> Any:
-    return live.server.app.state.workbenches.get(page.evaluate("view.id"), "Ada")
+    return live.server.app.state.viewports.get(page.evaluate("view.id"), "Ada")
 
 
 def camera(live: Live, page: Page) -> np.ndarray:
@@ -210,16 +210,16 @@ def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Pa
     until(view, f"view.id !== null && view.id !== '{known}' && view.state === 'ready'")
     assert bench(live, view)._scene.content.frame.index == 1
 
-    benches = live.server.app.state.workbenches
+    benches = live.server.app.state.viewports
     assert len(benches._open) == 1
     view.goto("about:blank")
     until(view, lambda: len(benches._open) == 0)
 
 
 def test_without_webgl_the_page_says_so(shared_page: Page, live: Live, room: Project) -> None:
-    known = list(live.server.app.state.workbenches._open)
+    known = list(live.server.app.state.viewports._open)
     begin(shared_page, live, room)
     show(shared_page, frame=1)
     assert shared_page.evaluate("view.state") == "unsupported"
     assert "no WebGL" in shared_page.get_by_test_id("viewport-note").inner_text()
-    assert list(live.server.app.state.workbenches._open) == known
+    assert list(live.server.app.state.viewports._open) == known

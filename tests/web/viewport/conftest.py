@@ -1,4 +1,4 @@
-"""A workbench of one's own, without the application around it."""
+"""Fixtures: a viewport without the application."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Any
 
 import pytest
 
-from annotator.web.viewport.workbench import Workbench
+from annotator.web.viewport.viewports import Viewport
 
 
-class Told(list[dict[str, Any]]):
-    """The events that a workbench has sent."""
+class SentEvents(list[dict[str, Any]]):
+    """The events that a viewport has sent."""
 
     def of(self, event: str) -> list[dict[str, Any]]:
         return [message for message in self if message["event"] == event]
 
 
 @pytest.fixture
-def told() -> Told:
-    return Told()
+def events() -> SentEvents:
+    return SentEvents()
 
 
 @pytest.fixture
-def bench(told: Told) -> Iterator[Workbench]:
-    """A real viser server that nobody looks at."""
-    made = Workbench("0123456789abcdef", "Ada", "room", lambda bench, message: told.append(message))
-    yield made
-    made.close()
+def viewport(events: SentEvents) -> Iterator[Viewport]:
+    """A viewport with a real viser server, without a browser."""
+    viewport = Viewport("0123456789abcdef", "Ada", "room", lambda _, message: events.append(message))
+    yield viewport
+    viewport.close()

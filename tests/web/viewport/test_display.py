@@ -1,4 +1,4 @@
-"""What is shown of a cloud."""
+"""The shown points of a cloud, their colours and size, and the initial camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from annotator.recordings import open_recording
 from annotator.types import Camera, Frame, PointCloud
 from annotator.web.viewport.content import PointColor
-from annotator.web.viewport.display import first_view, point_colors, point_size_m, shown_points
+from annotator.web.viewport.display import initial_camera, point_colors, point_size_m, shown_points
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -46,7 +46,7 @@ def test_every_cloud_has_every_kind_of_colour(color: PointColor, what: str) -> N
     assert colors.dtype == np.uint8
 
 
-def test_height_colours_rise_against_gravity_and_ignore_where_a_point_stands() -> None:
+def test_height_colours_depend_only_on_the_height() -> None:
     height = np.linspace(0, 2, 100)
     low_to_high = frame_of(np.column_stack([np.zeros(100), -height, np.full(100, 4)])).cloud
     colors = point_colors(low_to_high, PointColor.HEIGHT, UP).astype(int)
@@ -57,27 +57,27 @@ def test_height_colours_rise_against_gravity_and_ignore_where_a_point_stands() -
 
 
 @given(st.floats(1, 60))
-def test_points_and_first_view_scale_with_the_scene(distance_m: float) -> None:
+def test_point_size_and_initial_camera_scale_with_the_scene(distance_m: float) -> None:
     rng = np.random.default_rng(1)
     xyz = rng.normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])
     unit, scaled = frame_of(xyz), frame_of(xyz * distance_m)
     assert point_size_m(scaled.cloud, 500) == pytest.approx(distance_m * point_size_m(unit.cloud, 500), rel=1e-3)
-    np.testing.assert_allclose(first_view(scaled).position, distance_m * first_view(unit).position, rtol=1e-3)
+    np.testing.assert_allclose(initial_camera(scaled).position, distance_m * initial_camera(unit).position, rtol=1e-3)
 
 
 def test_points_of_a_thinned_cloud_are_larger() -> None:
-    """The surfaces of a dense cloud stay closed where few of its points are drawn; a sparse scan has none to close."""
+    """The surfaces of a thinned dense cloud stay closed; a sparse scan has no closed surfaces."""
     cloud = frame_of(np.random.default_rng(1).normal(0, 0.1, (500, 3)) + np.array([0, 0, 1])).cloud
     assert point_size_m(cloud, 50_000) > point_size_m(cloud, 500)
 
 
-def test_the_first_view_stands_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
+def test_the_initial_camera_is_behind_the_camera_and_looks_along_its_axis(generated: Path) -> None:
     recording = open_recording(generated / "people")
     frame = recording.frame(0)
-    view = first_view(frame)
-    assert view.position[2] < 0
-    assert view.position @ view.up > 0  # above it
-    np.testing.assert_array_equal(view.look_at[:2], 0)
-    assert np.percentile(frame.cloud.xyz_m[:, 2], 20) < view.look_at[2] < np.percentile(frame.cloud.xyz_m[:, 2], 80)
+    camera = initial_camera(frame)
+    assert camera.position[2] < 0
+    assert camera.position @ camera.up > 0  # above it
+    np.testing.assert_array_equal(camera.look_at[:2], 0)
+    assert np.percentile(frame.cloud.xyz_m[:, 2], 20) < camera.look_at[2] < np.percentile(frame.cloud.xyz_m[:, 2], 80)
     assert frame.up is not None
-    np.testing.assert_array_equal(view.up, frame.up)
+    np.testing.assert_array_equal(camera.up, frame.up)

@@ -1,4 +1,4 @@
-"""Where things stand in the scene."""
+"""Lines and poses in the scene."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import first_views
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox
-from annotator.web.viewport.lines import arrow_lines, frustum_lines, placed_box_lines, standing
-from annotator.workflows.truth import load_truth
+from annotator.web.viewport.lines import arrow_lines, frustum_lines, placed_box_lines, view_placement
+from annotator.workflows.recorded.reading import load_truth
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_a_box_is_drawn_by_its_edges_and_a_line_out_of_its_front(truth: Oriented
 
 
 @pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])
-def test_the_frustum_meets_the_image_in_the_drawn_box(frame: Frame, distortion: tuple[float, ...]) -> None:
+def test_the_frustum_projects_onto_the_image_box(frame: Frame, distortion: tuple[float, ...]) -> None:
     camera = frame.camera
     bent = Camera(camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, distortion)
     seen = Frame("0", 0, bent, frame.rgb, frame.cloud)
@@ -64,24 +64,24 @@ def test_an_arrow_has_its_head_on_the_shaft_and_points_to_its_end() -> None:
     np.testing.assert_allclose(lines[0], [start, end], atol=1e-6)
     head = lines[1:].reshape(-1, 3) - start
     share = head @ (end - start) / float((end - start) @ (end - start))
-    # from a ring about the shaft to the tip
+    # from a ring around the shaft to the tip
     assert 0.4 < share.min() < share.max() == pytest.approx(0.6, abs=1e-6)
     ring = head[share < 0.59] - share.min() * (end - start)
     np.testing.assert_allclose(ring.mean(axis=0), 0, atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(ring, axis=1), np.linalg.norm(ring[0]), atol=1e-5)
 
 
-def test_pictures_stand_before_their_points_with_each_pixel_where_it_belongs(frame: Frame, truth: OrientedBox) -> None:
+def test_a_view_is_placed_in_front_of_its_points_with_each_pixel_in_place(frame: Frame, truth: OrientedBox) -> None:
     image_box = box_on_image(frame.camera, truth, "person")
     assert image_box is not None
     views = first_views(frame, image_box, RcvConfig())
     assert views is not None
     for view in views:
-        place = standing(view)
+        place = view_placement(view)
         right, down, into = place.R_camera_view.T
         np.testing.assert_allclose([right, down, into], view.axes, atol=1e-12)
         assert (view.xyz_m @ into).min() > place.center_m @ into
-        # the middle of the pixel (0, 0), once over the picture's size and once over the view's own numbers
+        # the centre of pixel (0, 0), computed from the placement's size and from the view's origin
         height_px, width_px = view.rgb.shape[:2]
         half = 0.5 * place.size_m * (1 - 1 / np.array([width_px, height_px]))
         corner = place.center_m - half[0] * right - half[1] * down

@@ -1,4 +1,4 @@
-"""What a real viser server holds after a scene was shown."""
+"""The nodes of a real viser server after a scene was shown."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
 from annotator.web.viewport.lines import arrow_lines
-from annotator.web.viewport.workbench import Workbench
-from annotator.workflows.labelling import label_steps
-from annotator.workflows.open_frame import OpenFrame
-from annotator.workflows.truth import load_truth
+from annotator.web.viewport.viewports import Viewport
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.workbench.drawing_steps import label_steps
+from annotator.workflows.workbench.open_frame import OpenFrame
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +42,15 @@ def boxes(recording: Recording, frames: list[Frame]) -> tuple[ShownBox, ...]:
     return tuple(ShownBox(f"box{n}", t.box, state) for n, (t, state) in enumerate(zip(truth, states, strict=False)))
 
 
-def node(bench: Workbench, name: str) -> Any:
-    return bench._server.scene.get_handle_by_name(name)
+def node(viewport: Viewport, name: str) -> Any:
+    return viewport._server.scene.get_handle_by_name(name)
 
 
-def sent(bench: Workbench) -> list[str]:
-    """Kinds of the messages that a browser would get from now on, in order: read and forgotten."""
-    buffer = bench._server._websock_server.get_message_buffer()
-    first = getattr(bench, "seen_messages", 0)
-    bench.seen_messages = buffer.message_counter  # type: ignore[attr-defined]
+def sent(viewport: Viewport) -> list[str]:
+    """Kinds of the messages for a browser since the last call, in order."""
+    buffer = viewport._server._websock_server.get_message_buffer()
+    first = getattr(viewport, "seen_messages", 0)
+    viewport.seen_messages = buffer.message_counter  # type: ignore[attr-defined]
     known = sorted(buffer.message_from_id.items())
     return [
         " ".join(
@@ -61,106 +61,106 @@ def sent(bench: Workbench) -> list[str]:
     ]
 
 
-def test_it_listens_on_loopback_only(bench: Workbench) -> None:
-    assert bench._server.get_host() == "127.0.0.1"
+def test_it_listens_on_loopback_only(viewport: Viewport) -> None:
+    assert viewport._server.get_host() == "127.0.0.1"
 
 
-def test_the_cloud_is_shown_in_metres_of_the_camera_frame(bench: Workbench, frames: list[Frame]) -> None:
-    shown = bench.show(SceneContent(("room", 1), frames[0]))
+def test_the_cloud_is_shown_in_the_camera_frame_in_metres(viewport: Viewport, frames: list[Frame]) -> None:
+    shown = viewport.show(SceneContent(("room", 1), frames[0]))
     assert shown.points == shown.shown_points == len(frames[0].cloud)
-    cloud = node(bench, "/cloud")
+    cloud = node(viewport, "/cloud")
     np.testing.assert_array_equal(cloud.points, frames[0].cloud.xyz_m)
     assert cloud.points.dtype == np.float32  # half precision would move points by millimetres
     np.testing.assert_array_equal(cloud.colors, frames[0].cloud.rgb)
 
 
-def test_a_large_cloud_is_thinned_for_display(bench: Workbench, frames: list[Frame]) -> None:
+def test_a_large_cloud_is_thinned_for_display(viewport: Viewport, frames: list[Frame]) -> None:
     xyz = np.random.default_rng(0).normal(0, 1, (MOST_POINTS + 50_000, 3)).astype(np.float32)
-    shown = bench.show(SceneContent(("room", 1), replace(frames[0], cloud=PointCloud(xyz))))
+    shown = viewport.show(SceneContent(("room", 1), replace(frames[0], cloud=PointCloud(xyz))))
     assert (shown.shown_points, shown.points) == (MOST_POINTS, MOST_POINTS + 50_000)
-    assert len(node(bench, "/cloud").points) == MOST_POINTS
-    size = node(bench, "/cloud").point_size
-    content = replace(bench._scene.content, most_points=40_000)
-    assert bench.show(content).shown_points == 40_000
-    assert node(bench, "/cloud").point_size > 1.5 * size
+    assert len(node(viewport, "/cloud").points) == MOST_POINTS
+    size = node(viewport, "/cloud").point_size
+    content = replace(viewport._scene.content, most_points=40_000)
+    assert viewport.show(content).shown_points == 40_000
+    assert node(viewport, "/cloud").point_size > 1.5 * size
 
 
 def test_boxes_are_lines_in_the_colour_of_their_state(
-    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...]
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
 ) -> None:
-    bench.show(SceneContent(("room", 1), frames[0], boxes))
-    lines = node(bench, "/boxes")
+    viewport.show(SceneContent(("room", 1), frames[0], boxes))
+    lines = node(viewport, "/boxes")
     assert lines.points.shape == (13 * len(boxes), 2, 3)
     colors = lines.colors.reshape(len(boxes), -1, 3)
     assert len(np.unique(colors[:, 0], axis=0)) == len(boxes)
-    bench.show(SceneContent(("room", 1), frames[0], ()))
-    assert node(bench, "/boxes") is None
+    viewport.show(SceneContent(("room", 1), frames[0], ()))
+    assert node(viewport, "/boxes") is None
 
 
-def test_the_selected_box_hangs_on_the_gizmo(
-    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...]
+def test_the_selected_box_is_attached_to_the_gizmo(
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
 ) -> None:
     content = SceneContent(("room", 1), frames[0], boxes, "box1", Gizmo.TRANSLATE)
-    bench.show(content)
-    gizmo, chosen = node(bench, "/selected"), boxes[1].box
-    np.testing.assert_allclose(gizmo.position, chosen.center_m)
+    viewport.show(content)
+    gizmo, selected = node(viewport, "/selected"), boxes[1].box
+    np.testing.assert_allclose(gizmo.position, selected.center_m)
     turned = Rotation.from_quat(gizmo.wxyz, scalar_first=True).as_matrix()
-    np.testing.assert_allclose(turned, chosen.rotation, atol=1e-9)
-    assert len(node(bench, "/boxes").points) == 13 * (len(boxes) - 1)
-    assert node(bench, "/selected/lines").thickness > node(bench, "/boxes").thickness
+    np.testing.assert_allclose(turned, selected.rotation, atol=1e-9)
+    assert len(node(viewport, "/boxes").points) == 13 * (len(boxes) - 1)
+    assert node(viewport, "/selected/lines").thickness > node(viewport, "/boxes").thickness
     assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, False, True)
-    bench.show(replace(content, gizmo=Gizmo.ROTATE))
+    viewport.show(replace(content, gizmo=Gizmo.ROTATE))
     assert (gizmo.disable_axes, gizmo.disable_sliders, gizmo.disable_rotations) == (True, True, False)
-    bench.show(replace(content, gizmo=Gizmo.OFF))
+    viewport.show(replace(content, gizmo=Gizmo.OFF))
     assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, True, True)
-    bench.show(replace(content, selected=None))
+    viewport.show(replace(content, selected=None))
     assert not gizmo.visible
-    assert len(node(bench, "/boxes").points) == 13 * len(boxes)
+    assert len(node(viewport, "/boxes").points) == 13 * len(boxes)
 
 
 def test_the_same_scene_sends_nothing_and_a_selection_sends_no_points(
-    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...]
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...]
 ) -> None:
     content = SceneContent(("room", 1), frames[0], boxes, "box0", Gizmo.TRANSLATE)
-    bench.show(content)
-    sent(bench)
-    bench.show(replace(content))
-    assert sent(bench) == []
-    bench.show(replace(content, selected="box1"))
-    changed = sent(bench)
+    viewport.show(content)
+    sent(viewport)
+    viewport.show(replace(content))
+    assert sent(viewport) == []
+    viewport.show(replace(content, selected="box1"))
+    changed = sent(viewport)
     assert changed
     assert not [message for message in changed if "cloud" in message]
 
 
-def test_colour_and_point_size_change_without_new_points(bench: Workbench, frames: list[Frame]) -> None:
+def test_colour_and_point_size_change_without_new_points(viewport: Viewport, frames: list[Frame]) -> None:
     content = SceneContent(("room", 1), frames[0])
-    bench.show(content)
-    size = node(bench, "/cloud").point_size
-    sent(bench)
-    bench.show(replace(content, color=PointColor.DEPTH, point_size=2.0))
-    assert sent(bench) == ["SceneNodeUpdateMessage /cloud colors", "SceneNodeUpdateMessage /cloud point_size"]
-    assert node(bench, "/cloud").point_size == pytest.approx(2 * size)
-    assert not np.array_equal(node(bench, "/cloud").colors, frames[0].cloud.rgb)
+    viewport.show(content)
+    size = node(viewport, "/cloud").point_size
+    sent(viewport)
+    viewport.show(replace(content, color=PointColor.DEPTH, point_size=2.0))
+    assert sent(viewport) == ["SceneNodeUpdateMessage /cloud colors", "SceneNodeUpdateMessage /cloud point_size"]
+    assert node(viewport, "/cloud").point_size == pytest.approx(2 * size)
+    assert not np.array_equal(node(viewport, "/cloud").colors, frames[0].cloud.rgb)
 
 
-def test_another_frame_replaces_the_cloud_and_leaves_the_camera(bench: Workbench, frames: list[Frame]) -> None:
-    bench.show(SceneContent(("room", 1), frames[0]))
-    sent(bench)
-    bench.show(SceneContent(("room", 1), frames[1]))
-    np.testing.assert_array_equal(node(bench, "/cloud").points, frames[1].cloud.xyz_m)
-    assert not [message for message in sent(bench) if "Camera" in message]
-    bench.show(SceneContent(("room", 2), frames[1]))
-    assert [message for message in sent(bench) if "Camera" in message]
+def test_another_frame_replaces_the_cloud_and_leaves_the_camera(viewport: Viewport, frames: list[Frame]) -> None:
+    viewport.show(SceneContent(("room", 1), frames[0]))
+    sent(viewport)
+    viewport.show(SceneContent(("room", 1), frames[1]))
+    np.testing.assert_array_equal(node(viewport, "/cloud").points, frames[1].cloud.xyz_m)
+    assert not [message for message in sent(viewport) if "Camera" in message]
+    viewport.show(SceneContent(("room", 2), frames[1]))
+    assert [message for message in sent(viewport) if "Camera" in message]
 
 
-def test_nothing_is_shown_where_there_is_no_frame(bench: Workbench, frames: list[Frame]) -> None:
-    bench.show(SceneContent(("room", 1), frames[0]))
-    assert bench.show(SceneContent(None, None)).points == 0
-    assert node(bench, "/cloud") is None
+def test_without_a_frame_the_scene_is_empty(viewport: Viewport, frames: list[Frame]) -> None:
+    viewport.show(SceneContent(("room", 1), frames[0]))
+    assert viewport.show(SceneContent(None, None)).points == 0
+    assert node(viewport, "/cloud") is None
 
 
 def drawing(frame: Frame, box: OrientedBox, drags: int) -> Draft:
-    """A draft after so many drags, each of which spans the true box."""
+    """A draft with the given number of drawn boxes, each of which encloses the true box."""
     image_box = box_on_image(frame.camera, box, "person")
     assert image_box is not None
     drawn: list[Box2D | None] = []
@@ -175,69 +175,69 @@ def drawing(frame: Frame, box: OrientedBox, drags: int) -> Draft:
 
 @pytest.mark.parametrize("drags", [0, 1, 2, 4])
 def test_a_draft_has_a_frustum_two_pictures_two_arrows_and_the_box_so_far(
-    bench: Workbench, frames: list[Frame], boxes: tuple[ShownBox, ...], drags: int
+    viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...], drags: int
 ) -> None:
-    begun = drawing(frames[0], boxes[0].box, drags)
-    bench.show(SceneContent(("room", 1), frames[0], draft=begun))
-    assert node(bench, "/draft/frustum") is not None
-    assert node(bench, "/draft/view0") is not None
-    assert node(bench, "/draft/view1") is not None
-    arrows = node(bench, "/draft/axes")
+    draft = drawing(frames[0], boxes[0].box, drags)
+    viewport.show(SceneContent(("room", 1), frames[0], draft=draft))
+    assert node(viewport, "/draft/frustum") is not None
+    assert node(viewport, "/draft/view0") is not None
+    assert node(viewport, "/draft/view1") is not None
+    arrows = node(viewport, "/draft/axes")
     one = arrow_lines(np.zeros(3), np.ones(3), np.ones(3))
     assert arrows.points.shape == (2 * len(one), 2, 3)
-    # red, as an amount of light: lines are not lit
+    # red, as linear light
     assert arrows.colors.reshape(-1, 3)[0].tolist() == [255, 10, 6]
-    assert (node(bench, "/draft/box") is not None) == (drags >= 2)
+    assert (node(viewport, "/draft/box") is not None) == (drags >= 2)
     if drags >= 2:
-        assert begun.box is not None
-        distance = np.linalg.norm(begun.box.center_m - boxes[0].box.center_m)
+        assert draft.box is not None
+        distance = np.linalg.norm(draft.box.center_m - boxes[0].box.center_m)
         assert distance < 0.3 * boxes[0].box.size_m.max()
-    bench.show(SceneContent(("room", 1), frames[0]))
-    assert node(bench, "/draft/frustum") is None
-    assert node(bench, "/draft/view0") is None
+    viewport.show(SceneContent(("room", 1), frames[0]))
+    assert node(viewport, "/draft/frustum") is None
+    assert node(viewport, "/draft/view0") is None
 
 
-def test_an_image_box_on_nothing_has_a_frustum_only(bench: Workbench, frames: list[Frame]) -> None:
-    begun = Draft(Box2D("person", -50.0, -50.0, -10.0, -10.0), (), None)
-    bench.show(SceneContent(("room", 1), frames[0], draft=begun))
-    assert node(bench, "/draft/frustum") is not None
-    assert node(bench, "/draft/view0") is None
+def test_an_image_box_without_points_has_only_a_frustum(viewport: Viewport, frames: list[Frame]) -> None:
+    draft = Draft(Box2D("person", -50.0, -50.0, -10.0, -10.0), (), None)
+    viewport.show(SceneContent(("room", 1), frames[0], draft=draft))
+    assert node(viewport, "/draft/frustum") is not None
+    assert node(viewport, "/draft/view0") is None
 
 
-def drag(bench: Workbench, phase: str) -> None:
-    """What viser does when a browser sends such a message."""
-    gizmo = node(bench, "/selected")
+def drag(viewport: Viewport, phase: str) -> None:
+    """Calls the gizmo's callback like viser does on a browser's message."""
+    gizmo = node(viewport, "/selected")
     event = TransformControlsEvent(client=None, client_id=0, target=gizmo, phase=phase)
-    asyncio.run(bench._gizmo_moved(event))
+    asyncio.run(viewport._gizmo_moved(event))
 
 
-def test_a_dragged_gizmo_tells_its_box_and_is_not_taken_out_of_the_hand(
-    bench: Workbench, told: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
+def test_a_dragged_gizmo_sends_its_box_and_stays_during_updates(
+    viewport: Viewport, events: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
 ) -> None:
     content = SceneContent(("room", 1), frames[0], boxes, "box1", Gizmo.TRANSLATE)
-    bench.show(content)
-    gizmo, box = node(bench, "/selected"), boxes[1].box
-    drag(bench, "start")
-    assert told.of("box") == []
+    viewport.show(content)
+    gizmo, box = node(viewport, "/selected"), boxes[1].box
+    drag(viewport, "start")
+    assert events.of("box") == []
     gizmo.position = box.center_m + np.array([0.1, 0, 0])
-    drag(bench, "update")
-    bench.show(replace(content))  # the page, or another operator, while the hand still holds it
+    drag(viewport, "update")
+    viewport.show(replace(content))  # an update by the page, or another operator, during the drag
     np.testing.assert_allclose(gizmo.position, box.center_m + np.array([0.1, 0, 0]))
-    drag(bench, "end")
-    moved, final = told.of("box")
+    drag(viewport, "end")
+    moved, final = events.of("box")
     assert (moved["final"], final["final"]) == (False, True)
-    assert (final["uid"], final["workbench"]) == ("box1", bench.id)
+    assert (final["uid"], final["workbench"]) == ("box1", viewport.id)
     np.testing.assert_allclose(final["box"]["center"], box.center_m + np.array([0.1, 0, 0]))
     np.testing.assert_allclose(final["box"]["rotation"], box.rotation, atol=1e-9)
     np.testing.assert_allclose(final["box"]["size"], box.size_m)
-    bench.show(replace(content))
+    viewport.show(replace(content))
     np.testing.assert_allclose(gizmo.position, box.center_m)
 
 
 def test_a_click_on_a_box_selects_it(
-    bench: Workbench, told: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
+    viewport: Viewport, events: Any, frames: list[Frame], boxes: tuple[ShownBox, ...]
 ) -> None:
-    bench.show(SceneContent(("room", 1), frames[0], boxes))
-    bench._clicked(boxes[2].box.center_m + np.array([0, -20.0, 0]), np.array([0, 1.0, 0]))
-    bench._clicked(np.zeros(3), np.array([0, -1.0, 0]))
-    assert [event["uid"] for event in told.of("select")] == ["box2"]
+    viewport.show(SceneContent(("room", 1), frames[0], boxes))
+    viewport._clicked(boxes[2].box.center_m + np.array([0, -20.0, 0]), np.array([0, 1.0, 0]))
+    viewport._clicked(np.zeros(3), np.array([0, -1.0, 0]))
+    assert [event["uid"] for event in events.of("select")] == ["box2"]

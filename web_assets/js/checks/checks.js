@@ -1,24 +1,41 @@
-/** Checks: boxes that look wrong, by what looks wrong; a click opens the frame and the box in Review. */
+/** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review. */
 
 import { count, h } from "../dom.js";
+import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 
+/** @type {string[][]} */
 const KINDS = [
-  ["class", "Unknown class", "the project does not have this class"],
+  ["class", "Unknown class", "the project has no such class"],
   ["empty", "Hardly any points inside", "the box may be in the wrong place"],
   ["size", "Unusual size", "far from the median of the class"],
-  ["heading", "Heading jumps", "turned far against the neighbouring frame"],
-  ["track", "Tracks", "two boxes of one object in a frame, or of two classes"],
-  ["duplicate", "Overlapping boxes", "two boxes may stand for one object"],
+  ["heading", "Heading jumps", "very different from the neighbouring frame"],
+  ["track", "Tracks", "one track has two boxes in a frame, or two classes"],
+  ["duplicate", "Overlapping boxes", "two boxes may be the same object"],
 ];
-/** More than this in one group are counted, not listed. */
+/** Warnings that a group lists; further ones are only counted. */
 const LISTED = 200;
 
+/**
+ * @param {HTMLElement} root
+ * @param {ModeApp} app
+ */
 export function mount(root, app) {
-  const body = h("div", { class: "stack" }, h("p", { class: "muted" }, "Looking at all boxes …"));
+  const body = h("div", { class: "stack" }, h("p", { class: "muted" }, "Checking all boxes …"));
   const note = h("span", { class: "muted", role: "status", "data-testid": "checks-note" });
-  const again = h("button", { type: "button", "data-testid": "check-again", onclick: () => void load() }, "Check again");
-  root.append(h("div", { class: "page", "data-testid": "checks" }, h("div", { class: "row" }, h("h1", {}, "Checks"), note, h("span", { class: "grow" }), again), body));
+  const again = h(
+    "button",
+    { type: "button", "data-testid": "check-again", onclick: () => void load() },
+    "Check again",
+  );
+  root.append(
+    h(
+      "div",
+      { class: "page", "data-testid": "checks" },
+      h("div", { class: "row" }, h("h1", {}, "Checks"), note, h("span", { class: "grow" }), again),
+      body,
+    ),
+  );
   let ended = false;
   let timer = 0;
 
@@ -26,45 +43,91 @@ export function mount(root, app) {
     clearTimeout(timer);
     again.disabled = true;
     try {
+      /** @type {Api.CheckReport} */
       const report = await app.api.get(app.path("checks"));
       if (ended) return;
       show(report);
-      // the server stops after a few seconds, and goes on where it was
+      // the server stops after a few seconds; the next request continues
       if (report.uncounted > 0) timer = setTimeout(load, 200);
     } catch (error) {
-      if (!ended) body.replaceChildren(h("p", { class: "error-box", role: "alert" }, error.message));
+      if (!ended) body.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     } finally {
       again.disabled = false;
     }
   }
 
+  /** @param {Api.CheckReport} options */
   function show({ warnings, labels, unreadable, uncounted }) {
-    note.textContent = uncounted > 0 ? `Counting points: ${count(uncounted, "frame")} to go …` : `${count(labels, "box was", "boxes were")} looked at.`;
-    const failed = unreadable.length ? [h("div", { class: "error-box", role: "alert" }, `These frames could not be read:\n${unreadable.join("\n")}`)] : [];
+    note.textContent =
+      uncounted > 0
+        ? `Counting points: ${count(uncounted, "frame")} left …`
+        : `${count(labels, "box", "boxes")} checked.`;
+    const failed = unreadable.length
+      ? [h("div", { class: "error-box", role: "alert" }, `These frames could not be read:\n${unreadable.join("\n")}`)]
+      : [];
     if (warnings.length === 0) {
-      const nothing = labels === 0 ? ["There is no box yet", "Label objects, or let the detectors propose some, and come back."] : ["Nothing looks wrong", "Sizes, points, headings and overlaps of all boxes were looked at."];
-      body.replaceChildren(...failed, h("div", { class: "empty panel", "data-testid": "no-warnings" }, h("h2", {}, nothing[0]), h("p", {}, nothing[1])));
+      const nothing =
+        labels === 0
+          ? ["No boxes yet", "Label objects, or let the detectors propose some."]
+          : ["Nothing looks wrong", "Sizes, points, headings and overlaps of all boxes were checked."];
+      body.replaceChildren(
+        ...failed,
+        h(
+          "div",
+          { class: "empty panel", "data-testid": "no-warnings" },
+          h("h2", {}, nothing[0]),
+          h("p", {}, nothing[1]),
+        ),
+      );
       return;
     }
-    const unknown = [...new Set(warnings.map(({ kind }) => kind))].filter((kind) => !KINDS.some(([name]) => name === kind)).map((kind) => [kind, kind, ""]);
-    const groups = [...KINDS, ...unknown].map(([kind, title, help]) => [title, help, kind, warnings.filter((warning) => warning.kind === kind)]).filter(([, , , found]) => found.length > 0);
-    body.replaceChildren(...failed, ...groups.map(group));
+    const kinds = new Set(warnings.map(({ kind }) => kind));
+    for (const [kind] of KINDS) kinds.delete(/** @type {Api.Kind} */ (kind));
+    const unknown = [...kinds].map((kind) => [kind, kind, ""]);
+    const groups = [...KINDS, ...unknown].flatMap(([kind, title, help]) => {
+      const found = warnings.filter((warning) => warning.kind === kind);
+      return found.length > 0 ? [group(kind, title, help, found)] : [];
+    });
+    body.replaceChildren(...failed, ...groups);
   }
 
-  function group([title, help, kind, found]) {
+  /**
+   * @param {string} kind
+   * @param {string} title
+   * @param {string} help
+   * @param {Api.WarningRow[]} found
+   */
+  function group(kind, title, help, found) {
     const rows = found.slice(0, LISTED).map(row);
-    if (found.length > LISTED) rows.push(h("li", { class: "muted pad" }, `and ${count(found.length - LISTED, "more", "more")}`));
+    if (found.length > LISTED)
+      rows.push(h("li", { class: "muted pad" }, `and ${count(found.length - LISTED, "more", "more")}`));
     return h(
       "section",
       { class: "panel", "data-testid": `checks-${kind}` },
-      h("header", {}, h("h2", {}, title), h("span", { class: "chip number" }, String(found.length)), h("span", { class: "muted" }, help)),
+      h(
+        "header",
+        {},
+        h("h2", {}, title),
+        h("span", { class: "chip number" }, String(found.length)),
+        h("span", { class: "muted" }, help),
+      ),
       h("ul", { class: "warnings" }, rows),
     );
   }
 
+  /** @param {Api.WarningRow} options */
   function row({ frame, key, recording, uid, message }) {
     const href = makeHash(app.state.route.project, "review", frame, { uid });
-    return h("li", {}, h("a", { href, "data-testid": "warning", "data-uid": uid }, h("span", { class: "grow" }, message), h("span", { class: "muted number" }, `${recording} ${key}`)));
+    return h(
+      "li",
+      {},
+      h(
+        "a",
+        { href, "data-testid": "warning", "data-uid": uid },
+        h("span", { class: "grow" }, message),
+        h("span", { class: "muted number" }, `${recording} ${key}`),
+      ),
+    );
   }
 
   void load();

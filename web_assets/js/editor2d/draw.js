@@ -5,12 +5,29 @@ import { heightOf, widthOf } from "./geometry.js";
 
 export const ROTATE_ARM = 26;
 
+/** @param {number} value */
 const round = (value) => Math.round(value * 100) / 100;
 
 /**
- * @param {object} scene {view, size, boxes, selected, overlays, handles, is_readonly, cross, turn_rad, colorOf}
+ * @typedef {object} Scene
+ * @property {View} view
+ * @property {Size} size of the window.
+ * @property {EditorBox[]} boxes
+ * @property {number} selected
+ * @property {Overlay[]} overlays
+ * @property {Handles} handles
+ * @property {boolean} isReadonly
+ * @property {Point | null} cross
+ * @property {number} turnRad of the selected box, during a turn of its rotation handle.
+ * @property {(box: EditorBox) => string} colorOf
+ */
+
+/**
+ * @param {SVGSVGElement} svg
+ * @param {Scene} scene
  */
 export function drawScene(svg, scene) {
+  /** @type {Element[]} */
   const layers = [...scene.overlays.map((overlay) => drawOverlay(overlay, scene.view)), ...drawTags(scene)];
   scene.boxes.forEach((box, index) => {
     if (index !== scene.selected) layers.push(drawBox(box, index, scene));
@@ -20,66 +37,128 @@ export function drawScene(svg, scene) {
   svg.replaceChildren(...layers);
 }
 
-/** The box in the window: {x, y, width, height}. */
+/**
+ * The box in the window: {x, y, width, height}.
+ *
+ * @param {Rect} box
+ * @param {View} view
+ */
 function windowRect(box, view) {
   const [x, y] = view.toWindow([box.x_min, box.y_min]);
-  return { x: round(x), y: round(y), width: round(widthOf(box) * view.scale), height: round(heightOf(box) * view.scale) };
+  return {
+    x: round(x),
+    y: round(y),
+    width: round(widthOf(box) * view.scale),
+    height: round(heightOf(box) * view.scale),
+  };
 }
 
+/**
+ * @param {EditorBox} box
+ * @param {number} index
+ * @param {Scene} scene
+ */
 function drawBox(box, index, scene) {
   const rect = windowRect(box, scene.view);
   const color = scene.colorOf(box);
-  const is_selected = index === scene.selected;
-  const group = s("g", { class: ["box", is_selected && "selected", box.suggested && "suggested", box.faint && "faint"].filter(Boolean).join(" "), "data-testid": "editor-box", "data-index": index });
+  const isSelected = index === scene.selected;
+  const group = s("g", {
+    class: ["box", isSelected && "selected", box.suggested && "suggested", box.faint && "faint"]
+      .filter(Boolean)
+      .join(" "),
+    "data-testid": "editor-box",
+    "data-index": index,
+  });
   group.append(s("rect", { class: "halo", ...rect }), s("rect", { class: "line", stroke: color, ...rect }));
-  if (is_selected) group.append(s("rect", { class: "fill", fill: color, ...rect }));
+  if (isSelected) group.append(s("rect", { class: "fill", fill: color, ...rect }));
   const text = box.caption ?? box.label;
   if (text) group.append(...drawCaption(text, rect, color));
-  if (is_selected && !scene.is_readonly && !box.readonly) group.append(...drawHandles(rect, scene.handles));
-  if (is_selected && scene.turn_rad) {
-    const turn_deg = (scene.turn_rad * 180) / Math.PI;
-    group.setAttribute("transform", `rotate(${turn_deg} ${rect.x + rect.width / 2} ${rect.y + rect.height / 2})`);
+  if (isSelected && !scene.isReadonly && !box.readonly) group.append(...drawHandles(rect, scene.handles));
+  if (isSelected && scene.turnRad) {
+    const turnDeg = (scene.turnRad * 180) / Math.PI;
+    group.setAttribute("transform", `rotate(${turnDeg} ${rect.x + rect.width / 2} ${rect.y + rect.height / 2})`);
   }
   return group;
 }
 
+/**
+ * @param {string} text
+ * @param {{ x: number, y: number }} rect
+ * @param {string} color
+ */
 function drawCaption(text, rect, color) {
   const width = 7.1 * text.length + 8;
   const y = rect.y >= 17 ? rect.y - 16 : rect.y;
   const x = Math.max(rect.x, 0);
-  return [s("rect", { class: "caption", x, y, width, height: 16, fill: color }), s("text", { class: "caption", x: x + 4, y: y + 12 }, text)];
+  return [
+    s("rect", { class: "caption", x, y, width, height: 16, fill: color }),
+    s("text", { class: "caption", x: x + 4, y: y + 12 }, text),
+  ];
 }
 
+/**
+ * @param {{ x: number, y: number } & Size} options
+ * @param {Handles} options2
+ */
 function drawHandles({ x, y, width, height }, { edges, corners, rotate }) {
+  /** @type {Element[]} */
   const marks = [];
-  const mark = (cx, cy) => marks.push(s("rect", { class: "handle", x: round(cx - 3.5), y: round(cy - 3.5), width: 7, height: 7 }));
-  const [mid_x, mid_y] = [x + width / 2, y + height / 2];
+  /**
+   * @param {number} cx
+   * @param {number} cy
+   */
+  const mark = (cx, cy) =>
+    marks.push(s("rect", { class: "handle", x: round(cx - 3.5), y: round(cy - 3.5), width: 7, height: 7 }));
+  const [midX, midY] = [x + width / 2, y + height / 2];
   if (corners) for (const cx of [x, x + width]) for (const cy of [y, y + height]) mark(cx, cy);
-  if (edges && width > 28) for (const cy of [y, y + height]) mark(mid_x, cy);
-  if (edges && height > 28) for (const cx of [x, x + width]) mark(cx, mid_y);
+  if (edges && width > 28) for (const cy of [y, y + height]) mark(midX, cy);
+  if (edges && height > 28) for (const cx of [x, x + width]) mark(cx, midY);
   if (rotate) {
-    marks.push(s("line", { class: "arm", x1: mid_x, y1: y, x2: mid_x, y2: y - ROTATE_ARM }));
-    marks.push(s("circle", { class: "handle rotate", cx: mid_x, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }));
+    marks.push(s("line", { class: "arm", x1: midX, y1: y, x2: midX, y2: y - ROTATE_ARM }));
+    marks.push(
+      s("circle", { class: "handle rotate", cx: midX, cy: y - ROTATE_ARM, r: 6, "data-testid": "rotate-handle" }),
+    );
   }
   return marks;
 }
 
+/**
+ * @param {Overlay} overlay
+ * @param {View} view
+ */
 function drawOverlay(overlay, view) {
-  const lines = overlay.segments ?? [overlay.polyline];
-  const d = lines.map((line) => line.map((point, i) => `${i ? "L" : "M"}${view.toWindow(point).map(round).join(" ")}`).join("")).join("");
+  const lines = overlay.segments;
+  const d = lines
+    .map((line) => line.map((point, i) => `${i ? "L" : "M"}${view.toWindow(point).map(round).join(" ")}`).join(""))
+    .join("");
   const group = s("g", { class: "overlay", "data-testid": "editor-overlay", "data-id": overlay.id });
   if (overlay.strong) group.append(s("path", { class: "halo", d }));
-  group.append(s("path", { d, stroke: overlay.color, "stroke-width": overlay.width ?? (overlay.strong ? 2.2 : 1.4), "stroke-dasharray": overlay.dash ? "5 4" : null }));
+  group.append(
+    s("path", {
+      d,
+      stroke: overlay.color,
+      "stroke-width": overlay.width ?? (overlay.strong ? 2.2 : 1.4),
+      "stroke-dasharray": overlay.dash ? "5 4" : null,
+    }),
+  );
   return group;
 }
 
 const TAG_HEIGHT = 14;
 
-/** Small texts at the top corners of overlays. One that would lie on another takes the next free place, or is left out. */
+/** @typedef {{ x: number, y: number, width: number }} Tag */
+
+/**
+ * Small texts at the top corners of overlays. A text that would cover another one is moved to the next
+ * free place, or left out.
+ *
+ * @param {Pick<Scene, "overlays" | "view" | "size">} options
+ */
 function drawTags({ overlays, view, size }) {
+  /** @type {Tag[]} */
   const taken = [];
-  const tagged = overlays.filter(({ tag, segments }) => tag && segments?.length);
-  // the selected one first: its text is never left out
+  const tagged = overlays.flatMap((one) => (one.tag && one.segments.length ? [{ ...one, tag: one.tag }] : []));
+  // the selected one first, so that it is never left out
   const ordered = [...tagged.filter(({ strong }) => strong), ...tagged.filter(({ strong }) => !strong)];
   return ordered.flatMap((overlay) => {
     const width = 6.1 * overlay.tag.length + 8;
@@ -96,21 +175,45 @@ function drawTags({ overlays, view, size }) {
   });
 }
 
-/** Above the top corner, beside it, below the lowest corner; all within the window. */
+/**
+ * Above the top corner, beside it, below the lowest corner; all within the window.
+ *
+ * @param {Overlay} overlay
+ * @param {View} view
+ * @param {Size} size
+ * @param {number} width
+ */
 function tagPlaces({ segments }, view, size, width) {
   const corners = segments.flat().map((point) => view.toWindow(point));
   const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a));
   const low = corners.reduce((a, b) => (b[1] > a[1] ? b : a));
+  /**
+   * @param {number} x
+   * @param {number} y
+   */
   const inside = (x, y) => ({
     x: round(Math.min(Math.max(x, 0), Math.max(size.width - width, 0))),
     y: round(Math.min(Math.max(y, 0), Math.max(size.height - TAG_HEIGHT, 0))),
     width,
   });
-  return [inside(top[0] - 2, top[1] - TAG_HEIGHT - 1), inside(top[0] - width - 2, top[1]), inside(top[0] + 2, top[1] + 2), inside(low[0] - 2, low[1] + 1)];
+  return [
+    inside(top[0] - 2, top[1] - TAG_HEIGHT - 1),
+    inside(top[0] - width - 2, top[1]),
+    inside(top[0] + 2, top[1] + 2),
+    inside(low[0] - 2, low[1] + 1),
+  ];
 }
 
+/**
+ * @param {Tag} a
+ * @param {Tag} b
+ */
 const areOver = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && Math.abs(a.y - b.y) < TAG_HEIGHT;
 
+/**
+ * @param {Point} point
+ * @param {Size} size2
+ */
 function drawCross([x, y], { width, height }) {
   return s(
     "g",

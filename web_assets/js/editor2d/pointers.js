@@ -1,24 +1,43 @@
-/** Pointer events of an editor: one pointer at a time makes a gesture, the middle button or Space pans, two fingers pinch. */
+/**
+ * Pointer events of an editor: one pointer makes a gesture, the middle button or Space pans, two fingers pan and zoom.
+ */
 
 import { beginGesture, cursorOf, hitTest } from "./gestures.js";
 
+/** @param {EditorInside} editor */
 export function listenToPointers(editor) {
   const { root, view } = editor;
+  /** @type {Map<number, Point>} */
   const touches = new Map();
+  /** @type {Gesture | null} */
   let gesture = null;
+  /**
+   * The pointer that makes the gesture.
+   *
+   * @type {number | "pinch" | null}
+   */
   let owner = null;
-  let is_space_down = false;
-  let last_point = [0, 0];
+  let isSpaceDown = false;
+  /** @type {Point} */
+  let lastPoint = [0, 0];
 
-  /** Where an event is, in CSS pixels of the editor's own box, also where an ancestor is scaled. */
+  /**
+   * The position of an event in the editor's own CSS pixels, even if an ancestor element is scaled.
+   *
+   * @param {MouseEvent} event
+   */
   function windowPoint(event) {
     const rect = root.getBoundingClientRect();
     const stretch = rect.width / (editor.size.border || rect.width) || 1;
-    return [(event.clientX - rect.left) / stretch - root.clientLeft, (event.clientY - rect.top) / stretch - root.clientTop];
+    return [
+      (event.clientX - rect.left) / stretch - root.clientLeft,
+      (event.clientY - rect.top) / stretch - root.clientTop,
+    ];
   }
 
+  /** @param {PointerEvent} event */
   function onDown(event) {
-    if (event.target.closest("button")) return;
+    if (isOnButton(event)) return;
     const point = windowPoint(event);
     if (event.pointerType === "touch") {
       touches.set(event.pointerId, point);
@@ -26,18 +45,24 @@ export function listenToPointers(editor) {
       if (touches.size >= 2) return;
     }
     if (gesture) return;
-    const is_pan = event.button === 1 || (event.button === 0 && is_space_down);
-    if (!is_pan && event.button !== 0) return;
+    const isPan = event.button === 1 || (event.button === 0 && isSpaceDown);
+    if (!isPan && event.button !== 0) return;
     event.preventDefault();
     root.focus({ preventScroll: true });
     root.setPointerCapture(event.pointerId);
     owner = event.pointerId;
     editor.flush();
     const px = view.toPicture(point);
-    gesture = is_pan ? beginPan(point) : beginGesture(editor, hitTest(editor, px, event.pointerType, event.shiftKey), px, point);
+    gesture = isPan
+      ? beginPan(point)
+      : beginGesture(editor, hitTest(editor, px, event.pointerType, event.shiftKey), px, point);
     editor.setCross(null);
   }
 
+  /**
+   * @param {Point} start
+   * @returns {Gesture}
+   */
   function beginPan(start) {
     let last = start;
     root.classList.add("panning");
@@ -53,14 +78,14 @@ export function listenToPointers(editor) {
     };
   }
 
-  /** Two fingers: what was begun with the first one is taken back. */
+  /** Two fingers: cancels what the first one has begun. */
   function beginPinch() {
     gesture?.cancel();
     let [a, b] = [...touches.values()];
     gesture = {
       move() {
         const [c, d] = [...touches.values()];
-        if (!d) return;
+        if (!c || !d) return;
         const before = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
         const after = [(c[0] + d[0]) / 2, (c[1] + d[1]) / 2];
         const factor = Math.hypot(c[0] - d[0], c[1] - d[1]) / Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1);
@@ -75,21 +100,28 @@ export function listenToPointers(editor) {
     owner = "pinch";
   }
 
+  /** @param {PointerEvent} event */
   function onMove(event) {
     const point = windowPoint(event);
-    last_point = point;
+    lastPoint = point;
     if (touches.has(event.pointerId)) touches.set(event.pointerId, point);
-    if (gesture && (owner === event.pointerId || (owner === "pinch" && touches.has(event.pointerId)))) gesture.move(view.toPicture(point), point);
+    if (gesture && (owner === event.pointerId || (owner === "pinch" && touches.has(event.pointerId))))
+      gesture.move(view.toPicture(point), point);
     else if (!gesture && event.pointerType !== "touch") hover(event, point);
   }
 
+  /**
+   * @param {PointerEvent} event
+   * @param {Point} point
+   */
   function hover(event, point) {
     const px = view.toPicture(point);
     const hit = hitTest(editor, px, event.pointerType, event.shiftKey);
-    root.style.cursor = is_space_down ? "grab" : cursorOf(hit);
-    editor.setCross(hit.kind === "nothing" || event.target.closest("button") ? null : point, px);
+    root.style.cursor = isSpaceDown ? "grab" : cursorOf(hit);
+    editor.setCross(hit.kind === "nothing" || isOnButton(event) ? null : point, px);
   }
 
+  /** @param {PointerEvent} event */
   function onUp(event) {
     touches.delete(event.pointerId);
     if (!gesture || (owner !== event.pointerId && owner !== "pinch")) return;
@@ -111,46 +143,51 @@ export function listenToPointers(editor) {
     return true;
   }
 
+  /** @param {PointerEvent} event */
   function onCancel(event) {
     touches.delete(event.pointerId);
     if (owner === event.pointerId) cancel();
   }
 
+  /** @param {WheelEvent} event */
   function onWheel(event) {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 33 : event.deltaMode === 2 ? 300 : 1;
     const factor = Math.exp(-event.deltaY * lines * (event.ctrlKey ? 0.01 : 0.0017));
-    // A wheel event comes in whole pixels; the pointer's own place is finer.
+    // a wheel event has whole pixels; the last pointer event is more precise
     const rough = windowPoint(event);
-    const is_there = Math.hypot(rough[0] - last_point[0], rough[1] - last_point[1]) < 2;
-    view.zoomAbout(is_there ? last_point : rough, factor, editor.picture, editor.size);
+    const isThere = Math.hypot(rough[0] - lastPoint[0], rough[1] - lastPoint[1]) < 2;
+    view.zoomAbout(isThere ? lastPoint : rough, factor, editor.picture, editor.size);
     editor.redraw();
   }
 
+  /** @param {KeyboardEvent} event */
   const onSpace = (event) => {
     if (event.key !== " ") return;
-    is_space_down = event.type === "keydown" && root.matches(":hover");
+    isSpaceDown = event.type === "keydown" && root.matches(":hover");
     if (root.matches(":hover") && root.contains(document.activeElement)) event.preventDefault();
   };
-  const listeners = [
-    [root, "pointerdown", onDown],
-    [root, "pointermove", onMove],
-    [root, "pointerup", onUp],
-    [root, "pointercancel", onCancel],
-    [root, "pointerleave", () => editor.setCross(null)],
-    [root, "wheel", onWheel, { passive: false }],
-    // The middle button would start the browser's own scrolling, and paste on some systems.
-    [root, "mousedown", (event) => event.button === 1 && event.preventDefault()],
-    [root, "auxclick", (event) => event.preventDefault()],
-    [root, "dragstart", (event) => event.preventDefault()],
-    [window, "keydown", onSpace],
-    [window, "keyup", onSpace],
-    [window, "blur", () => cancel()],
-  ];
-  for (const [target, name, fn, options] of listeners) target.addEventListener(name, fn, options);
+  const own = new AbortController();
+  const { signal } = own;
+  root.addEventListener("pointerdown", onDown, { signal });
+  root.addEventListener("pointermove", onMove, { signal });
+  root.addEventListener("pointerup", onUp, { signal });
+  root.addEventListener("pointercancel", onCancel, { signal });
+  root.addEventListener("pointerleave", () => editor.setCross(null), { signal });
+  root.addEventListener("wheel", onWheel, { passive: false, signal });
+  // the middle button would start the browser's own scrolling, and paste on some systems
+  root.addEventListener("mousedown", (event) => event.button === 1 && event.preventDefault(), { signal });
+  root.addEventListener("auxclick", (event) => event.preventDefault(), { signal });
+  root.addEventListener("dragstart", (event) => event.preventDefault(), { signal });
+  window.addEventListener("keydown", onSpace, { signal });
+  window.addEventListener("keyup", onSpace, { signal });
+  window.addEventListener("blur", cancel, { signal });
   return {
     cancel,
     isBusy: () => gesture !== null,
-    stop: () => listeners.forEach(([target, name, fn, options]) => target.removeEventListener(name, fn, options)),
+    stop: () => own.abort(),
   };
 }
+
+/** @param {Event} event */
+const isOnButton = ({ target }) => target instanceof Element && target.closest("button") !== null;

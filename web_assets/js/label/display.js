@@ -1,18 +1,33 @@
-/** Shows what Label mode works on, in all its parts: image, views, list, bar, hint and 3D view. */
+/** Shows Label mode's state in all its panels: image, views, list, bar, hint and 3D view. */
 
 import { hintFor, viewsMessage } from "./hints.js";
 import { plainBox } from "./items.js";
 import { openGuesses } from "./work.js";
 
+/** @type {Record<string, string>} */
 const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5" };
 const PREVIEW_COLOR = "#ff5d8f";
 
+/** @param {Item} item */
 export const isFinished = (item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
-/** @returns {() => void} show; `parts` are {image, views, picker, kinds, list, bar, hint}. */
+/**
+ *
+ * @param {ModeApp} app
+ * @param {Work} work
+ * @param {object} parts
+ * @param {Editor} parts.image
+ * @param {ViewsPane} parts.views
+ * @param {ReturnType<Panel["createClassPicker"]>} parts.picker
+ * @param {ReturnType<Panel["createKindSwitch"]>} parts.kinds
+ * @param {ReturnType<Panel["createObjectList"]>} parts.list
+ * @param {ReturnType<Panel["createFrameBar"]>} parts.bar
+ * @param {HTMLElement} parts.hint
+ * @returns {() => void} shows the present state.
+ */
 export function createDisplay(app, work, parts) {
   const { image, views, picker, kinds, list, bar, hint } = parts;
-  let scene_shown = "";
+  let sceneShown = "";
 
   function show() {
     const state = app.state.frame;
@@ -21,17 +36,32 @@ export function createDisplay(app, work, parts) {
       return;
     }
     const { draft, items, step, label } = work;
-    const is_readonly = work.is_readonly;
-    image.setReadonly(is_readonly);
-    views.setReadonly(is_readonly);
+    const isReadonly = work.isReadonly;
+    image.setReadonly(isReadonly);
+    views.setReadonly(isReadonly);
     const guesses = openGuesses(work);
-    if (!image.isDragging) image.setBoxes([...items.map(imageBox), ...guesses.map(({ image_box, caption }) => ({ ...image_box, suggested: true, caption }))], items.indexOf(work.selected));
+    if (!image.isDragging)
+      image.setBoxes(
+        [
+          ...items.map(imageBox),
+          ...guesses.map(({ image_box, caption }) => ({ ...image_box, suggested: true, caption })),
+        ],
+        work.selected ? items.indexOf(work.selected) : -1,
+      );
     image.setOverlays(overlays(state));
     picker.show(draft ? draft.item.image_box.label : label);
-    kinds.show(work.kind, is_readonly);
-    list.show({ items, current: draft?.item ?? null, state, is_readonly });
+    kinds.show(work.kind, isReadonly);
+    list.show({ items, current: draft?.item ?? null, state, isReadonly });
     bar.show(state);
-    hint.textContent = hintFor({ draft, step, is_readonly, label, has_items: items.length > 0, guesses: guesses.length, not_saved: work.not_saved.length });
+    hint.textContent = hintFor({
+      draft,
+      step,
+      isReadonly,
+      label,
+      hasItems: items.length > 0,
+      guesses: guesses.length,
+      notSaved: work.notSaved.length,
+    });
     views.show(draft, step, viewsMessage(draft, step));
     showScene(state);
   }
@@ -45,33 +75,58 @@ export function createDisplay(app, work, parts) {
     picker.show(work.label);
     list.clear();
     bar.clear();
-    scene_shown = "";
+    sceneShown = "";
   }
 
-  /** The 3D view follows when the views are there: they come first, and it would draw them once more at the same time. */
+  /**
+   * Updates the 3D view once the pseudo-views are there; otherwise the server would draw these twice at the same time.
+   *
+   * @param {FrameState} state
+   */
   function showScene(state) {
     const { draft, point_size } = work;
-    if (draft && (draft.is_loading || work.coming)) return;
-    const scene = { frame: state.frame.id, selected: draft?.item.uid ?? null, gizmo: "off", labels: "all", draft: sceneDraft(), point_size };
+    if (draft && (draft.isLoading || work.coming)) return;
+    /** @type {Scene3D} */
+    const scene = {
+      frame: state.frame.id,
+      selected: draft?.item.uid ?? null,
+      gizmo: "off",
+      labels: "all",
+      draft: sceneDraft(),
+      point_size,
+    };
     const key = JSON.stringify([scene, state.frame.revision]);
-    if (key !== scene_shown) app.viewport.show(scene);
-    scene_shown = key;
+    if (key !== sceneShown) app.viewport.show(scene);
+    sceneShown = key;
   }
 
+  /** @param {Item} item */
   function imageBox(item) {
-    return { ...item.image_box, faint: item !== work.draft?.item, caption: item.uid ? `${item.image_box.label} ✓` : item.image_box.label };
+    return {
+      ...item.image_box,
+      faint: item !== work.draft?.item,
+      caption: item.uid ? `${item.image_box.label} ✓` : item.image_box.label,
+    };
   }
 
+  /** @param {FrameState} state */
   function overlays(state) {
     const { draft } = work;
     const shown = state.labels.filter(({ state: review }) => review !== "rejected");
-    const lines = shown.map(({ uid, state: review, outline }) => ({ id: uid, segments: outline, color: STATE_COLOR[review], strong: uid === draft?.item.uid }));
-    if (draft?.outline && !isFinished(draft.item)) lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true });
+    /** @type {Overlay[]} */
+    const lines = shown.map(({ uid, state: review, outline }) => ({
+      id: uid,
+      segments: outline,
+      color: STATE_COLOR[review],
+      strong: uid === draft?.item.uid,
+    }));
+    if (draft?.outline && !isFinished(draft.item))
+      lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true });
     return lines.filter(({ segments }) => segments?.length);
   }
 
   function sceneDraft() {
-    if (!work.draft || work.is_readonly) return null;
+    if (!work.draft || work.isReadonly) return null;
     const { image_box, boxes } = work.draft.item;
     return { image_box: plainBox(image_box), boxes: boxes.map((box) => box && plainBox(box)) };
   }

@@ -1,14 +1,14 @@
-/**
- * The object that is being drawn: its item, the views of its steps as the server draws them, and what is suggested on them.
- *
- * draft = {item, frame, steps: [{views: [View, View]}], suggestions: [Box2D | null] x 4, edits: [int] x 4, outline, points,
- * stop, is_loading, detector, problem}: `frame` is its frame's id, `edits` counts what the operator did on each view, `detector`
- * and `problem` say how far the view detector is.
- */
+/** The object that is being drawn: its item, the views that the server draws for it, and suggestions on them. */
 
+import { isAborted } from "../errors.js";
 import { carryBox } from "./carry.js";
 import { plainBox, sameBox, VIEWS } from "./items.js";
 
+/**
+ * @param {Item} item
+ * @param {number} frame
+ * @returns {Draft}
+ */
 export function makeDraft(item, frame) {
   return {
     item,
@@ -17,47 +17,67 @@ export function makeDraft(item, frame) {
     suggestions: Array(VIEWS).fill(null),
     edits: Array(VIEWS).fill(0),
     outline: null,
-    points: null,
     stop: null,
-    is_loading: false,
+    isLoading: false,
     detector: "none",
     problem: null,
   };
 }
 
-/** How many boxes the server needs to draw what comes next: those of whole steps. */
+/**
+ * The boxes of complete steps: the server needs these to draw the next views.
+ *
+ * @param {ViewBox[]} boxes
+ */
 export function wholeSteps(boxes) {
-  if (!boxes[0] || !boxes[1]) return [];
-  return boxes[2] && boxes[3] ? boxes.map(plainBox) : boxes.slice(0, 2).map(plainBox);
+  const [a, b, c, d] = boxes;
+  if (!a || !b) return [];
+  return c && d ? [a, b, c, d].map(plainBox) : [a, b].map(plainBox);
 }
 
 /**
- * Asks what an object's boxes lead to; with `suggest` also the view detector, which takes its time.
+ * Requests the views that follow from an object's boxes; with `suggest`, the server also runs the view detector.
  *
- * @param {() => string} kind what the boxes measure.
+ * @param {App} app
+ * @param {() => Api.BoxKind} kind what the boxes measure.
+ * @returns {AskSteps}
  */
 export function createAsk(app, kind) {
   return ({ item, frame }, boxes, suggest, signal) =>
-    app.api.post(app.path("frames", frame, "label", "steps"), { image_box: plainBox(item.image_box), boxes, box_kind: kind(), suggest }, { signal });
+    app.api.post(
+      app.path("frames", frame, "label", "steps"),
+      { image_box: plainBox(item.image_box), boxes, box_kind: kind(), suggest },
+      { signal },
+    );
 }
 
 /**
- * `load(draft)` brings a draft's views up to date with its boxes; boxes of views that changed are carried over. It resolves to
- * false where a newer call for the same object came in between, or `stop(item)`.
+ * `load(draft)` loads the views that follow from a draft's boxes, and transfers the boxes of views that have changed.
+ * It resolves to false if a newer call for the same object has replaced it, or `stop(item)` has cancelled it.
+ *
+ * @param {AskSteps} ask
  */
 export function createStepLoader(ask) {
-  /** item -> its request */
+  /**
+   * Item -> its request.
+   *
+   * @type {Map<Item, AbortController>}
+   */
   const requests = new Map();
 
+  /** @param {Draft} draft */
   async function load(draft) {
     const { item } = draft;
     requests.get(item)?.abort();
     const own = new AbortController();
     requests.set(item, own);
-    draft.is_loading = true;
+    draft.isLoading = true;
     try {
-      // until the views are those of the boxes as they lie now
-      for (let sent = null, next = wholeSteps(item.boxes); !isSame(sent, next); ) {
+      // repeated until the views match the present boxes
+      /** @type {ViewBox[] | null} */
+      let sent = null;
+      let next = wholeSteps(item.boxes);
+      while (!isSame(sent, next)) {
         sent = next;
         const answer = await ask(draft, sent, false, own.signal);
         if (own.signal.aborted) return false;
@@ -65,38 +85,47 @@ export function createStepLoader(ask) {
       }
       return true;
     } catch (error) {
-      if (error.name === "AbortError") return false;
+      if (isAborted(error)) return false;
       throw error;
     } finally {
       if (requests.get(item) === own) {
-        draft.is_loading = false;
+        draft.isLoading = false;
         requests.delete(item);
       }
     }
   }
 
-  return { load, stop: (item) => requests.get(item)?.abort() };
-}
+  /** @param {Item} item */
+  const stop = (item) => requests.get(item)?.abort();
 
-function isSame(sent, next) {
-  return sent?.length === next.length && next.every((box, i) => sameBox(box, sent[i]));
+  return { load, stop };
 }
 
 /**
- * Takes the server's views, as far as they follow from boxes that lie on their views: where those of the first step had to be
- * carried over, its answer to where they lay before has another second step.
+ * @param {ViewBox[] | null} sent
+ * @param {ViewBox[]} next
+ */
+function isSame(sent, next) {
+  return sent !== null && sent.length === next.length && next.every((box, i) => sameBox(box, sent[i]));
+}
+
+/**
+ * Takes the server's views. If boxes of the first step had to be transferred, the answer's second step followed from
+ * their old positions and is ignored.
  *
- * @returns {number} how many views were taken.
+ * @param {Draft} draft
+ * @param {Api.StepsOut} answer
+ * @returns {number} the number of views taken.
  */
 function takeSteps(draft, answer) {
   const { item } = draft;
   let taken = 0;
-  let is_carried = false;
+  let isCarried = false;
   for (const [index, view] of answer.steps.flatMap(({ views }) => views).entries()) {
-    if (is_carried && index % 2 === 0) break;
+    if (isCarried && index % 2 === 0) break;
     const old = item.views[index];
     if (old && old.id !== view.id) {
-      is_carried = true;
+      isCarried = true;
       carryOver(draft, index, old, view);
     }
     item.views[index] = view;
@@ -109,24 +138,33 @@ function takeSteps(draft, answer) {
   if (!item.boxes[0] || !item.boxes[1]) demoteSecondStep(draft);
   draft.steps = answer.steps.slice(0, taken / 2);
   draft.outline = answer.outline;
-  draft.points = answer.points;
   draft.stop = answer.stop;
   draft.detector = answer.detector;
   draft.problem = answer.problem;
   return taken;
 }
 
+/**
+ * @param {Draft} draft
+ * @param {number} index
+ * @param {Api.ViewJson} old
+ * @param {Api.ViewJson} view
+ */
 function carryOver(draft, index, old, view) {
   const { item } = draft;
   const box = item.boxes[index] ?? draft.suggestions[index];
   const moved = box && carryBox(box, old, view);
-  // On other axes it is a guess, which the operator confirms.
-  const is_kept = Boolean(item.boxes[index] && moved?.is_exact);
-  item.boxes[index] = is_kept ? plainBox(moved.box) : null;
-  draft.suggestions[index] = is_kept ? null : (moved?.box ?? null);
+  // on a view with other axes, the box is a guess that the operator must confirm
+  const isKept = Boolean(item.boxes[index] && moved?.isExact);
+  item.boxes[index] = moved && isKept ? plainBox(moved.box) : null;
+  draft.suggestions[index] = isKept ? null : (moved?.box ?? null);
 }
 
-/** Without a whole first step, or with another one, there are no views for the second: its boxes wait as guesses. */
+/**
+ * Without the boxes of the first step, the second step has no views: its boxes become guesses.
+ *
+ * @param {Draft} draft
+ */
 export function demoteSecondStep(draft) {
   const { item, suggestions } = draft;
   draft.steps = draft.steps.slice(0, 1);

@@ -1,63 +1,81 @@
-/** From frame to frame, and what others do to the one that is open. */
+/** Opens frames one after the other, and takes over what others save of the open one. */
 
 import { count } from "../dom.js";
+import { isAborted } from "../errors.js";
 import { createFrameProblem, frameBeside } from "../frame_problem.js";
+import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { itemsOf, sameBox, sameItem } from "./items.js";
 
 const WIDE_ASPECT = 1.9;
 const BUSY_WAIT_MS = 300;
 
-/** @param {object} parts {order, saver, suggester, prefetch, objects, editors, image, image_host, page, hint, show}. */
+/**
+ * @param {ModeApp} app
+ * @param {Work} work
+ * @param {{ order: Order, saver: Saver, suggester: Suggester, prefetch: Prefetch, objects: Objects, editors: Editor[],
+ *     image: Editor, imageHost: HTMLElement, page: HTMLElement, hint: HTMLElement, show: () => void }} parts
+ */
 export function createFrames(app, work, parts) {
-  const { order, saver, suggester, prefetch, objects, editors, image, image_host, page, hint, show } = parts;
+  const { order, saver, suggester, prefetch, objects, editors, image, imageHost, page, hint, show } = parts;
 
-  let is_first = true;
+  let isFirst = true;
+  /**
+   * The frame that cannot be read.
+   *
+   * @type {number | null}
+   */
   let broken = null;
-  const problem = createFrameProblem(image_host, { onRetry: retry, onStep: (which) => void go(which) });
+  const problem = createFrameProblem(imageHost, { onRetry: retry, onStep: (which) => void go(which) });
 
+  /** @param {Route} route */
   async function openRoute(route) {
     prefetch.stop();
     let frame = null;
     try {
       frame = route.frame ?? (await order.next());
       if (frame === null) {
-        app.toast("There is no frame left to label.", "warn");
+        app.toast("No frame is left to label.", "warn");
         return;
       }
       if (route.frame === null) {
-        history.replaceState(null, "", makeHash(route.project, "label", frame));
+        history.replaceState(null, "", makeHash(app.state.project.name, "label", frame));
         app.state.set({ route: { ...route, frame } });
       }
-      if (work.frame_shown !== null && work.frame_shown !== frame && !(await app.mayLeave())) {
-        app.stay(work.frame_shown);
+      if (work.frameShown !== null && work.frameShown !== frame && !(await app.mayLeave())) {
+        app.stay(work.frameShown);
         return;
       }
       await saver.idle();
-      // what another mode has left in app.state may be old
-      if (is_first || app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
+      // app.state may still have an old state from another mode
+      if (isFirst || app.state.frame?.frame.id !== frame) await app.loadFrame(frame);
       else onFrame(app.state.frame);
-      is_first = false;
+      isFirst = false;
       problem.hide();
       takeGiven(frame);
     } catch (error) {
-      if (error.name === "AbortError" || !page.isConnected) return;
+      if (isAborted(error) || !page.isConnected) return;
       if (frame === null) app.toast(error);
       else fail(error, frame);
     }
   }
 
-  /** A frame that cannot be read: the panels say so in place of its pictures. */
+  /**
+   * Handles a frame that cannot be read: the panels show the reason in place of its pictures.
+   *
+   * @param {unknown} error
+   * @param {number} frame
+   */
   function fail(error, frame) {
-    work.frame_shown = null;
+    work.frameShown = null;
     broken = frame;
     order.opened(frame);
     objects.close();
-    Object.assign(work, { items: [], selected: null, not_saved: [], found: [] });
+    Object.assign(work, { items: [], selected: null, notSaved: [], found: [] });
     hint.textContent = "";
     problem.show(error);
     show();
-    // the 3D view has the server's message, too
+    // the 3D view shows the server's message, too
     app.viewport.show({ frame });
   }
 
@@ -65,59 +83,78 @@ export function createFrames(app, work, parts) {
     void openRoute({ ...app.state.route, frame: broken });
   }
 
+  /** @param {Direction} direction */
   async function beside(direction) {
     if (app.state.frame) return direction === "next" ? order.next() : order.previous();
-    return direction === "next" && order.by === "teach" ? order.next() : frameBeside(app, broken, direction);
+    return direction === "next" && order.by === "teach" ? order.next() : broken && frameBeside(app, broken, direction);
   }
 
-  /** The first drag of an object was made in Review. */
+  /**
+   * Takes an object whose first drag was made in Review.
+   *
+   * @param {number} frame
+   */
   function takeGiven(frame) {
     const { given } = app;
     app.given = null;
-    // frames count from 1 in each project
-    const is_mine = given?.project === app.state.route.project && given.frame === frame;
-    if (is_mine && !work.is_readonly) objects.onImageChange([given.image_box], "draw", 0, 1);
+    // frame ids are unique only within a project
+    const isMine = given?.project === app.state.route.project && given.frame === frame;
+    if (isMine && !work.isReadonly) objects.onImageChange([given.image_box], "draw", 0, 1);
   }
 
-  /** Somebody set the frame's state: a new frame, an undo, another operator. Own savings come through onSaved. */
+  /**
+   * The frame's state was set: a new frame, an undo, or a change by others. Changes of this page are for onSaved.
+   *
+   * @param {FrameState | null} state
+   */
   function onFrame(state) {
     if (!state) return;
-    const is_new = work.frame_shown !== state.frame.id;
-    if (saver.isBusy && !is_new) return;
-    if (is_new) begin(state);
+    const isNew = work.frameShown !== state.frame.id;
+    if (saver.isBusy && !isNew) return;
+    if (isNew) begin(state);
     rebuild(state);
-    if (is_new) app.events.openFrame(state.frame.id);
+    if (isNew) app.events.openFrame(state.frame.id);
   }
 
+  /** @param {FrameState} state */
   function begin(state) {
     const { id } = state.frame;
-    work.frame_shown = id;
+    work.frameShown = id;
     order.opened(id);
     objects.close();
-    work.not_saved = [];
+    work.notSaved = [];
     work.found = [];
     void suggestOnImage(id);
     const { url, width, height } = state.image;
     page.classList.toggle("wide-image", width / height > WIDE_ASPECT);
     prefetch.stop();
-    image.setPicture(url, width, height).then((is_shown) => is_shown && page.isConnected && work.frame_shown === id && prefetch.start());
+    void image.setPicture(url, width, height).then((isShown) => {
+      if (isShown && page.isConnected && work.frameShown === id) prefetch.start();
+    });
     image.fit();
   }
 
-  /** What the image detector finds, to begin with; without it there is nothing. */
+  /**
+   * Shows the boxes that the image detector finds, if there is a detector.
+   *
+   * @param {number} frame
+   */
   async function suggestOnImage(frame) {
-    if (!app.state.project?.detectors.image || work.is_readonly) return;
+    if (!app.state.project?.detectors.image || work.isReadonly) return;
     const boxes = await suggester.onImage(frame);
-    if (work.frame_shown !== frame) return;
+    if (work.frameShown !== frame) return;
     work.found = boxes;
     show();
   }
 
+  /** @param {FrameState} state */
   function rebuild(state) {
     work.items = itemsOf(state);
     if (work.draft) {
       const known = work.draft.item;
-      const index = work.items.findIndex((item) => sameBox(item.image_box, known.stored) || (item.uid && item.uid === known.uid));
+      const index = work.items.findIndex(
+        (item) => sameBox(item.image_box, known.stored) || (item.uid && item.uid === known.uid),
+      );
       if (index < 0) objects.close();
       else if (sameItem(work.items[index], known)) keepCurrent(index);
       else objects.open(work.items[index]);
@@ -125,37 +162,45 @@ export function createFrames(app, work, parts) {
     show();
   }
 
+  /** @param {number} index */
   function keepCurrent(index) {
+    if (!work.draft) return;
     work.draft.item.uid = work.items[index].uid;
     work.items[index] = work.draft.item;
   }
 
+  /** @param {FrameState} state */
   function onSaved(state) {
     const fresh = itemsOf(state);
-    // What is drawn here is newer than any answer; the server adds uids and other people's boxes.
+    // this page's boxes are newer than any answer; the server adds uids and the boxes of others
     work.items = fresh.map((item) => work.items.find((known) => sameBox(known.stored, item.image_box)) ?? item);
-    work.items.forEach((item, i) => (item.uid = fresh[i].uid ?? null));
+    work.items.forEach((item, i) => {
+      item.uid = fresh[i].uid;
+    });
     if (work.draft && !work.items.includes(work.draft.item)) objects.close();
     show();
   }
 
-  /** Others have saved: read it, but not over what is being drawn or saved; saver's end asks again (label.js). */
+  /** Others have saved: reads their state, but not during a drag or while saving (label.js asks again after that). */
   async function refresh() {
     if (!app.frames.isBehind || saver.isBusy || !page.isConnected) return;
     if (!isDrawing()) await app.frames.refresh(() => !saver.isBusy && !isDrawing());
     if (app.frames.isBehind) setTimeout(refresh, BUSY_WAIT_MS);
   }
 
-  const isDrawing = () => Boolean(work.draft?.is_loading) || editors.some((editor) => editor.isDragging);
+  const isDrawing = () => Boolean(work.draft?.isLoading) || editors.some((editor) => editor.isDragging);
 
+  /** @param {Direction} direction */
   async function go(direction) {
     prefetch.stop();
     if (!(await app.mayLeave())) return;
     const frame = await beside(direction);
-    if (frame === null || frame === undefined) app.toast(direction === "next" ? "This is the last frame." : "This is the first frame.", "warn");
+    if (frame === null || frame === undefined)
+      app.toast(direction === "next" ? "This is the last frame." : "This is the first frame.", "warn");
     else app.go(makeHash(app.state.route.project, "label", frame));
   }
 
+  /** @param {OrderName} value */
   function setOrder(value) {
     order.by = value;
     prefetch.restart();
@@ -163,24 +208,24 @@ export function createFrames(app, work, parts) {
   }
 
   async function flush() {
-    editors.forEach((editor) => editor.flush());
-    // a moved image box is saved with the views that it leads to
+    for (const editor of editors) editor.flush();
+    // a moved image box is saved with the views that follow from it
     await work.loaded;
     await saver.idle();
   }
 
-  /** What is lost where the frame is left now; null where all is saved. */
+  /** What would be lost if the frame were left now; null if everything is saved. */
   function unsaved() {
-    const is_told = work.items.every(({ stored, image_box }) => sameBox(stored, image_box));
-    if (!saver.isBusy && is_told) return null;
-    const text = `${count(saver.waiting, "change")} of this frame not saved. ${saver.problem?.message ?? ""}`.trim();
+    const isSent = work.items.every(({ stored, image_box }) => sameBox(stored, image_box));
+    if (!saver.isBusy && isSent) return null;
+    const text = `Not saved: ${count(saver.waiting, "change")} of this frame. ${saver.problem?.message ?? ""}`.trim();
     return { text, retry: saver.retry, discard };
   }
 
   function discard() {
     saver.discard();
-    // what was drawn goes with it
-    app.frames.take(app.state.frame);
+    // this discards what was drawn, too
+    app.frames.take(currentFrame(app));
   }
 
   return { openRoute, onFrame, onSaved, refresh, go, setOrder, flush, unsaved };

@@ -1,10 +1,11 @@
 /**
- * Label: an object from nothing in five drags (the paper's Fig. 6). A box on the image gives the front and side view of its
- * frustum; a box on each gives the next step's views; a box on each of these finishes the object. Every drag is saved.
+ * Label: a new object in five drags (the paper's Fig. 6). A box on the image gives the front and side view of its
+ * frustum; a box on each gives the views of the next step; a box on each of these finishes the object. Every drag is
+ * saved.
  *
- * This file puts the page together and knows its keys. What it works on is in work.js, what a drag means in objects.js, the way
- * from frame to frame in frames.js, what is shown in display.js; drawing is the editor's (../editor2d), views come through
- * draft.js, suggestions through suggestions.js, saving through saver.js.
+ * This file assembles the page and registers its keys. work.js holds the state, objects.js handles drags, frames.js
+ * opens frames, display.js shows the state, the editor (../editor2d) draws boxes, draft.js loads views, suggestions.js
+ * loads suggestions, and saver.js saves.
  */
 
 import { createEditor } from "../editor2d/editor.js";
@@ -17,7 +18,14 @@ import { createObjects } from "./objects.js";
 import { createOrder } from "./order.js";
 import { createPrefetch } from "./prefetch.js";
 import { createSaver } from "./saver.js";
-import { createClassPicker, createFrameBar, createKindSwitch, createObjectList, noFrames, reviewHash } from "./side_panel.js";
+import {
+  createClassPicker,
+  createFrameBar,
+  createKindSwitch,
+  createObjectList,
+  noFrames,
+  reviewHash,
+} from "./side_panel.js";
 import { createSuggester } from "./suggestions.js";
 import { createViewsPane } from "./views_pane.js";
 import { createWork, keepKind } from "./work.js";
@@ -25,6 +33,11 @@ import { createWork, keepKind } from "./work.js";
 const POINT_LIMITS = [0.1, 10];
 const DRAG_WAIT_MS = 300;
 
+/**
+ * @param {HTMLElement} root
+ * @param {ModeApp} app
+ * @returns {Mounted}
+ */
 export function mount(root, app) {
   const { classes } = app.state.project;
   if (app.state.project.frames === 0) {
@@ -38,13 +51,17 @@ export function mount(root, app) {
   const loader = createStepLoader(ask);
   const suggester = createSuggester(app, { ask, onFound });
   const prefetch = createPrefetch(app, order);
-  const saver = createSaver(app, { onSaved: (state) => frames.onSaved(state), onDropped: (change) => objects.onDropped(change), onBusy });
+  const saver = createSaver(app, {
+    onSaved: (state) => frames.onSaved(state),
+    onDropped: (change) => objects.onDropped(change),
+    onBusy,
+  });
 
   // -- the page
 
   const hint = h("p", { class: "hint grow", role: "status", "data-testid": "hint" });
   const problem = h("span", { class: "problem", role: "alert", "data-testid": "save-problem" });
-  const image_host = h("div", { class: "image", "data-testid": "image-editor" });
+  const imageHost = h("div", { class: "image", "data-testid": "image-editor" });
   const picker = createClassPicker(app, (name) => objects.pickClass(name));
   const kinds = createKindSwitch(setKind);
   const views = createViewsPane(app, {
@@ -53,21 +70,42 @@ export function mount(root, app) {
     onStep: (step) => objects.showStep(step),
     newLabel: () => work.draft?.item.image_box.label ?? work.label,
   });
-  const list = createObjectList(app, { onOpen: (item) => objects.open(item), onDelete: (item) => objects.remove(item), onReview: (uid) => app.go(reviewHash(app, uid)) });
-  const bar = createFrameBar(app, order, { onPrevious: () => frames.go("previous"), onNext: () => frames.go("next"), onFinalise: finalise, onOrder: (by) => frames.setOrder(by) });
-  const viewport_host = h("div", { class: "viewport-host" }, app.viewport.element);
+  const list = createObjectList(app, {
+    onOpen: (item) => objects.open(item),
+    onDelete: (item) => objects.remove(item),
+    onReview: (uid) => app.go(reviewHash(app, uid)),
+  });
+  const bar = createFrameBar(order, {
+    onPrevious: () => frames.go("previous"),
+    onNext: () => frames.go("next"),
+    onFinalise: finalise,
+    onOrder: (by) => frames.setOrder(by),
+  });
+  const viewportHost = h("div", { class: "viewport-host" }, app.viewport.element);
   const page = h(
     "div",
     { class: "label-mode" },
-    h("section", { class: "panel image-panel", "aria-label": "Camera image" }, h("header", {}, picker.root, hint, problem), image_host, h("footer", {}, kinds.root)),
+    h(
+      "section",
+      { class: "panel image-panel", "aria-label": "Camera image" },
+      h("header", {}, picker.root, hint, problem),
+      imageHost,
+      h("footer", {}, kinds.root),
+    ),
     views.root,
-    h("div", { class: "aside" }, h("section", { class: "panel view3d", "aria-label": "3D view" }, viewport_host), list.root, bar.root),
+    h(
+      "div",
+      { class: "aside" },
+      h("section", { class: "panel view3d", "aria-label": "3D view" }, viewportHost),
+      list.root,
+      bar.root,
+    ),
   );
   root.append(page);
-  const image = createEditor(image_host, {
+  const image = createEditor(imageHost, {
     label: "Camera image",
     classes,
-    // objects stand close, and one box after the other is drawn
+    // objects are close together, and boxes are drawn one after the other
     selectFirst: true,
     newLabel: () => work.label,
     onChange: (...change) => objects.onImageChange(...change),
@@ -79,7 +117,19 @@ export function mount(root, app) {
 
   const show = createDisplay(app, work, { image, views, picker, kinds, list, bar, hint });
   const objects = createObjects(app, work, { saver, loader, suggester, prefetch, image, views, show });
-  const frames = createFrames(app, work, { order, saver, suggester, prefetch, objects, editors, image, image_host, page, hint, show });
+  const frames = createFrames(app, work, {
+    order,
+    saver,
+    suggester,
+    prefetch,
+    objects,
+    editors,
+    image,
+    imageHost,
+    page,
+    hint,
+    show,
+  });
 
   const stop = [
     app.state.on("frame", frames.onFrame),
@@ -91,7 +141,7 @@ export function mount(root, app) {
       "previous-frame": () => void frames.go("previous"),
       "next-box": () => objects.cycle(1),
       "previous-box": () => objects.cycle(-1),
-      class: (event, digit) => classes[digit - 1] && objects.pickClass(classes[digit - 1]),
+      class: (_, digit) => pickClass(Number(digit)),
       delete: () => focused().deleteSelected(),
       cancel,
       finalise,
@@ -99,24 +149,37 @@ export function mount(root, app) {
       "box-kind": () => setKind(work.kind === "box" ? "silhouette" : "box"),
       "points-larger": () => zoomPoints(1.25),
       "points-smaller": () => zoomPoints(0.8),
-      fit: () => editors.forEach((editor) => editor.fit()),
+      fit() {
+        for (const editor of editors) editor.fit();
+      },
       nudge: (event) => focused().key(event),
       "nudge-size": (event) => focused().key(event),
       "new-box": (event) => focused().key(event),
     }),
   ];
 
-  // -- what parts tell
+  // -- callbacks
 
-  function onBusy(is_saving, error) {
-    page.toggleAttribute("data-saving", is_saving);
+  /**
+   * @param {boolean} isSaving
+   * @param {Error | null} error
+   */
+  function onBusy(isSaving, error) {
+    page.toggleAttribute("data-saving", isSaving);
     problem.replaceChildren();
-    if (!is_saving && !error) void frames.refresh();
+    if (!isSaving && !error) void frames.refresh();
     if (!error) return;
-    problem.append(`Not saved: ${error.message} `, h("button", { type: "button", onclick: () => saver.retry() }, "Try again"));
+    problem.append(
+      `Not saved: ${error.message} `,
+      h("button", { type: "button", onclick: () => saver.retry() }, "Try again"),
+    );
   }
 
-  /** An editor shows nothing new during a drag. */
+  /**
+   * Waits for the end of a drag: an editor shows no new boxes during one.
+   *
+   * @param {Draft} draft
+   */
   function onFound(draft) {
     if (work.draft !== draft) return;
     show();
@@ -125,19 +188,26 @@ export function mount(root, app) {
 
   // -- commands
 
+  /** @param {Api.BoxKind} name */
   function setKind(name) {
     keepKind(name);
     const known = app.state.frame?.image_boxes;
-    if (known?.boxes.length && known.box_kind !== name && !work.is_readonly) saver.save(kindChange(name));
+    if (known?.boxes.length && known.box_kind !== name && !work.isReadonly) saver.save(kindChange(name));
     show();
   }
 
+  /** @param {number} digit */
+  function pickClass(digit) {
+    const name = classes[digit - 1];
+    if (name) objects.pickClass(name);
+  }
+
   function finalise() {
-    if (app.state.frame) saver.save(finality(!work.is_readonly));
+    if (app.state.frame) saver.save(finality(!work.isReadonly));
   }
 
   function acceptNext() {
-    // The object at hand first, whatever has the focus; then the next one on the image.
+    // first the current object, whatever has the focus; then the next one on the image
     const turn = [...views.editors.filter((editor) => editor === focused()), ...views.editors, image];
     return turn.some((editor) => editor.acceptSuggestion());
   }
@@ -150,6 +220,7 @@ export function mount(root, app) {
     return true;
   }
 
+  /** @param {number} factor */
   function zoomPoints(factor) {
     work.point_size = Math.min(Math.max(work.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1]);
     show();
@@ -157,6 +228,7 @@ export function mount(root, app) {
 
   void frames.openRoute(app.state.route);
   return {
+    /** @param {Route} route */
     route: (route) => void frames.openRoute(route),
     flush: frames.flush,
     unsaved: frames.unsaved,

@@ -1,17 +1,28 @@
 /**
- * Objects whose box on the image was moved. Their boxes on views are carried to the new views (carry.js) before anything of
- * them is saved: as pixels of the old views they would be read as pixels of the new ones, which lie elsewhere.
+ * Objects whose image box was moved. Their boxes on views are transferred to the new views (carry.js) before the
+ * object is saved: otherwise the server would take pixels of the old views for pixels of the new ones.
  */
 
-/** @param {object} loader draft.js. */
+/**
+ * An object that was moved. `views` is the latest loading; null if the views must be loaded again.
+ *
+ * @typedef {{ draft: Draft, views: Promise<boolean> | null, isWaiting: boolean }} Move
+ */
+
+/** @param {StepLoader} loader */
 export function createMoves(loader) {
   /**
-   * item -> {draft, views, is_waiting}: `views` is what the newest load resolves to, null where it is to be asked for anew.
-   * The draft is kept afterwards: it has as guesses what could not be carried.
+   * Kept afterwards, because the drafts contain, as guesses, the boxes that could not be transferred.
+   *
+   * @type {WeakMap<Item, Move>}
    */
   const moves = new WeakMap();
 
-  /** Asks for a draft's views, as the loader does. */
+  /**
+   * Loads a draft's views with the loader.
+   *
+   * @param {Draft} draft
+   */
   function load(draft) {
     const views = loader.load(draft);
     const move = moves.get(draft.item);
@@ -21,39 +32,60 @@ export function createMoves(loader) {
 
   return {
     load,
-    /** Whether an object's boxes do not lie on its views yet. */
-    isWaiting: (item) => Boolean(moves.get(item)?.is_waiting),
-    /** The draft of an object that was moved. */
+    /**
+     * True if an object's boxes have not been transferred to its new views yet.
+     *
+     * @param {Item} item
+     */
+    isWaiting: (item) => Boolean(moves.get(item)?.isWaiting),
+    /**
+     * The draft of an object that was moved.
+     *
+     * @param {Item} item
+     */
     draftOf: (item) => moves.get(item)?.draft ?? null,
-    /** What is saved of a draft's object waits for its views from now on. */
-    start: (draft) => moves.set(draft.item, { draft, views: null, is_waiting: true }),
+    /**
+     * From now on, saving a draft's object waits for its views.
+     *
+     * @param {Draft} draft
+     */
+    start: (draft) => moves.set(draft.item, { draft, views: null, isWaiting: true }),
 
-    /** The object goes, or another version of it was taken. */
+    /**
+     * Forgets a move: the object was removed, or another version of it was taken.
+     *
+     * @param {Item} item
+     */
     forget(item) {
       moves.delete(item);
       loader.stop(item);
     },
 
-    /** Another object, or none, is the current one: one that was moved is brought to its views all the same. */
+    /**
+     * Stops loading the views of a draft that is no longer the current one, unless its object was moved.
+     *
+     * @param {Draft | null} draft
+     */
     leave(draft) {
-      if (draft && !moves.get(draft.item)?.is_waiting) loader.stop(draft.item);
+      if (draft && !moves.get(draft.item)?.isWaiting) loader.stop(draft.item);
     },
 
     /**
-     * Resolves to true once an object's boxes lie on its own views, to false where it is gone. Rejects where its views
-     * cannot be had; called again it asks again.
+     * Resolves to true once an object's boxes are on its own views, to false if it is gone. Rejects if its views
+     * cannot be loaded; another call tries again.
      *
-     * @param {(draft: object) => void} ask asks for the views with `load`.
+     * @param {Item} item
+     * @param {(draft: Draft) => void} ask loads the views with `load`.
      */
     async settle(item, ask) {
-      for (let move = moves.get(item); move?.is_waiting && move === moves.get(item); ) {
+      for (let move = moves.get(item); move?.isWaiting && move === moves.get(item); ) {
         if (!move.views) ask(move.draft);
         const { views } = move;
         try {
-          const is_newest = await views;
+          const isNewest = await views;
           if (move.views !== views) continue;
-          move.is_waiting = !is_newest;
-          if (is_newest) return true;
+          move.isWaiting = !isNewest;
+          if (isNewest) return true;
           move.views = null;
         } catch (error) {
           if (move.views !== views) continue;

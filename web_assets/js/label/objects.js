@@ -1,5 +1,7 @@
-/** What a drag means for the object that is drawn: its views, its boxes, its class, and what of it is saved. */
+/** The effects of a drag on the object that is being drawn: its views, its boxes, its class, and what is saved. */
 
+import { messageOf } from "../errors.js";
+import { currentFrame } from "../frame_state.js";
 import { objectChange, removal } from "./changes.js";
 import { isFinished } from "./display.js";
 import { demoteSecondStep, makeDraft } from "./draft.js";
@@ -7,60 +9,73 @@ import { makeItem, openStep, plainBox, sameBox } from "./items.js";
 import { createMoves } from "./moves.js";
 import { openGuesses } from "./work.js";
 
-/** A picture that does not come holds up neither what is saved nor what is suggested. */
+/** Saving and suggestions wait no longer than this for a picture. */
 const PICTURES_WAIT_MS = 400;
 
-/** What is there now is on its way to the screen: a task after the next frame's callbacks runs after its painting. */
+/** Resolves after the page was painted: a task queued by an animation callback runs after the painting. */
 function painted() {
   return new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
 }
 
-/** @param {object} parts {saver, loader, suggester, prefetch, image, views, show}. */
+/**
+ * @param {ModeApp} app
+ * @param {Work} work
+ * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, prefetch: Prefetch, image: Editor,
+ *     views: ViewsPane, show: () => void }} parts
+ */
 export function createObjects(app, work, parts) {
   const { saver, loader, suggester, prefetch, image, views, show } = parts;
   const kind = () => work.kind;
   const moves = createMoves(loader);
 
-  /** Makes an object the current one and fetches its views. */
+  /**
+   * Makes an object the current one and fetches its views.
+   *
+   * @param {Item} item
+   */
   function open(item) {
     begin(item);
     work.loaded = loadSteps();
     show();
   }
 
+  /** @param {Item} item */
   function begin(item) {
     moves.leave(work.draft);
-    work.draft = moves.draftOf(item) ?? makeDraft(item, work.frame_shown);
+    work.draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
     work.step = openStep(item);
     work.label = item.image_box.label;
   }
 
+  /** @param {string} uid */
   function openLabel(uid) {
     const item = work.items.find((known) => known.uid === uid);
     if (item) open(item);
   }
 
-  /** No object is the current one. */
+  /** Closes the current object. */
   function close() {
     moves.leave(work.draft);
     suggester.stop();
     work.draft = null;
   }
 
-  /** The current object's views, then all that can wait for them: saving, the 3D view, suggestions, reading ahead. */
+  /** Loads the current object's views; then saving, the 3D view, suggestions and prefetching may begin. */
   async function loadSteps() {
     const loading = work.draft;
+    if (!loading) return;
     const { item } = loading;
-    const own = (work.coming = {});
+    const own = {};
+    work.coming = own;
     suggester.stop();
     prefetch.stop();
     try {
-      const is_newest = await moves.load(loading);
-      if (!is_newest || work.draft !== loading) return;
+      const isNewest = await moves.load(loading);
+      if (!isNewest || work.draft !== loading) return;
       if (item.boxes.every(Boolean)) loading.outline = null;
     } catch (error) {
-      loading.stop = error.message;
-      // nobody draws on the views of the box that was there before
+      loading.stop = messageOf(error);
+      // the views of the old box must not be drawn on
       if (moves.isWaiting(item)) loading.steps = [];
       if (work.draft !== loading) return;
     }
@@ -74,6 +89,7 @@ export function createObjects(app, work, parts) {
     prefetch.start();
   }
 
+  /** @param {number} wanted */
   function showStep(wanted) {
     work.step = wanted;
     show();
@@ -81,25 +97,34 @@ export function createObjects(app, work, parts) {
 
   // -- boxes on the image
 
+  /** @param {number} index */
   function onImageSelect(index) {
     const item = work.items[index];
     work.selected = item ?? null;
     if (item && item !== work.draft?.item) open(item);
   }
 
+  /**
+   * @param {Box2D[]} boxes
+   * @param {EditKind} why
+   * @param {number} index
+   * @param {number} actions
+   */
   function onImageChange(boxes, why, index, actions) {
     app.effort.action(actions);
-    if (index >= work.items.length && why !== "draw") takeGuess(openGuesses(work)[index - work.items.length].item, boxes[index]);
+    if (index >= work.items.length && why !== "draw")
+      takeGuess(openGuesses(work)[index - work.items.length].item, boxes[index]);
     else if (why === "draw") add(makeItem(plainBox(boxes[index])));
     else if (why === "delete") removeItem(work.items[index]);
     else changeImageBox(work.items[index], plainBox(boxes[index]));
   }
 
+  /** @param {Item} item */
   function add(item) {
     work.items = [...work.items, item];
     work.selected = item;
     if (item.boxes.some(Boolean)) {
-      // its views may be those of another box on the image
+      // its views may belong to another box on the image
       changeImageBox(item, item.image_box);
       return;
     }
@@ -107,56 +132,79 @@ export function createObjects(app, work, parts) {
     save(item);
   }
 
-  function takeGuess(item, image_box) {
-    work.not_saved = work.not_saved.filter((known) => known !== item);
-    add({ ...item, uid: null, stored: null, image_box: { ...plainBox(image_box), score: 1 } });
+  /**
+   * @param {Item} item
+   * @param {Box2D} box
+   */
+  function takeGuess(item, box) {
+    work.notSaved = work.notSaved.filter((known) => known !== item);
+    add({ ...item, uid: null, stored: null, image_box: { ...plainBox(box), score: 1 } });
   }
 
-  function changeImageBox(item, image_box) {
-    item.image_box = image_box;
+  /**
+   * @param {Item} item
+   * @param {Box2D} box
+   */
+  function changeImageBox(item, box) {
+    item.image_box = box;
     if (work.draft?.item !== item) begin(item);
-    const is_waiting = moves.isWaiting(item);
-    const is_drawn = item.boxes.some(Boolean) || item.uid;
-    if (is_drawn && !is_waiting) moves.start(work.draft);
+    const isWaiting = moves.isWaiting(item);
+    const isDrawn = item.boxes.some(Boolean) || item.uid;
+    if (isDrawn && !isWaiting && work.draft) moves.start(work.draft);
     work.loaded = loadSteps();
-    if (is_waiting) void saver.retry();
-    else if (is_drawn) saver.save({ item, make: () => followed(item) });
+    if (isWaiting) void saver.retry();
+    else if (isDrawn) saver.save({ item, make: () => followed(item) });
     else save(item);
     show();
   }
 
-  /** The change of an object whose image box was moved, once its boxes lie on the new views; null where it is gone. */
+  /**
+   * The change of an object whose image box was moved, once its boxes are on the new views; null if it is gone.
+   *
+   * @param {Item} item
+   */
   async function followed(item) {
-    const is_there = await moves.settle(item, (draft) => {
+    const isThere = await moves.settle(item, (draft) => {
       if (work.draft === draft) work.loaded = loadSteps();
       else void moves.load(draft);
     });
-    return is_there ? changeOf(item) : null;
+    return isThere ? changeOf(item) : null;
   }
 
   // -- boxes on the views
 
-  function setViewBox(index, box, why, actions) {
+  /**
+   * @param {number} index
+   * @param {Box2D} box
+   * @param {number} actions
+   */
+  function setViewBox(index, box, actions) {
     app.effort.action(actions);
     const { draft } = work;
+    if (!draft) return;
     const { item } = draft;
     item.boxes[index] = { ...plainBox(box), label: item.image_box.label, score: 1 };
     draft.suggestions[index] = null;
     draft.edits[index] += 1;
-    const is_whole_step = item.boxes[index - (index % 2)] && item.boxes[index - (index % 2) + 1];
-    if (index < 2 && is_whole_step) {
-      // The second step's views follow from these; what was drawn on the old ones becomes a guess on the new.
+    const isWholeStep = item.boxes[index - (index % 2)] && item.boxes[index - (index % 2) + 1];
+    if (index < 2 && isWholeStep) {
+      // the views of the second step follow from these; boxes on the old ones become guesses on the new ones
       demoteSecondStep(draft);
       work.loaded = loadSteps();
     }
     save(item);
-    if (index >= 2 && is_whole_step) image.select(-1);
+    if (index >= 2 && isWholeStep) image.select(-1);
     show();
   }
 
+  /**
+   * @param {number} index
+   * @param {number} actions
+   */
   function clearViewBox(index, actions) {
     app.effort.action(actions);
     const { draft } = work;
+    if (!draft) return;
     draft.item.boxes[index] = null;
     draft.edits[index] += 1;
     if (index < 2) demoteSecondStep(draft);
@@ -167,25 +215,28 @@ export function createObjects(app, work, parts) {
 
   // -- the object as a whole
 
+  /** @param {string} name */
   function pickClass(name) {
     work.label = name;
     const item = work.draft?.item;
-    if (item && !work.is_readonly && (work.selected === item || !isFinished(item)) && item.image_box.label !== name) {
+    if (item && !work.isReadonly && (work.selected === item || !isFinished(item)) && item.image_box.label !== name) {
       app.effort.action();
       item.image_box = { ...item.image_box, label: name };
       item.boxes = item.boxes.map((box) => box && { ...box, label: name });
       save(item);
-      // What is on its way is of the former class.
-      if (!work.coming) void suggester.suggest(work.draft);
+      // suggestions that have been requested are of the former class
+      if (!work.coming && work.draft) void suggester.suggest(work.draft);
     }
     show();
   }
 
+  /** @param {Item} item */
   function remove(item) {
     app.effort.action();
     removeItem(item);
   }
 
+  /** @param {Item} item */
   function removeItem(item) {
     work.items = work.items.filter((other) => other !== item);
     moves.forget(item);
@@ -194,39 +245,64 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /** Saves an object as it is now; one that waits for its views, as it is when they are there. */
+  /**
+   * Saves an object as it is now; while it waits for its views, it is saved when they are loaded.
+   *
+   * @param {Item} item
+   */
   function save(item) {
     if (!moves.isWaiting(item)) saver.save(changeOf(item));
   }
 
+  /** @param {Item} item */
   function changeOf(item) {
     const outline = work.draft?.item === item ? work.draft.outline : null;
     return objectChange(item, { after: work.loaded, outline, kind });
   }
 
-  /** The others' version was taken: what was drawn here stays in sight, and a click (or Enter) saves it after all. */
+  /**
+   * The others' version was kept. The dropped change stays visible, and a click or Enter saves it after all.
+   *
+   * @param {FrameChange | LaterChange} options
+   */
   function onDropped({ item }) {
     if (!item) return;
-    // boxes that have not followed theirs on the image lie on no view of it
+    // boxes that have not been transferred yet are not on any view of the moved object
     const boxes = moves.isWaiting(item) ? [] : item.boxes;
     moves.forget(item);
     const theirs = work.items.find((known) => sameBox(known.image_box, item.image_box));
     if (theirs) {
       if (work.draft?.item !== theirs) open(theirs);
       const { draft } = work;
-      draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (boxes[i] ?? guess)));
+      if (draft)
+        draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (boxes[i] ?? guess)));
     } else {
-      work.not_saved = [...work.not_saved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
+      work.notSaved = [...work.notSaved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
     }
     show();
   }
 
+  /** @param {number} direction */
   function cycle(direction) {
     if (!work.items.length) return false;
     const index = work.draft ? work.items.indexOf(work.draft.item) + direction : direction > 0 ? 0 : -1;
-    open(work.items.at(index % work.items.length));
+    const item = work.items.at(index % work.items.length);
+    if (item) open(item);
     return true;
   }
 
-  return { open, openLabel, close, showStep, onImageSelect, onImageChange, setViewBox, clearViewBox, pickClass, remove, onDropped, cycle };
+  return {
+    open,
+    openLabel,
+    close,
+    showStep,
+    onImageSelect,
+    onImageChange,
+    setViewBox,
+    clearViewBox,
+    pickClass,
+    remove,
+    onDropped,
+    cycle,
+  };
 }

@@ -1,10 +1,16 @@
-/** The next frame is asked for while nothing else is to do, so that server and browser have it at hand. */
+/** Prefetches the next frame while the page is idle, so that server and browser have it in their caches. */
+
+import { isAborted, messageOf } from "../errors.js";
 
 const IDLE_WAIT_MS = 300;
 
-/** requestIdleCallback, where a browser lacks it a pause. */
+/**
+ * requestIdleCallback, or a pause if the browser lacks it.
+ *
+ * @param {() => void} run
+ */
 function whenIdle(run) {
-  if (globalThis.requestIdleCallback) {
+  if ("requestIdleCallback" in globalThis) {
     const id = requestIdleCallback(run);
     return () => cancelIdleCallback(id);
   }
@@ -12,25 +18,38 @@ function whenIdle(run) {
   return () => clearTimeout(id);
 }
 
-/** @param {object} order says which frame is next (order.js). */
+/**
+ * @param {App} app
+ * @param {Order} order
+ */
 export function createPrefetch(app, order) {
+  /** @type {(() => void) | null} */
   let cancel = null;
-  /** The frame that is shown, and whether what follows it is at hand. */
-  let done_for = null;
+  /**
+   * The frame whose next frame was read.
+   *
+   * @type {number | null}
+   */
+  let doneFor = null;
 
+  /**
+   * @param {number} shown
+   * @param {AbortSignal} signal
+   */
   async function run(shown, signal) {
     try {
       const next = await order.next({ signal });
       if (next !== null && next !== shown && !signal.aborted) {
+        /** @type {FrameState} */
         const { image } = await app.api.get(app.path("frames", next), { signal });
-        // Read to its end, it is in the browser's cache.
+        // once read to its end, it is in the browser's cache
         const picture = await fetch(image.url, { signal, priority: "low", credentials: "same-origin" });
         await picture.blob();
       }
-      done_for = shown;
+      doneFor = shown;
     } catch (error) {
-      // Whoever opens that frame is told what is wrong with it.
-      if (error.name !== "AbortError") console.debug(`reading ahead: ${error.message}`);
+      // the problem is shown when that frame is opened
+      if (!isAborted(error)) console.debug(`reading ahead: ${messageOf(error)}`);
     }
   }
 
@@ -40,11 +59,11 @@ export function createPrefetch(app, order) {
   }
 
   return {
-    /** Begins as soon as there is time; once a frame is enough. */
+    /** Begins as soon as the page is idle, once for each frame. */
     start() {
       stop();
       const shown = app.state.frame?.frame.id;
-      if (shown === undefined || shown === done_for) return;
+      if (shown === undefined || shown === doneFor) return;
       const request = new AbortController();
       const forget = whenIdle(() => void run(shown, request.signal));
       cancel = () => {
@@ -52,9 +71,9 @@ export function createPrefetch(app, order) {
         request.abort();
       };
     },
-    /** Another order: another frame is next. */
+    /** Prefetches again after a change of the order, since another frame may be next. */
     restart() {
-      done_for = null;
+      doneFor = null;
       this.start();
     },
     stop,

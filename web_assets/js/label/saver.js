@@ -1,23 +1,27 @@
 /**
- * Saves one change after the other, each on the revision that the one before has led to.
- *
- * A change is {path, body(state) -> request without revision and effort, mine(state) -> what stale.js shows, done(answer),
- * after}: its body is made when it is sent, from what the server has then, so it can be put on top of somebody else's. It
- * waits for the promise `after`: the views that a drag leads to are shown first, and the server then has them at hand. One that
- * cannot be said before its turn is {item, make() -> change, or null where nothing is left to save}; where that fails it
- * is not saved, and made when it is tried again.
+ * Saves one change after the other, each based on the revision that resulted from the previous one. A change's body is
+ * made when it is sent, from the frame's state at that time, so that it can be saved on top of the others' version. A
+ * change waits for its `after`: the views that follow from a drag are shown first, and are then in the server's cache.
  */
 
+import { isStale } from "../errors.js";
+import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
 
 /**
- * @param {(state: object) => void} onSaved with the newest state, when the last waiting change is saved.
- * @param {(change: object) => void} onDropped the operator took the others' version; the change is not saved.
- * @param {(saving: boolean, problem: Error | null) => void} onBusy
+ * @param {App} app
+ * @param {object} listeners
+ * @param {(state: FrameState) => void} listeners.onSaved called when the last waiting change is saved.
+ * @param {(change: FrameChange | LaterChange) => void} listeners.onDropped the operator kept the others' version; this
+ *     change is not saved.
+ * @param {(isSaving: boolean, problem: Error | null) => void} listeners.onBusy
  */
 export function createSaver(app, { onSaved, onDropped, onBusy }) {
+  /** @type {Waiting[]} */
   let waiting = [];
+  /** @type {Promise<void> | null} */
   let running = null;
+  /** @type {Error | null} */
   let problem = null;
 
   async function run() {
@@ -28,60 +32,91 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     onBusy(false, problem);
   }
 
+  /** @param {Waiting} entry */
+  async function changeOf(entry) {
+    if (!("make" in entry)) return entry;
+    entry.made ??= await entry.make();
+    return entry.made;
+  }
+
+  /** @param {Waiting} entry */
   async function send(entry) {
-    let change = entry;
+    const { frame } = entry;
+    /** @type {FrameChange | null} */
+    let change = null;
     try {
-      if (entry.make) entry.made ??= await entry.make();
-      change = entry.make ? entry.made && { ...entry.made, frame: entry.frame } : entry;
+      change = await changeOf(entry);
       await change?.after;
       if (waiting[0] !== entry) return;
       if (!change) {
         waiting.shift();
         return;
       }
-      const state = await stateOf(change.frame);
-      const answer = await app.api.change(app.path("frames", change.frame, ...change.path), { revision: state.frame.revision, ...change.body(state) });
-      change.done?.(answer);
-      take(answer.state ?? answer, change);
+      const state = await stateOf(frame);
+      const body = { revision: state.frame.revision, ...change.body(state) };
+      /** @type {FrameState | Api.SaveOut} */
+      const answer = await app.api.change(app.path("frames", frame, ...change.path), body);
+      if ("state" in answer) change.done?.(answer);
+      take("state" in answer ? answer.state : answer, frame);
       waiting.shift();
     } catch (error) {
-      if (error.isStale) await settle(error, change);
-      else problem = error;
+      if (change && isStale(error)) await settle(error, change);
+      else problem = error instanceof Error ? error : new Error(String(error));
     }
   }
 
-  /** The frame that a change belongs to may have been left since. */
+  /**
+   * The state of a change's frame, which the operator may have left.
+   *
+   * @param {number} frame
+   * @returns {FrameState | Promise<FrameState>}
+   */
   function stateOf(frame) {
     const open = app.state.frame;
     return open?.frame.id === frame ? open : app.api.get(app.path("frames", frame));
   }
 
-  function take(state, change) {
-    if (app.state.frame?.frame.id !== change.frame) return;
+  /**
+   * @param {FrameState} state
+   * @param {number} frame
+   */
+  function take(state, frame) {
+    if (app.state.frame?.frame.id !== frame) return;
     app.frames.take(state);
-    if (waiting.length === 1) onSaved(app.state.frame);
+    if (waiting.length === 1) onSaved(currentFrame(app));
   }
 
-  /** Theirs: all that waits here is given up, and kept in sight. Mine: the same again, on top of theirs. */
+  /**
+   * Lets the operator choose. "theirs": all waiting changes are dropped, but stay visible. "mine": the change is sent
+   * again, on top of the others' version.
+   *
+   * @param {StaleError} error
+   * @param {FrameChange} change
+   */
   async function settle(error, change) {
     const choice = await askVersion({ theirs: error.body.state, mine: change.mine(error.body.state) });
     const dropped = choice === "theirs" ? waiting.map((entry) => entry.made ?? entry) : [];
     if (choice === "theirs") waiting = [];
     app.frames.take(error.body.state);
-    dropped.forEach(onDropped);
+    for (const one of dropped) onDropped(one);
   }
 
   return {
-    /** Queues a change of the open frame. */
+    /**
+     * Queues a change of the open frame.
+     *
+     * @param {FrameChange | LaterChange} change
+     */
     save(change) {
-      waiting.push({ ...change, frame: app.state.frame.frame.id });
+      waiting.push({ ...change, frame: currentFrame(app).frame.id });
       running ??= run();
     },
     /** Tries again after a failure. */
     async retry() {
-      if (waiting.length) await (running ??= run());
+      if (waiting.length) running ??= run();
+      await running;
     },
-    /** Gives up what waits. */
+    /** Drops all waiting changes. */
     discard() {
       waiting = [];
       problem = null;
@@ -96,7 +131,7 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     get problem() {
       return problem;
     },
-    /** Resolves when nothing waits any more, or a change has failed. */
+    /** Resolves when no change is waiting any more, or one has failed. */
     idle: async () => {
       while (running) await running;
     },

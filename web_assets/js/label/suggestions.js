@@ -1,25 +1,36 @@
 /**
- * What the detectors suggest, as dashed boxes. It comes after the views, which nobody shall wait for: it is taken only where
- * the operator has drawn nothing meanwhile, on the very views that were asked about.
+ * The detectors' suggestions, shown as dashed boxes. They arrive after the views, and are used only on views
+ * that have not changed and on which the operator has drawn nothing in the meantime.
  */
 
 import { wholeSteps } from "./draft.js";
 
 const LOADING_WAIT_MS = 1500;
-/** Problems that were told; nobody is told twice, whatever pages are opened in between. */
-const told = new Set();
+/**
+ * Problems that have been shown; each is shown only once.
+ *
+ * @type {Set<string>}
+ */
+const reported = new Set();
 
 /**
- * @param {(draft: object, boxes: object[], suggest: boolean, signal: AbortSignal) => Promise<object>} ask the steps' route.
- * @param {(draft: object) => void} onFound a draft got suggestions.
+ * @param {ModeApp} app
+ * @param {object} parts
+ * @param {AskSteps} parts.ask
+ * @param {(draft: Draft) => void} parts.onFound called when a draft has new suggestions.
  */
 export function createSuggester(app, { ask, onFound }) {
+  /** @type {AbortController | null} */
   let request = null;
 
-  function tell(role, problem) {
+  /**
+   * @param {Api.DetectorKind} role
+   * @param {string | null | undefined} problem
+   */
+  function report(role, problem) {
     const key = `${app.state.route.project}: ${problem}`;
-    if (!problem || told.has(key)) return;
-    told.add(key);
+    if (!problem || reported.has(key)) return;
+    reported.add(key);
     app.toast(`No suggestions: the ${role} detector cannot be loaded. ${problem}`, "warn");
   }
 
@@ -28,58 +39,86 @@ export function createSuggester(app, { ask, onFound }) {
     request = null;
   }
 
-  /** Asks until the detector is loaded; ends with the next call, or `stop`. */
+  /**
+   * Repeats the request until the detector is loaded; the next call, or `stop`, cancels it.
+   *
+   * @param {Draft} draft
+   */
   async function suggest(draft) {
     stop();
-    tell("view", draft.problem);
-    const own = (request = new AbortController());
+    report("view", draft.problem);
+    const own = new AbortController();
+    request = own;
     const { signal } = own;
     try {
-      while (!signal.aborted && (draft.detector === "loading" || draft.detector === "ready") && openViews(draft).length) {
+      while (
+        !signal.aborted &&
+        (draft.detector === "loading" || draft.detector === "ready") &&
+        openViews(draft).length
+      ) {
         const before = openViews(draft);
         const answer = await ask(draft, wholeSteps(draft.item.boxes), true, signal);
         if (signal.aborted) return;
         draft.detector = answer.detector;
-        tell("view", answer.problem);
+        report("view", answer.problem);
         if (take(draft, before, answer)) onFound(draft);
         if (answer.detector !== "loading") return;
         await new Promise((resolve) => setTimeout(resolve, LOADING_WAIT_MS));
       }
     } catch (error) {
-      // Without suggestions the object is drawn all the same.
-      if (error.name !== "AbortError") app.toast(error);
+      // the object can be drawn without suggestions
+      app.toast(error);
     } finally {
       if (request === own) request = null;
     }
   }
 
-  /** What the image detector finds on a frame. */
+  /**
+   * The boxes that the image detector finds on a frame.
+   *
+   * @param {number} frame
+   */
   async function onImage(frame) {
+    /** @type {Api.SuggestionsOut} */
     const { boxes, problem } = await app.api.get(app.path("frames", frame, "label", "suggestions"));
-    tell("image", problem);
+    report("image", problem);
     return boxes;
   }
 
   return { suggest, onImage, stop };
 }
 
-/** The views that a suggestion would help with, as they are now. */
+/**
+ * The views without a box or suggestion, as they are now.
+ *
+ * @param {Draft} draft
+ */
 function openViews({ item, steps, suggestions, edits }) {
   const views = steps.flatMap(({ views }) => views);
   const all = views.map(({ id }, index) => ({ index, id, label: item.image_box.label, edits: edits[index] }));
   return all.filter(({ index }) => !item.boxes[index] && !suggestions[index]);
 }
 
-/** Fills in what is still open and was open in the same way when it was asked for; true where something was. */
+/**
+ * Takes suggestions for views that have not changed since the request; true if there was one.
+ *
+ * @param {Draft} draft
+ * @param {ReturnType<typeof openViews>} before
+ * @param {Api.StepsOut} answer
+ */
 function take(draft, before, answer) {
   const now = openViews(draft);
-  const asked = answer.steps.flatMap(({ views, suggested }) => views.map(({ id }, side) => ({ id, box: suggested[side] })));
-  let is_filled = false;
+  const asked = answer.steps.flatMap(({ views, suggested }) =>
+    views.map(({ id }, side) => ({ id, box: suggested[side] })),
+  );
+  let isFilled = false;
   for (const { index, id, label, edits } of before) {
-    const is_same = now.some((view) => view.index === index && view.id === id && view.label === label && view.edits === edits);
-    if (!is_same || asked[index]?.id !== id || !asked[index].box) continue;
+    const isSame = now.some(
+      (view) => view.index === index && view.id === id && view.label === label && view.edits === edits,
+    );
+    if (!isSame || asked[index]?.id !== id || !asked[index].box) continue;
     draft.suggestions[index] = asked[index].box;
-    is_filled = true;
+    isFilled = true;
   }
-  return is_filled;
+  return isFilled;
 }

@@ -6,24 +6,57 @@ import { h } from "../dom.js";
 const NAMES = ["Front", "Side"];
 
 /**
- * @param {(index: number, box: object, why: string, actions: number) => void} onBox a box was set on view `index` (0..3).
- * @param {(index: number) => void} onClear a view's box was deleted.
+ * @typedef {object} Pane
+ * @property {Editor} editor
+ * @property {HTMLElement} element
+ * @property {HTMLElement} caption
+ * @property {string} name
+ * @property {string | null} url
+ * @property {Promise<boolean>} shown
+ */
+
+/**
+ * @param {ModeApp} app
+ * @param {object} listeners
+ * @param {(index: number, box: Box2D, actions: number) => void} listeners.onBox called when a
+ *     box was set on view `index` (0 to 3).
+ * @param {(index: number, actions: number) => void} listeners.onClear called when a view's box was deleted.
+ * @param {(step: number) => void} listeners.onStep
+ * @param {() => string} listeners.newLabel
  */
 export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
   const tabs = [0, 1].map((step) =>
-    h("button", { type: "button", role: "tab", class: "quiet", "data-testid": `step-${step + 1}`, onclick: () => onStep(step) }, `Step ${step + 1}`),
+    h(
+      "button",
+      { type: "button", role: "tab", class: "quiet", "data-testid": `step-${step + 1}`, onclick: () => onStep(step) },
+      `Step ${step + 1}`,
+    ),
   );
   const panes = NAMES.map((name, side) => makePane(name, side));
   const message = h("p", { class: "views-message", role: "status", "data-testid": "views-message" });
   const root = h(
     "section",
     { class: "panel views", "aria-label": "Pseudo-views" },
-    h("header", {}, h("h2", { class: "grow" }, "Views"), h("div", { role: "tablist", class: "row", "aria-label": "Steps" }, tabs)),
-    h("div", { class: "pair" }, panes.map(({ element }) => element)),
+    h(
+      "header",
+      {},
+      h("h2", { class: "grow" }, "Views"),
+      h("div", { role: "tablist", class: "row", "aria-label": "Steps" }, tabs),
+    ),
+    h(
+      "div",
+      { class: "pair" },
+      panes.map(({ element }) => element),
+    ),
     message,
   );
-  let shown_step = 0;
+  let shownStep = 0;
 
+  /**
+   * @param {string} name
+   * @param {number} side
+   * @returns {Pane}
+   */
   function makePane(name, side) {
     const caption = h("span", { class: "view-name" }, name);
     const host = h("div", { class: "view", "data-testid": `view-${name.toLowerCase()}` });
@@ -33,21 +66,22 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
       classes: app.state.project.classes,
       newLabel,
       onChange(boxes, why, index, actions) {
-        const view = 2 * shown_step + side;
+        const view = 2 * shownStep + side;
         if (why === "delete") onClear(view, actions);
-        else onBox(view, boxes[index], why, actions);
+        else onBox(view, boxes[index], actions);
       },
     });
     host.append(caption);
-    return { editor, element: host, caption, name, url: null, shown: Promise.resolve() };
+    return { editor, element: host, caption, name, url: null, shown: Promise.resolve(true) };
   }
 
   /**
-   * @param {object | null} draft the current object (see draft.js), null for none.
-   * @param {string | null} text what to say in place of views.
+   * @param {Draft | null} draft the current object.
+   * @param {number} step
+   * @param {string | null} text shown in place of views.
    */
   function show(draft, step, text) {
-    shown_step = step;
+    shownStep = step;
     const views = draft?.steps[step]?.views ?? null;
     tabs.forEach((tab, i) => {
       tab.setAttribute("aria-selected", String(i === step && Boolean(views)));
@@ -57,8 +91,9 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
     message.textContent = text ?? "";
     message.hidden = !text;
     root.classList.toggle("has-views", Boolean(views));
-    const isOpen = (side) => !draft?.item.boxes[2 * step + side] && draft?.suggestions[2 * step + side];
-    const first_open = [0, 1].find(isOpen);
+    /** @param {number} side */
+    const isOpen = (side) => !draft?.item.boxes[2 * step + side] && Boolean(draft?.suggestions[2 * step + side]);
+    const firstOpen = [0, 1].find(isOpen);
     panes.forEach((pane, side) => {
       const { editor, caption, name } = pane;
       const index = 2 * step + side;
@@ -66,16 +101,24 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
       showPicture(pane, view);
       const box = draft?.item.boxes[index] ?? null;
       const suggested = box ? null : (draft?.suggestions[index] ?? null);
-      const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: side === first_open ? "Enter" : "" }] : [];
+      const list = box
+        ? [{ ...box, caption: "" }]
+        : suggested
+          ? [{ ...suggested, suggested: true, caption: side === firstOpen ? "Enter" : "" }]
+          : [];
       if (!editor.isDragging) editor.setBoxes(view ? list : [], 0);
       caption.textContent = box ? `${name} ✓` : name;
     });
   }
 
+  /**
+   * @param {Pane} pane
+   * @param {Api.ViewJson | null} view
+   */
   function showPicture(pane, view) {
     const url = view?.url ?? null;
     const shown = pane.editor.setPicture(url, view?.width, view?.height);
-    // Asked for the same picture again, the editor has nothing to wait for, though it may still be on its way.
+    // for the same picture the editor resolves at once, although it may still be loading
     if (url !== pane.url) pane.shown = shown;
     pane.url = url;
   }
@@ -87,7 +130,12 @@ export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
     editors,
     /** Resolves when the pictures are on the screen. */
     shown: () => Promise.all(panes.map((pane) => pane.shown)),
-    setReadonly: (value) => editors.forEach((editor) => editor.setReadonly(value)),
-    destroy: () => editors.forEach((editor) => editor.destroy()),
+    /** @param {boolean} value */
+    setReadonly(value) {
+      for (const editor of editors) editor.setReadonly(value);
+    },
+    destroy() {
+      for (const editor of editors) editor.destroy();
+    },
   };
 }

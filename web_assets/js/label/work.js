@@ -1,24 +1,14 @@
-/** What Label mode works on: the open frame's objects, the current one, and what is offered. The other files share it. */
+/** Label mode's state, which its files share: the open frame's objects, the current one, and suggestions. */
 
 import { makeItem, overlap } from "./items.js";
 
 const KIND_KEPT = "box-kind";
-/** A box that the detector found is a drawn one already where they overlap by this much (IoU). */
+/** IoU above which a detected box and a drawn one are the same object. */
 const SAME_OBJECT = 0.4;
 
 /**
- * work = {
- *   items,        the frame's objects (items.js)
- *   draft, step,  the current object (draft.js) or null, and which of its steps is shown
- *   label,        class of the next box
- *   selected,     the item that is selected on the image
- *   not_saved,    items that gave way to somebody else's version, kept in sight
- *   found,        what the image detector found
- *   frame_shown,  id
- *   loaded,       promise: the current object's views are on the screen
- *   coming,       whose views are on their way to the screen, or null
- *   point_size
- * }
+ * @param {ModeApp} app
+ * @returns {Work}
  */
 export function createWork(app) {
   return {
@@ -27,30 +17,44 @@ export function createWork(app) {
     step: 0,
     label: app.state.project.classes[0],
     selected: null,
-    not_saved: [],
+    notSaved: [],
     found: [],
-    frame_shown: null,
+    frameShown: null,
     loaded: Promise.resolve(),
     coming: null,
     point_size: 1,
-    get is_readonly() {
+    get isReadonly() {
       return Boolean(app.state.frame?.frame.finalised);
     },
-    /** What boxes measure: the frame's kind, or the one that was used last. */
+    /** The frame's kind of boxes, or the one that was used last. */
     get kind() {
-      return app.state.frame?.image_boxes?.box_kind ?? localStorage.getItem(KIND_KEPT) ?? "silhouette";
+      const kept = localStorage.getItem(KIND_KEPT) === "box" ? "box" : "silhouette";
+      return app.state.frame?.image_boxes?.box_kind ?? kept;
     },
   };
 }
 
+/** @param {Api.BoxKind} kind */
 export function keepKind(kind) {
   localStorage.setItem(KIND_KEPT, kind);
 }
 
-/** Dashed boxes on the image: what was drawn here and not saved, and what the detector found where nothing is drawn. */
-export function openGuesses({ is_readonly, items, not_saved, found }) {
-  if (is_readonly) return [];
-  const mine = not_saved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
+/**
+ * Dashed boxes on the image: this page's unsaved boxes, and detected ones at places where nothing is drawn.
+ *
+ * @param {Work} work
+ * @returns {Guess[]}
+ */
+export function openGuesses({ isReadonly, items, notSaved, found }) {
+  if (isReadonly) return [];
+  const mine = notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
   const theirs = found.filter((box) => !items.some((item) => overlap(item.image_box, box) > SAME_OBJECT));
-  return [...mine, ...theirs.map((box) => ({ item: makeItem(box), image_box: box, caption: `${box.label} ${Math.round(100 * box.score)} %` }))];
+  return [
+    ...mine,
+    ...theirs.map((box) => ({
+      item: makeItem(box),
+      image_box: box,
+      caption: `${box.label} ${Math.round(100 * (box.score ?? 1))} %`,
+    })),
+  ];
 }

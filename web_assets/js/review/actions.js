@@ -1,9 +1,37 @@
-/** The row of buttons under the pictures: the same as the keys, for the mouse and for those who look for them. */
+/** The row of buttons under the pictures, which do the same as the keys. */
 
 import { h, iconButton } from "../dom.js";
 
+/**
+ * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "next" | "draw" | "finalise",
+ *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void }} Act
+ */
+
+/** @type {[Api.Gizmo, string, string][]} */
+const GIZMOS = [
+  ["translate", "Move", "T"],
+  ["rotate", "Turn", "R"],
+  ["off", "Off", "Y"],
+];
+
+/**
+ * @param {HTMLElement} host
+ * @param {Act} act what each button does.
+ */
 export function createActions(host, act) {
-  const button = (id, text, key, kind = "") => h("button", { type: "button", class: kind, title: `${text} (${key})`, "data-testid": `act-${id}`, onclick: () => act[id]() }, text, h("kbd", {}, key));
+  /**
+   * @param {Exclude<keyof Act, "gizmo" | "remove">} id
+   * @param {string} text
+   * @param {string} key
+   * @param {string} [kind]
+   */
+  const button = (id, text, key, kind = "") =>
+    h(
+      "button",
+      { type: "button", class: kind, title: `${text} (${key})`, "data-testid": `act-${id}`, onclick: () => act[id]() },
+      text,
+      h("kbd", {}, key),
+    );
   const accept = button("accept", "Accept", "Space", "primary");
   const reject = button("reject", "Reject", "X");
   const refit = button("refit", "Fit again", "G");
@@ -16,25 +44,58 @@ export function createActions(host, act) {
   const gizmo = h(
     "div",
     { class: "segments", role: "group", "aria-label": "Gizmo in the 3D view" },
-    [["translate", "Move", "T"], ["rotate", "Turn", "R"], ["off", "Off", "Y"]].map(([mode, text, key]) =>
-      h("button", { type: "button", "data-mode": mode, title: `Gizmo: ${text.toLowerCase()} (${key})`, "data-testid": `gizmo-${mode}`, onclick: () => act.gizmo(mode) }, text, h("kbd", {}, key)),
+    GIZMOS.map(([mode, text, key]) =>
+      h(
+        "button",
+        {
+          type: "button",
+          "data-mode": mode,
+          title: `Gizmo: ${text.toLowerCase()} (${key})`,
+          "data-testid": `gizmo-${mode}`,
+          onclick: () => act.gizmo(mode),
+        },
+        text,
+        h("kbd", {}, key),
+      ),
     ),
   );
-  host.replaceChildren(accept, reject, remove, h("span", { class: "divider" }), refit, flip, h("span", { class: "divider" }), gizmo, h("span", { class: "grow" }), draw, copy, next, finalise);
+  host.replaceChildren(
+    accept,
+    reject,
+    remove,
+    h("span", { class: "divider" }),
+    refit,
+    flip,
+    h("span", { class: "divider" }),
+    gizmo,
+    h("span", { class: "grow" }),
+    draw,
+    copy,
+    next,
+    finalise,
+  );
 
   return {
-    show({ label, frame, gizmo_mode, busy, is_drawing }) {
+    /**
+     * @param {{ label: PageLabel | null, frame: FrameState | null, gizmoMode: Api.Gizmo, busy: boolean,
+     *     isDrawing: boolean }} shown
+     */
+    show({ label, frame, gizmoMode, busy, isDrawing }) {
       for (const one of [accept, reject, refit, flip, remove]) one.disabled = !label || busy;
-      accept.firstChild.textContent = label && label.state !== "proposed" && label.state !== "rejected" ? "Next" : "Accept";
+      const isReviewed = label?.state === "accepted" || label?.state === "edited";
+      if (accept.firstChild) accept.firstChild.textContent = isReviewed ? "Next" : "Accept";
       copy.disabled = !frame || frame.frame.previous === null || busy;
       next.disabled = !frame || frame.frame.next === null || busy;
-      next.title = "Propose boxes in the next frame, starting from this frame's reviewed ones, and go there (V)";
+      next.title = "Propose boxes in the next frame from this frame's reviewed ones, and go there (V)";
       draw.disabled = !frame || busy || frame.frame.finalised;
-      draw.setAttribute("aria-pressed", String(is_drawing));
+      draw.setAttribute("aria-pressed", String(isDrawing));
       finalise.disabled = !frame || busy;
       finalise.textContent = frame?.frame.finalised ? "Reopen frame" : "Finalise frame";
-      finalise.title = frame?.frame.finalised ? "Let automatic passes change this frame again (Ctrl+Enter)" : "All boxes of this frame are right: automatic passes leave it alone (Ctrl+Enter)";
-      for (const one of gizmo.children) one.setAttribute("aria-pressed", String(one.dataset.mode === gizmo_mode));
+      finalise.title = frame?.frame.finalised
+        ? "Allow automatic passes to change this frame again (Ctrl+Enter)"
+        : "All boxes of this frame are right: automatic passes will not change it (Ctrl+Enter)";
+      for (const one of gizmo.children)
+        one.setAttribute("aria-pressed", String(one.getAttribute("data-mode") === gizmoMode));
     },
   };
 }

@@ -1,38 +1,66 @@
 /**
- * What an operator does in Review, without any of its looks: which box is selected, what is not saved yet, and every change
- * on its way to the server, one after the other.
+ * The state of Review, without any display: the selected box, unsaved edits, and the changes that are sent to the
+ * server one after the other.
  *
- * A box under the mouse is a draft: `preview` shows it everywhere without a round trip, `commit` saves it as one edit. A
- * draft that could not be saved stays with its box, whatever is selected next, until it is saved or reverted. A new box is
- * here alone until it is accepted; what it has cost is counted then. Listeners get what has changed: "frame", "selection",
- * "draft" or "saving".
+ * A box that is being dragged is a draft: `preview` shows it everywhere without a request, `commit` saves it as one
+ * edit. A draft that could not be saved is kept until it is saved or reverted, even if another box is selected. A new
+ * box exists only here until it is accepted; its effort is counted then. Listeners are called with a `DeskEvent`.
  */
 
 import { copyBox, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
+import { isStale, messageOf } from "../errors.js";
+import { currentFrame } from "../frame_state.js";
 import { resolveStale } from "./stale.js";
 
-/** Labels that still want a decision. */
+/**
+ * True if a label has not been reviewed yet.
+ *
+ * @param {{ state: Api.ReviewState }} label
+ */
 export const isOpen = (label) => label.state === "proposed";
 
+/** @param {App} app */
 export function createDesk(app) {
+  /** @type {Set<(what: DeskEvent) => unknown>} */
   const listeners = new Set();
-  /** uid -> {wanted, sending, sent, problem} of the boxes of the frame `home`. */
+  /**
+   * Drafts by uid, of boxes of the frame `home`.
+   *
+   * @type {Map<string | null, LabelDraft>}
+   */
   const drafts = new Map();
-  /** uid -> {label, image_box, actions, problem, sending} of new boxes of the same frame. */
+  /**
+   * New boxes by uid, of the same frame.
+   *
+   * @type {Map<string | null, NewLabel>}
+   */
   const added = new Map();
   let number = 0;
+  /** @type {number | null} */
   let home = null;
+  /** @type {string | null} */
   let uid = null;
   let waiting = 0;
   let leave = () => {};
+  /** @type {Promise<unknown>} */
   let chain = Promise.resolve();
 
-  const tell = (what) => listeners.forEach((fn) => fn(what));
+  /** @param {DeskEvent} what */
+  function tell(what) {
+    for (const fn of listeners) fn(what);
+  }
+
+  /** @returns {PageLabel[]} */
   const labels = () => [...(app.state.frame?.labels ?? []), ...[...added.values()].map(({ label }) => label)];
   const stored = (id = uid) => labels().find((label) => label.uid === id) ?? null;
 
-  /** Does a task after all others; its own failure is shown and stops nothing else. */
+  /**
+   * Runs a task after all earlier ones. If it fails, later ones run nevertheless.
+   *
+   * @template T
+   * @param {() => Promise<T>} task
+   */
   function enqueue(task) {
     waiting += 1;
     tell("saving");
@@ -44,40 +72,50 @@ export function createDesk(app) {
     return done;
   }
 
-  /** Sends changes of the open frame; resolves to null where they are saved, else to what was wrong. */
+  /**
+   * Sends changes of the open frame; resolves to null if they are saved, else to the problem.
+   *
+   * @param {Change[]} changes
+   * @param {string | null} subject
+   */
   function send(changes, subject) {
-    const { id } = app.state.frame.frame;
+    const { id } = currentFrame(app).frame;
     return enqueue(async () => {
       try {
         await post(id, changes, subject);
         return null;
       } catch (error) {
         app.toast(error);
-        return error;
+        return messageOf(error);
       }
     });
   }
 
+  /**
+   * @param {number} id
+   * @param {Change[]} changes
+   * @param {string | null} subject
+   */
   async function post(id, changes, subject) {
-    const body = { revision: app.state.frame.frame.revision, changes, subject };
+    const body = { revision: currentFrame(app).frame.revision, changes, subject };
     try {
       app.frames.take(await app.api.change(app.path("frames", id, "changes"), body));
     } catch (error) {
-      if (!error.isStale) throw error;
+      if (!isStale(error)) throw error;
       await resolveStale(app, error, { changes, subject, take: app.frames.take });
     }
   }
 
-  /** After every new state of the frame: what is selected may be gone, what was drafted may be saved. */
+  /** To be called after each new state of the frame: the selected box may be gone, and drafts may be saved. */
   function settle() {
-    const { id } = app.state.frame.frame;
+    const { id } = currentFrame(app).frame;
     if (id !== home) forget();
     home = id;
     for (const gone of [...drafts.keys()].filter((known) => !stored(known))) {
-      // one that is being sent is told of by its own answer
-      const is_news = !drafts.get(gone).sending;
+      // if a draft is being sent, the answer to it reports the outcome
+      const isNews = !drafts.get(gone)?.sending;
       drafts.delete(gone);
-      if (is_news) app.toast("The box that you were changing is not there any more: somebody has deleted it.", "warn");
+      if (isNews) app.toast("Somebody has deleted the box that you were changing.", "warn");
     }
     if (uid !== null && !stored()) uid = null;
     tell("frame");
@@ -88,13 +126,14 @@ export function createDesk(app) {
     added.clear();
   }
 
-  /** What is not saved yet is on its way after this, as far as it has not failed before. */
+  /** Saves the selected box's draft, unless saving it has failed before. */
   function keep() {
     leave();
     const draft = drafts.get(uid);
     if (draft && !draft.problem && draft.sending !== draft.wanted) void commit();
   }
 
+  /** @param {string | null} id */
   function select(id) {
     if (id === uid) return;
     keep();
@@ -102,22 +141,32 @@ export function createDesk(app) {
     tell("selection");
   }
 
+  /**
+   * @param {PageLabel} label
+   * @param {Wanted} wanted
+   */
   const isChanged = (label, wanted) =>
     label.label !== wanted.label || label.track_id !== wanted.track_id || !sameBox(label.box, wanted.box);
 
-  /** Saves the selected box's draft, if there is one, as one edit that took so many actions. */
+  /** Saves the selected box's draft, if there is one, as one edit that took this many actions. */
   async function commit(actions = 1) {
-    if (!drafts.has(uid) || !stored()) return true;
-    if (added.has(uid)) return change(uid, actions);
     const draft = drafts.get(uid);
+    if (!draft || !stored()) return true;
+    if (added.has(uid)) return change(uid, actions);
     if (draft.sending === draft.wanted) return draft.sent;
     app.effort.action(actions);
-    return save(uid);
+    return save(uid, draft);
   }
 
-  /** A new box is another one now; nobody else knows of it yet. */
+  /**
+   * Applies the draft of a new box, which only this page has.
+   *
+   * @param {string | null} id
+   * @param {number} actions
+   */
   function change(id, actions) {
     const entry = added.get(id);
+    if (!entry) return true;
     entry.label = seen(entry.label);
     entry.actions += actions;
     drafts.delete(id);
@@ -125,22 +174,33 @@ export function createDesk(app) {
     return true;
   }
 
-  /** Accepts a new box: only now it is stored. Accepted again meanwhile, it is stored once. */
-  function create(id) {
-    const entry = added.get(id);
-    return (entry.sending ??= storeNew(id, entry).finally(() => (entry.sending = null)));
+  /**
+   * Accepts a new box, which stores it. It is stored once, even if it is accepted again before the answer.
+   *
+   * @param {string | null} id
+   * @param {NewLabel} entry
+   */
+  function create(id, entry) {
+    entry.sending ??= storeNew(id, entry).finally(() => {
+      entry.sending = null;
+    });
+    return entry.sending;
   }
 
+  /**
+   * @param {string | null} id
+   * @param {NewLabel} entry
+   */
   async function storeNew(id, entry) {
-    // presses of the arrow keys that came just before
+    // completes an edit by arrow keys that were pressed just before
     if (uid === id) leave();
     change(id, 1);
     const { label, box, track_id } = entry.label;
     const known = new Set(labels().map((one) => one.uid));
     app.effort.action(entry.actions);
     const error = await send([{ kind: "create", label, box, track_id, image_box: entry.image_box }], null);
-    entry.problem = error?.message ?? null;
-    // it is tried again with what it takes then
+    entry.problem = error;
+    // the next try counts its own effort
     if (error) entry.actions = 0;
     else added.delete(id);
     if (!error && uid === id) uid = labels().find((one) => !known.has(one.uid))?.uid ?? null;
@@ -148,6 +208,7 @@ export function createDesk(app) {
     return !error;
   }
 
+  /** @param {string | null} id */
   function remove(id) {
     added.delete(id);
     drafts.delete(id);
@@ -156,38 +217,60 @@ export function createDesk(app) {
     return true;
   }
 
-  function save(id) {
-    const draft = drafts.get(id);
-    return (draft.sent = sendDraft(id, draft));
+  /**
+   * @param {string | null} id
+   * @param {LabelDraft} draft
+   */
+  function save(id, draft) {
+    draft.sent = sendDraft(id ?? "", draft);
+    return draft.sent;
   }
 
+  /**
+   * @param {string} id
+   * @param {LabelDraft} draft
+   */
   async function sendDraft(id, draft) {
     const wanted = draft.wanted;
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
     const before = stored(id);
-    // which object it is says nothing about the box: its review stays as it is
-    const is_track_only = before && before.label === label && sameBox(before.box, box);
-    const change = is_track_only ? { kind: "track", uid: id, track_id } : { kind: "edit", uid: id, label, box, track_id };
+    // another track id does not change the box, so its review stays valid
+    const isTrackOnly = before && before.label === label && sameBox(before.box, box);
+    /** @type {Change} */
+    const change = isTrackOnly
+      ? { kind: "track", uid: id, track_id }
+      : { kind: "edit", uid: id, label, box, track_id };
     const error = await send([change], id);
     if (draft.sending === wanted) draft.sending = null;
-    draft.problem = error?.message ?? null;
+    draft.problem = error;
     if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);
     tell("draft");
     return !error;
   }
 
+  /** @param {string | null} [id] */
   function revert(id = uid) {
     if (added.has(id) && !drafts.has(id)) remove(id);
     drafts.delete(id);
     tell("draft");
   }
 
-  const retry = (id) => (added.has(id) ? create(id) : drafts.has(id) ? save(id) : Promise.resolve(true));
+  /** @param {string | null} id */
+  function retry(id) {
+    const [entry, draft] = [added.get(id), drafts.get(id)];
+    if (entry) return create(id, entry);
+    return draft ? save(id, draft) : Promise.resolve(true);
+  }
 
-  /** A label as the operator sees it: with its draft's box, class and track. */
+  /**
+   * A label as shown: with its draft's box, class and track.
+   *
+   * @param {PageLabel} label
+   * @returns {PageLabel}
+   */
   function seen(label) {
-    const draft = label && drafts.get(label.uid);
+    const draft = drafts.get(label.uid);
     return draft ? { ...label, ...draft.wanted } : label;
   }
 
@@ -205,52 +288,91 @@ export function createDesk(app) {
     stored,
     seen,
 
-    /** The selected label as the operator sees it, or null. */
+    /** The selected label as shown, or null. */
     get shown() {
-      return seen(stored());
+      const label = stored();
+      return label && seen(label);
     },
 
-    /** Whether a label has a draft, and why that could not be saved, if it was tried. */
+    /** @param {string} id */
     isDraft: (id) => drafts.has(id),
+    /** The reason why a label could not be saved, or null. */
     problemOf: (id = uid) => drafts.get(id)?.problem ?? added.get(id)?.problem ?? null,
 
-    /** A box that was found in what was drawn on the image: {label, box, outline, points, score, quality, image_box}. */
+    /**
+     * Adds a new box: the object found in the box that was drawn on the image.
+     *
+     * @param {Pick<PageLabel, "label" | "box" | "outline" | "points" | "score" | "quality"> &
+     *     Pick<NewLabel, "image_box">} found
+     */
     add({ image_box, ...found }) {
       keep();
-      uid = `new-${(number += 1)}`;
-      const label = { ...found, uid, is_new: true, state: "proposed", source: "drawn", author: app.state.operator, track_id: null, doubt: null };
+      number += 1;
+      uid = `new-${number}`;
+      /** @type {PageLabel} */
+      const label = {
+        ...found,
+        uid,
+        isNew: true,
+        state: "proposed",
+        source: "drawn",
+        author: app.state.operator,
+        track_id: null,
+        doubt: null,
+      };
       added.set(uid, { label, image_box, actions: 1, problem: null, sending: null });
       tell("selection");
     },
 
-    /** What is lost where the page is left now; null where all is saved. */
+    /** What would be lost if the page were left now; null if everything is saved. */
     get unsaved() {
       const changed = [...drafts.keys()].filter((id) => !added.has(id)).length;
       if (changed === 0 && added.size === 0 && waiting === 0) return null;
       const problems = [...drafts.values(), ...added.values()].map(({ problem }) => problem).filter(Boolean);
-      const what = [changed && count(changed, "changed box", "changed boxes"), added.size && `${count(added.size, "new box", "new boxes")} that nobody has accepted`];
+      const what = [
+        changed && count(changed, "changed box", "changed boxes"),
+        added.size && count(added.size, "new box that nobody has accepted", "new boxes that nobody has accepted"),
+      ];
       return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
     },
 
-    /** Calls `fn("frame" | "selection" | "draft" | "saving")` after changes. Returns the function that ends this. */
+    /**
+     * Calls `fn(what)` after changes. Returns a function that removes this listener.
+     *
+     * @param {(what: DeskEvent) => unknown} fn
+     */
     on(fn) {
       listeners.add(fn);
       return () => listeners.delete(fn);
     },
 
     select,
-    /** `fn()` ends what is being done to the selected box, before another one is selected. */
-    onLeave: (fn) => (leave = fn),
+    /**
+     * Sets the function that ends an edit in progress of the selected box, called before another box is selected.
+     *
+     * @param {() => void} fn
+     */
+    onLeave(fn) {
+      leave = fn;
+    },
     settle,
     enqueue,
 
-    /** Shows the selected label with other values ({box?, label?, track_id?}) without saving them. */
+    /**
+     * Shows the selected label with other values, without saving them.
+     *
+     * @param {Partial<Wanted>} changes
+     */
     preview(changes) {
       const label = stored();
       if (!label) return;
-      const draft = drafts.get(uid) ?? { sending: null, problem: null };
-      const base = draft.wanted ?? { label: label.label, track_id: label.track_id, box: copyBox(label.box) };
-      draft.wanted = { ...base, ...changes };
+      const draft = drafts.get(uid) ?? {
+        wanted: { label: label.label, track_id: label.track_id, box: copyBox(label.box) },
+        sending: null,
+        sent: Promise.resolve(true),
+        problem: null,
+      };
+      draft.wanted = { ...draft.wanted, ...changes };
       if (draft.sending || isChanged(label, draft.wanted)) drafts.set(uid, draft);
       else drafts.delete(uid);
       tell("draft");
@@ -258,13 +380,17 @@ export function createDesk(app) {
     commit,
     revert,
 
-    /** Shows and saves in one go. */
+    /**
+     * Shows the selected label with other values, and saves them.
+     *
+     * @param {Partial<Wanted>} changes
+     */
     edit(changes) {
       this.preview(changes);
       return commit();
     },
 
-    /** Saves what could not be saved, or nobody has accepted: one box, or all. */
+    /** Saves a box that could not be saved or is not accepted. */
     retry: (id = uid) => retry(id),
     retryAll: () => Promise.all([...new Set([...drafts.keys(), ...added.keys()])].map(retry)),
     discardAll() {
@@ -273,11 +399,17 @@ export function createDesk(app) {
       tell("frame");
     },
 
-    /** One of {kind: "accept" | "reject" | "delete"} for a label. */
+    /**
+     * Accepts, rejects or deletes a label.
+     *
+     * @param {"accept" | "reject" | "delete"} kind
+     * @param {string} id
+     */
     async decide(kind, id) {
-      if (added.has(id)) return kind === "accept" ? create(id) : remove(id);
+      const entry = added.get(id);
+      if (entry) return kind === "accept" ? create(id, entry) : remove(id);
       app.effort.action();
-      // a box that is no object, or goes, needs no mending
+      // a rejected or deleted box needs no correction
       const draft = drafts.get(id);
       if (kind !== "accept") drafts.delete(id);
       const error = await send([{ kind, uid: id }], id);
@@ -285,24 +417,30 @@ export function createDesk(app) {
       return !error;
     },
 
-    /** Finalises the frame, or opens it again. */
+    /**
+     * Finalises the frame, or reopens it.
+     *
+     * @param {boolean} on
+     */
     async finalise(on) {
       app.effort.action();
       return !(await send([{ kind: on ? "finalise" : "reopen" }], null));
     },
 
-    /** The reviewed boxes of the frame before, as far as this one lacks them; resolves to how many there were. */
+    /** Copies reviewed boxes of the previous frame that this one lacks; resolves to their number. */
     copyPrevious() {
-      const { id } = app.state.frame.frame;
+      const { id } = currentFrame(app).frame;
       app.effort.action();
       return enqueue(async () => {
         const before = labels().length;
-        const copy = () => app.api.change(app.path("frames", id, "copy"), { revision: app.state.frame.frame.revision, from: null });
+        /** @returns {Promise<FrameState>} */
+        const copy = () =>
+          app.api.change(app.path("frames", id, "copy"), { revision: currentFrame(app).frame.revision, from: null });
         try {
           app.frames.take(await copy());
         } catch (error) {
-          if (!error.isStale) throw error;
-          // boxes are only added, so nothing of somebody else's can be lost
+          if (!isStale(error)) throw error;
+          // tried again without asking: boxes are only added, so nothing of the others' version is lost
           app.frames.take(error.body.state);
           app.frames.take(await copy());
         }
@@ -310,7 +448,7 @@ export function createDesk(app) {
       });
     },
 
-    /** What others have saved of this frame; after one's own changes, whose answers may bring it along. */
+    /** Reads what others have saved, after all changes of this page, whose answers may already include it. */
     refresh: () => (app.frames.isBehind ? enqueue(() => app.frames.refresh()) : Promise.resolve()),
 
     /** Waits until everything is saved. */

@@ -1,26 +1,48 @@
-/** The camera image with all boxes of the frame: a click selects, the selected one follows every drag, a new one is drawn. */
+/** The camera image with all boxes of the frame: a click selects a box, and a drag draws a new one. */
 
 import { trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { imageOverlays } from "./drawing.js";
 
-/** `onDrawn(image_box)`: a box was drawn for a new object; resolves when it is known what became of it. */
+/**
+ * `onDrawn(box)` is called with a box drawn for a new object; it resolves after the fit, whether it succeeded or not.
+ *
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ * @param {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void }} options
+ */
 export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
   const title = h("h2", { class: "ellipsis" }, "Image");
   const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
-  const with_rejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
-  const by_track = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
-  by_track.checked = localStorage.getItem("color-by-track") === "true";
+  const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
+  const byTrack = h("input", { type: "checkbox", onchange: colorAnew, "data-testid": "color-by-track" });
+  byTrack.checked = localStorage.getItem("color-by-track") === "true";
   const body = h("div", { class: "view-body", "data-testid": "review-image" });
-  host.append(h("header", {}, title, note, h("span", { class: "grow" }), h("label", { class: "row", title: "One colour an object, not one a state" }, by_track, "tracks"), h("label", { class: "row" }, with_rejected, "rejected")), body);
-  /** The class of the box that will be drawn; null where none will be. */
+  host.append(
+    h(
+      "header",
+      {},
+      title,
+      note,
+      h("span", { class: "grow" }),
+      h("label", { class: "row", title: "Colour boxes by track, not by state" }, byTrack, "tracks"),
+      h("label", { class: "row" }, withRejected, "rejected"),
+    ),
+    body,
+  );
+  /**
+   * The class of the box that is to be drawn; null: none.
+   *
+   * @type {string | null}
+   */
   let wanted = null;
-  let is_fitting = false;
+  let isFitting = false;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
     classes: app.state.project.classes,
-    canDraw: () => wanted !== null && !is_fitting,
+    canDraw: () => wanted !== null && !isFitting,
     canMove: false,
     canDelete: false,
     newLabel: () => wanted,
@@ -29,20 +51,27 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
   });
   editor.setHandles({ edges: false, corners: false });
 
-  let known = { image: null, camera: null };
+  /** @type {{ image: Api.ImageJson, camera: Camera } | null} */
+  let known = null;
 
-  /** The camera with its picture's size; one object a picture, since what a lens reaches is computed once for each. */
+  /**
+   * The camera with its picture's size. One object per picture, because camera.js caches the lens's range by object.
+   *
+   * @param {Api.ImageJson} image
+   */
   function cameraOf(image) {
-    if (known.image !== image) known = { image, camera: { ...image.camera, width: image.width, height: image.height } };
+    const { width, height } = image;
+    if (known?.image !== image) known = { image, camera: { ...image.camera, width, height } };
     return known.camera;
   }
 
   function colorAnew() {
-    localStorage.setItem("color-by-track", String(by_track.checked));
+    localStorage.setItem("color-by-track", String(byTrack.checked));
     show();
   }
 
-  const colorOf = (label) => (by_track.checked ? { color: trackColor(label.track_id) } : {});
+  /** @param {PageLabel} label */
+  const colorOf = (label) => (byTrack.checked ? { color: trackColor(label.track_id) } : {});
 
   function show() {
     const frame = app.state.frame;
@@ -57,30 +86,42 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
     void editor.setPicture(url, width, height);
     note.textContent = noteOf(frame);
     const selected = desk.shown;
-    const others = desk.labels().filter((label) => label.uid !== selected?.uid && (with_rejected.checked || label.state !== "rejected"));
-    const overlays = others.flatMap((label) => imageOverlays(camera, label, { selected: false, box: label.is_new || desk.isDraft(label.uid) ? desk.seen(label).box : null, ...colorOf(label) }));
-    if (selected) overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box, ...colorOf(selected) }));
+    const others = desk
+      .labels()
+      .filter((label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"));
+    const overlays = others.flatMap((label) =>
+      imageOverlays(camera, label, {
+        selected: false,
+        box: label.isNew || desk.isDraft(label.uid) ? desk.seen(label).box : null,
+        ...colorOf(label),
+      }),
+    );
+    if (selected)
+      overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box, ...colorOf(selected) }));
     editor.setOverlays(overlays);
   }
 
+  /** @param {FrameState} state */
   function noteOf({ frame }) {
-    if (is_fitting) return "Looking for the object in this box …";
-    if (wanted !== null) return `Drag a box around a ${wanted}. Esc gives up.`;
+    if (isFitting) return "Fitting a 3D box …";
+    if (wanted !== null) return `Drag a box around a ${wanted}. Press Esc to cancel.`;
     return frame.finalised ? "finalised" : "";
   }
 
+  /** @param {Box2D} box */
   async function fit(box) {
     const { label, x_min, y_min, x_max, y_max } = box;
-    is_fitting = true;
+    isFitting = true;
     show();
     try {
       await onDrawn({ label, x_min, y_min, x_max, y_max });
     } finally {
-      is_fitting = false;
+      isFitting = false;
       draw(null);
     }
   }
 
+  /** @param {string | null} label */
   function draw(label) {
     wanted = label;
     editor.setBoxes([]);
@@ -90,15 +131,15 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
 
   return {
     show,
-    /** From now on a drag draws a box of this class; null: no more. */
+    /** The next drag draws a box of this class; null: none. */
     draw,
-    /** The class of the box that will be drawn, or null. */
+    /** The class of the box that is to be drawn, or null. */
     get drawing() {
       return wanted;
     },
-    /** Gives up drawing; false where there is none. */
+    /** Ends drawing; false if nothing was to be drawn. */
     cancel() {
-      if (wanted === null || is_fitting) return false;
+      if (wanted === null || isFitting) return false;
       draw(null);
       return true;
     },

@@ -1,32 +1,43 @@
 /**
- * Three orthogonal pictures along the selected box's own axes. Its edges and corners are dragged and its rotation handle is
- * turned in each of them; the other two, the image and the 3D view follow without a round trip. When the mouse is let go,
- * the box is saved and new pictures along its new axes are fetched.
+ * Three orthogonal pictures along the selected box's axes. In each of them the box's edges, corners and rotation
+ * handle can be dragged; the other two, the image and the 3D view follow without a request. At the end of a drag the
+ * box is saved, and new pictures along its new axes are fetched.
  */
 
 import { boxAxis, copyBox, sameBox, turnedInView, viewOutline, viewRect, withViewRect } from "../box3d.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
+import { isAborted, messageOf } from "../errors.js";
 import { dot } from "../rotation.js";
 import { STATE_COLORS, viewHeading } from "./drawing.js";
 
 const SIZE_PX = 320;
 const TITLES = { top: "Top", front: "Front", side: "Side" };
-const NAMES = Object.keys(TITLES);
-/** A box that is turned further from a view's axes is shown by its wire frame, not by a rectangle. */
+/** @typedef {keyof typeof TITLES} Name */
+
+/** @type {Name[]} */
+const NAMES = ["top", "front", "side"];
+/** A box whose axes differ from the view's by more than this is drawn as its 12 edges, not as a rectangle. */
 const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
 
+/**
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ */
 export function createOrthoViews(host, app, desk) {
   const panels = NAMES.map((name) => createPanel(name, desk));
   host.append(...panels.map(({ root }) => root));
+  /** @type {{ frame: number, box: Box3D } | null} */
   let fetched = null;
+  /** @type {AbortController | null} */
   let request = null;
 
-  /** New pictures for the box as it is now, unless there are some already. */
+  /** Fetches pictures for the box as it is now, unless they are shown already. */
   async function fetchPictures() {
     const box = desk.shown?.box;
     const frame = app.state.frame?.frame.id;
-    if (!box || panels.some(({ isDragging }) => isDragging())) return;
+    if (!box || frame === undefined || panels.some(({ isDragging }) => isDragging())) return;
     if (fetched && fetched.frame === frame && sameBox(fetched.box, box)) return;
     request?.abort();
     request = new AbortController();
@@ -34,58 +45,97 @@ export function createOrthoViews(host, app, desk) {
     host.dataset.shown = "";
     fetched = mine;
     try {
-      const { views } = await app.api.post(app.path("frames", frame, "ortho"), { box, size_px: SIZE_PX }, { signal: request.signal });
+      /** @type {Api.OrthoOut} */
+      const { views } = await app.api.post(
+        app.path("frames", frame, "ortho"),
+        { box, size_px: SIZE_PX },
+        { signal: request.signal },
+      );
       if (fetched !== mine) return;
-      const shown = await Promise.all(panels.map((panel) => panel.setView(views.find(({ name }) => name === panel.name))));
+      const shown = await Promise.all(
+        panels.map((panel) => {
+          const view = views.find(({ name }) => name === panel.name);
+          return view ? panel.setView(view) : false;
+        }),
+      );
       if (fetched !== mine) return;
       if (!shown.every(Boolean)) fetched = null;
       else host.dataset.shown = desk.uid ?? "";
     } catch (error) {
       if (fetched === mine) fetched = null;
-      if (error.name === "AbortError") return;
-      panels.forEach((panel) => panel.setProblem(error.message));
+      if (isAborted(error)) return;
+      for (const panel of panels) panel.setProblem(messageOf(error));
     }
   }
 
-  desk.onLeave(() => panels.forEach((panel) => panel.leave()));
+  desk.onLeave(() => {
+    for (const panel of panels) panel.leave();
+  });
 
   return {
-    /** The box is another one, or was saved. */
+    /** Another box was selected, or the box was saved. */
     async show() {
       if (!desk.shown) {
         request?.abort();
         fetched = null;
       }
-      if (!app.state.frame) panels.forEach((panel) => panel.clear());
-      panels.forEach((panel) => panel.follow());
+      for (const panel of panels) {
+        if (!app.state.frame) panel.clear();
+        panel.follow();
+      }
       await fetchPictures();
     },
 
-    /** The box moves under the mouse. */
-    follow: () => panels.forEach((panel) => panel.follow()),
+    /** The box is being dragged. */
+    follow() {
+      for (const panel of panels) panel.follow();
+    },
 
-    /** Gives up the drag that is going on; false where there is none. */
+    /** Cancels the drag in progress; false if there is none. */
     cancel: () => panels.some(({ editor }) => editor.isDragging && editor.cancel()),
 
-    fit: () => panels.forEach(({ editor }) => editor.fit()),
+    fit() {
+      for (const { editor } of panels) editor.fit();
+    },
 
-    /** Passes a key to the view that has the focus; true where it was its own. */
+    /**
+     * Passes a key to the focused view; true if the view handles it.
+     *
+     * @param {KeyboardEvent} event
+     */
     key: (event) => panels.find(({ editor }) => editor.root === document.activeElement)?.editor.key(event) ?? false,
 
     destroy() {
       request?.abort();
-      panels.forEach(({ editor }) => editor.destroy());
+      for (const { editor } of panels) editor.destroy();
     },
   };
 }
 
+/**
+ * @param {Name} name
+ * @param {Desk} desk
+ */
 function createPanel(name, desk) {
   const note = h("p", { class: "view-note", role: "alert", hidden: true });
   const body = h("div", { class: "view-body" }, note);
   const scale = h("span", { class: "muted number" });
-  const root = h("section", { class: "panel ortho", "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` }, h("header", {}, h("h3", {}, TITLES[name]), h("span", { class: "grow" }), scale), body);
+  const root = h(
+    "section",
+    { class: "panel ortho", "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` },
+    h("header", {}, h("h3", {}, TITLES[name]), h("span", { class: "grow" }), scale),
+    body,
+  );
+  /** @type {Api.OrthoView | null} */
   let view = null;
+  /**
+   * The box before the edit that is in progress.
+   *
+   * @type {Box3D | null}
+   */
   let start = null;
+
+  const color = () => STATE_COLORS[desk.shown?.state ?? "proposed"];
 
   const editor = createEditor(body, {
     label: `${TITLES[name]} view of the selected box`,
@@ -93,21 +143,19 @@ function createPanel(name, desk) {
     canDraw: false,
     canDelete: false,
     clip: false,
-    color: () => STATE_COLORS[desk.shown?.state] ?? STATE_COLORS.proposed,
+    color,
     onDrag([rect]) {
       if (!view || !rect || !desk.shown) return;
-      begin();
-      desk.preview({ box: withViewRect(view, start, rect) });
+      desk.preview({ box: withViewRect(view, begin(desk.shown), rect) });
     },
-    onChange(_, __, ___, actions) {
+    onChange(_boxes, _why, _index, actions) {
       end();
       if (desk.hasDraft) void desk.commit(actions);
       else follow();
     },
-    onRotate(angle_rad, final) {
+    onRotate(angleRad, final) {
       if (!view || !desk.shown) return;
-      begin();
-      desk.preview({ box: turnedInView(view, start, angle_rad) });
+      desk.preview({ box: turnedInView(view, begin(desk.shown), angleRad) });
       if (!final) return;
       end();
       void desk.commit();
@@ -115,15 +163,29 @@ function createPanel(name, desk) {
   });
   editor.setHandles({ edges: true, corners: true, rotate: true });
 
-  let is_pointer = false;
-  editor.root.addEventListener("pointerdown", () => (is_pointer = true), { capture: true });
-  editor.root.addEventListener("keydown", () => (is_pointer = false), { capture: true });
+  let isPointer = false;
+  const setPointer = (/** @type {Event} */ { type }) => {
+    isPointer = type === "pointerdown";
+  };
+  editor.root.addEventListener("pointerdown", setPointer, { capture: true });
+  editor.root.addEventListener("keydown", setPointer, { capture: true });
 
-  /** From here on the editor has the box: what is done is measured from the box as it was. */
-  function begin() {
-    start ??= copyBox(desk.shown.box);
-    // A drag that was given up, or that moved nothing, is followed by no change; presses of the arrow keys are, later.
-    if (is_pointer && !editor.isDragging) queueMicrotask(() => start && !editor.isDragging && (end(), follow()));
+  /**
+   * Begins an edit unless one is in progress; returns the box before it. During the edit, the editor draws the box.
+   *
+   * @param {PageLabel} label
+   */
+  function begin(label) {
+    start ??= copyBox(label.box);
+    // onChange does not follow a drag that was cancelled or moved nothing; after arrow keys, it follows later
+    if (isPointer && !editor.isDragging) queueMicrotask(giveUp);
+    return start;
+  }
+
+  function giveUp() {
+    if (!start || editor.isDragging) return;
+    end();
+    follow();
   }
 
   function end() {
@@ -133,22 +195,20 @@ function createPanel(name, desk) {
   function follow() {
     const box = desk.shown?.box;
     root.classList.toggle("idle", !box);
-    if (start && box) {
-      // the editor draws the rectangle itself
-      editor.setOverlays(headingOf(box));
-    } else if (!view || !box) {
+    if (!view || !box) {
       editor.setBoxes([]);
       editor.setOverlays([]);
+    } else if (start) {
+      // the editor draws the rectangle itself
+      editor.setOverlays(viewHeading(view, box, color()));
     } else if (isAligned(view, box)) {
-      editor.setBoxes([{ ...viewRect(view, box), caption: "" }], 0);
-      editor.setOverlays(headingOf(box));
+      editor.setBoxes([{ ...viewRect(view, box), label: "", caption: "" }], 0);
+      editor.setOverlays(viewHeading(view, box, color()));
     } else {
       editor.setBoxes([]);
-      editor.setOverlays([{ segments: viewOutline(view, box), color: STATE_COLORS[desk.shown.state] }, ...headingOf(box)]);
+      editor.setOverlays([{ segments: viewOutline(view, box), color: color() }, ...viewHeading(view, box, color())]);
     }
   }
-
-  const headingOf = (box) => viewHeading(view, box, STATE_COLORS[desk.shown.state]);
 
   return {
     name,
@@ -157,7 +217,7 @@ function createPanel(name, desk) {
     isDragging: () => start !== null || editor.isDragging,
     follow,
 
-    /** Presses of the arrow keys count; a drag in the middle does not. */
+    /** Saves arrow keys that were pressed; cancels a drag in progress. */
     leave() {
       editor.flush();
       if (editor.isDragging) {
@@ -167,14 +227,18 @@ function createPanel(name, desk) {
       end();
     },
 
-    /** False where there was no time for it: a drag goes on, or another picture has come. */
+    /**
+     * Shows a new view. Resolves to false if it is not shown: during a drag, or if a newer one has replaced it.
+     *
+     * @param {Api.OrthoView} fresh
+     */
     async setView(fresh) {
       note.hidden = true;
       if (start || editor.isDragging) return false;
       // the picture and the box on it change together
       if (!(await editor.setPicture(fresh.url, fresh.width, fresh.height))) return false;
       if (editor.isDragging) {
-        // begun on the picture before: its pixels are others
+        // the drag began on the previous picture, which has other pixels
         editor.cancel();
         desk.revert();
         end();
@@ -193,6 +257,7 @@ function createPanel(name, desk) {
       void editor.setPicture(null);
     },
 
+    /** @param {string} message */
     setProblem(message) {
       note.textContent = message;
       note.hidden = false;
@@ -200,7 +265,12 @@ function createPanel(name, desk) {
   };
 }
 
-/** Whether each of the view's axes lies along one of the box's. */
+/**
+ * True if each of the view's axes is parallel to one of the box's.
+ *
+ * @param {Plane} view
+ * @param {Box3D} box
+ */
 function isAligned(view, box) {
   return [0, 1].every((i) => [0, 1, 2].some((k) => Math.abs(dot(view.axes[i], boxAxis(box, k))) > ALIGNED));
 }

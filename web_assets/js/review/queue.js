@@ -1,4 +1,4 @@
-/** The queue of proposals to review: its order, its filter, and what comes after the one that was just decided. */
+/** The queue of proposals to review: its order, its filter, and the next item. */
 
 export const ORDERS = [
   ["worst", "Worst first"],
@@ -7,14 +7,20 @@ export const ORDERS = [
   ["track", "By track"],
 ];
 
-/** Another operator's work is read in after this pause, milliseconds. */
+/** The queue is read again this long after a change by others. */
 const CALM_MS = 1500;
-/** The server sends the first few hundred items; more are read when so few of them are left. */
+/** The server sends a few hundred items; more are read when fewer than these are left. */
 const FEW = 100;
 
+/**
+ * @param {App} app
+ * @param {() => void} onChange
+ */
 export function createQueue(app, onChange) {
-  let order = ORDERS.some(([name]) => name === localStorage.getItem("queue-order")) ? localStorage.getItem("queue-order") : "worst";
+  const kept = localStorage.getItem("queue-order");
+  let order = ORDERS.find(([name]) => name === kept)?.[0] ?? "worst";
   let label = "";
+  /** @type {QueueItem[]} */
   let items = [];
   let remaining = 0;
   let place = 0;
@@ -22,10 +28,11 @@ export function createQueue(app, onChange) {
   let ended = false;
 
   async function load() {
-    const query = new URLSearchParams({ order, ...(label && { label }) });
+    const query = new URLSearchParams(label ? { order, label } : { order });
+    /** @type {Api.QueueOut} */
     const answer = await app.api.get(`${app.path("queue")}?${query}`);
     if (ended) return;
-    items = answer.items.filter(({ uid }) => uid !== null);
+    items = answer.items.flatMap((item) => (item.uid === null ? [] : [{ ...item, uid: item.uid }]));
     remaining = answer.remaining;
     place = Math.min(place, items.length);
     onChange();
@@ -46,39 +53,60 @@ export function createQueue(app, onChange) {
       return label;
     },
 
-    /** Another order or class; starts at its beginning. */
+    /**
+     * Chooses another order or class, and starts at the beginning of the queue.
+     *
+     * @param {{ order?: string, label?: string }} changes
+     */
     async choose(changes) {
-      ({ order, label } = { order, label, ...changes });
+      order = changes.order ?? order;
+      label = changes.label ?? label;
       localStorage.setItem("queue-order", order);
       place = 0;
       await load();
     },
 
-    /** Remembers where the operator is, so that what follows is known when this item is gone. */
+    /**
+     * Remembers the operator's place, so that the next item is known when this one is gone.
+     *
+     * @param {string | null} uid
+     */
     visit(uid) {
       const index = items.findIndex((item) => item.uid === uid);
       if (index >= 0) place = index;
     },
 
-    /** The next item to decide after the one at hand, or null. */
+    /**
+     * The next item to review after this one, or null.
+     *
+     * @param {string} uid
+     */
     after(uid) {
       const index = items.findIndex((item) => item.uid === uid);
-      const others = index >= 0 ? [...items.slice(index + 1), ...items.slice(0, index)] : [...items.slice(place), ...items.slice(0, place)];
+      const others =
+        index >= 0
+          ? [...items.slice(index + 1), ...items.slice(0, index)]
+          : [...items.slice(place), ...items.slice(0, place)];
       return others[0] ?? null;
     },
 
-    /** Takes out what a frame's new state says is decided. */
+    /**
+     * Removes the items that are reviewed in a frame's new state.
+     *
+     * @param {FrameState} frame
+     */
     settle(frame) {
       const open = new Set(frame.labels.filter(({ state }) => state === "proposed").map(({ uid }) => uid));
+      /** @param {QueueItem} item */
       const gone = (item) => item.frame === frame.frame.id && !open.has(item.uid);
       const before = items.length;
       place -= items.slice(0, place).filter(gone).length;
       items = items.filter((item) => !gone(item));
       remaining = Math.max(items.length, remaining - (before - items.length));
       const known = new Set(items.map(({ uid }) => uid));
-      // an undo brings proposals back
-      const comes_back = !label && [...open].some((uid) => !known.has(uid));
-      if (comes_back || (items.length < FEW && items.length < remaining)) this.reloadSoon();
+      // an undo may restore proposals
+      const comesBack = !label && [...open].some((uid) => !known.has(uid));
+      if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
       if (items.length !== before) onChange();
     },
 

@@ -1,14 +1,16 @@
 /**
- * Review: a queue of proposals, one key for a right one, and every way to mend a wrong one.
+ * Review: a queue of proposals. One key accepts a correct one; a wrong one can be rejected, deleted or corrected.
  *
- * This file puts the parts together: the desk (desk.js) knows what is selected and saves, the queue (queue.js) knows what
- * comes next, the others draw and pass on what the operator does.
+ * This file assembles the parts. The desk (desk.js) holds the selection and saves, the queue (queue.js) provides the
+ * next item, and the other parts draw and pass on the operator's actions.
  */
 
 import { headingTurned, sameBox } from "../box3d.js";
 import { confirm } from "../dialogs.js";
 import { count, h } from "../dom.js";
+import { isAborted } from "../errors.js";
 import { createFrameProblem, frameBeside } from "../frame_problem.js";
+import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
 import { createDesk, isOpen } from "./desk.js";
@@ -20,9 +22,13 @@ import { createScene } from "./scene.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
 import { createTracks } from "./tracks.js";
 
-/** A picture that is wider than this, as a share of its height, gets more of the room. */
+/** A picture with a greater ratio of width to height gets a wider panel. */
 const WIDE_ASPECT = 1.9;
 
+/**
+ * @param {HTMLElement} root
+ * @param {ModeApp} app
+ */
 export function mount(root, app) {
   const project = app.state.route.project;
   root.classList.add("fixed");
@@ -34,19 +40,40 @@ export function mount(root, app) {
   root.append(parts.root);
   const desk = createDesk(app);
   const queue = createQueue(app, showQueue);
-  const queue_list = createQueueList(parts.queue, app, queue, { open: (item) => go(item) });
-  const box_list = createBoxList(parts.boxes, desk);
+  const queueList = createQueueList(parts.queue, app, queue, { open: (item) => go(item) });
+  const boxList = createBoxList(parts.boxes, desk);
   const tracks = createTracks(parts.boxes, app, desk, { open: (item) => go(item) });
   const image = createImagePanel(parts.image, app, desk, { onDrawn: fitDrawn, onMode: () => showActions() });
   const scene = createScene(parts.scene, app, desk);
   const ortho = createOrthoViews(parts.ortho, app, desk);
-  const problem = createFrameProblem(image.body, { onRetry: () => void open(broken), onStep: step });
-  const fields = createFields(parts.fields, desk, { classes: () => app.state.project.classes, up: () => app.state.frame?.up ?? null });
+  const problem = createFrameProblem(image.body, {
+    onRetry: () => broken !== null && void open(broken, null),
+    onStep: step,
+  });
+  const fields = createFields(parts.fields, desk, {
+    classes: () => app.state.project.classes,
+    up: () => app.state.frame?.up ?? null,
+  });
   let loading = false;
   let openings = 0;
+  /**
+   * The frame that is shown.
+   *
+   * @type {number | null}
+   */
   let opened = null;
+  /**
+   * The frame that cannot be read.
+   *
+   * @type {number | null}
+   */
   let broken = null;
-  let seen_queue = false;
+  let seenQueue = false;
+  /**
+   * The labels before an undo.
+   *
+   * @type {{ frame: number, labels: Map<string, string> } | null}
+   */
   let seen = null;
 
   const act = {
@@ -55,33 +82,45 @@ export function mount(root, app) {
     remove: () => decide("delete"),
     refit,
     flip: () => desk.shown && desk.edit({ box: headingTurned(desk.shown.box) }),
-    gizmo: (mode) => {
+    /** @param {Api.Gizmo} mode */
+    gizmo(mode) {
       scene.setGizmo(mode);
       showActions();
     },
     copy,
     next: () => whenCalm(() => tracks.follow("detect")),
-    draw: () => image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null),
+    draw: () =>
+      image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null),
     finalise,
   };
   const actions = createActions(parts.actions, act);
 
-  // -- what is shown
+  // -- showing
 
   function showQueue() {
-    queue_list.show(desk.uid);
-    parts.done.hidden = queue.items.length > 0 || loading || !seen_queue;
+    queueList.show(desk.uid);
+    parts.done.hidden = queue.items.length > 0 || loading || !seenQueue;
   }
 
   function showActions() {
-    actions.show({ label: desk.shown, frame: app.state.frame, gizmo_mode: scene.gizmo, busy: loading, is_drawing: image.drawing !== null });
+    actions.show({
+      label: desk.shown,
+      frame: app.state.frame,
+      gizmoMode: scene.gizmo,
+      busy: loading,
+      isDrawing: image.drawing !== null,
+    });
   }
 
   function showBusy() {
     parts.saving.textContent = desk.isSaving ? "saving …" : loading ? "opening …" : "";
   }
 
-  /** While the next frame is on its way, no key decides about a box that nobody has seen. */
+  /**
+   * Marks the time while a frame is being opened, when keys must not act on a box that is not shown yet.
+   *
+   * @param {boolean} value
+   */
   function setLoading(value) {
     loading = value;
     showBusy();
@@ -90,14 +129,14 @@ export function mount(root, app) {
 
   function showAll() {
     const picture = app.state.frame?.image;
-    parts.root.classList.toggle("wide", Boolean(picture) && picture.width > WIDE_ASPECT * picture.height);
+    parts.root.classList.toggle("wide", picture !== undefined && picture.width > WIDE_ASPECT * picture.height);
     image.show();
-    box_list.show();
+    boxList.show();
     fields.show();
     void tracks.show();
     showActions();
     showQueue();
-    // not the old frame once more while the next one is on its way
+    // not the old frame again while the next one is being opened
     if (!loading) scene.show();
     void ortho.show();
   }
@@ -108,7 +147,7 @@ export function mount(root, app) {
         showBusy();
       } else if (what === "draft") {
         image.show();
-        box_list.show();
+        boxList.show();
         ortho.follow();
         fields.show();
         scene.preview();
@@ -135,7 +174,11 @@ export function mount(root, app) {
     app.keys.register(keys()),
   ];
 
-  /** The label that an undo or redo has changed is what the operator wants to see next. */
+  /**
+   * Selects the label that an undo or redo has changed.
+   *
+   * @param {FrameState} frame
+   */
   function selectWhatWasUndone(frame) {
     if (!seen) return;
     const before = seen;
@@ -145,17 +188,23 @@ export function mount(root, app) {
     if (changed) desk.select(changed.uid);
   }
 
-  // -- where one is
+  // -- opening
 
-  /** Resolves to false where the operator stays at the frame before, to null where another frame is being opened instead. */
+  /**
+   * Opens a frame. Resolves to false if the operator stays with the open one, to null if yet another one is opened.
+   *
+   * @param {number} id
+   * @param {string | null} uid
+   */
   async function open(id, uid) {
-    const own = (openings += 1);
+    openings += 1;
+    const own = openings;
     setLoading(true);
     try {
       if (opened !== id && opened !== null && !(await app.mayLeave())) return false;
       await desk.flush();
       if (own !== openings) return null;
-      // what another mode has left in app.state may be old
+      // app.state may still have an old state from another mode
       if (opened !== id || !desk.stored(uid)) {
         desk.select(null);
         await app.loadFrame(id);
@@ -164,7 +213,7 @@ export function mount(root, app) {
       }
       pick(uid);
     } catch (error) {
-      if (own !== openings || error.name === "AbortError") return null;
+      if (own !== openings || isAborted(error)) return null;
       showProblem(error, id);
     } finally {
       if (own === openings) {
@@ -175,7 +224,12 @@ export function mount(root, app) {
     return true;
   }
 
-  /** A frame that cannot be read: the panels say so in place of its pictures. */
+  /**
+   * Shows the reason why a frame cannot be read, in place of its pictures; null: it can be read.
+   *
+   * @param {unknown} error
+   * @param {number | null} [frame]
+   */
   function showProblem(error, frame = null) {
     broken = frame;
     scene.fail(frame);
@@ -187,50 +241,68 @@ export function mount(root, app) {
     problem.show(error);
   }
 
-  /** Selects a label of the open frame: the one that is asked for, or the first that wants a decision. */
+  /**
+   * Selects a label of the open frame: this one, or else the most doubtful proposal.
+   *
+   * @param {string | null} uid
+   */
   function pick(uid) {
     const labels = desk.labels();
-    const chosen = labels.find((label) => label.uid === uid) ?? mostDoubtful(labels.filter(isOpen)) ?? labels.find(({ state }) => state !== "rejected");
+    const chosen =
+      labels.find((label) => label.uid === uid) ??
+      mostDoubtful(labels.filter(isOpen)) ??
+      labels.find(({ state }) => state !== "rejected");
     desk.select(chosen?.uid ?? null);
   }
 
-  /** Opens an item of the queue, and writes it into the address. */
+  /**
+   * Opens a box, and puts its frame into the address.
+   *
+   * @param {Target} options
+   */
   async function go({ frame, uid }) {
     if (frame === opened && desk.stored(uid)) desk.select(uid);
     else if (!(await open(frame, uid))) return;
     app.go(makeHash(project, "review", frame));
   }
 
+  /** @param {Direction} which */
   async function step(which) {
     const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
-    if (next === null) app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
+    if (next === null)
+      app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
     else app.go(makeHash(project, "review", next));
   }
 
+  /** @param {number} by */
   function stepBox(by) {
     const uids = desk.labels().map(({ uid }) => uid);
     if (uids.length === 0) return;
-    const at = uids.indexOf(desk.uid);
+    const at = uids.indexOf(desk.uid ?? "");
     desk.select(uids[at < 0 ? (by > 0 ? 0 : uids.length - 1) : (at + by + uids.length) % uids.length]);
   }
 
-  // -- what one does
+  // -- actions
 
-  /** Accepts, rejects or deletes the selected box, and goes on; an edit that waits is an answer too. */
+  /**
+   * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting.
+   *
+   * @param {"accept" | "reject" | "delete"} kind
+   */
   async function decide(kind) {
     const label = desk.shown;
     if (!label || loading) return;
-    const { id: frame } = app.state.frame.frame;
+    const { id: frame } = currentFrame(app).frame;
     const before = openings;
     const saved = save(kind, label);
     const next = queue.after(label.uid);
-    // a box on the same picture is there at once; another frame only after this one is safe
+    // a box of the same frame is selected at once; another frame is opened after saving
     if (next?.frame === frame) desk.select(next.uid);
     else if (next) setLoading(true);
-    const is_saved = await saved;
-    // the operator has asked for another frame meanwhile
+    const isSaved = await saved;
+    // the operator has opened another frame in the meantime
     if (before !== openings) return;
-    if (!is_saved) {
+    if (!isSaved) {
       setLoading(false);
       if (app.state.frame?.frame.id === frame) desk.select(label.uid);
       return;
@@ -239,25 +311,38 @@ export function mount(root, app) {
     else if (!next && kind === "delete") pick(null);
   }
 
+  /** @param {PageLabel} label */
   const isReviewed = ({ state }) => state === "accepted" || state === "edited";
 
-  function save(kind, label) {
-    // a new box is stored with what is drafted of it
-    if (kind === "accept" && desk.hasDraft && !label.is_new) return desk.commit().then((is_saved) => (is_saved && desk.stored(label.uid) && !isReviewed(desk.stored(label.uid)) ? desk.decide("accept", label.uid) : is_saved));
-    if (kind === "accept" && isReviewed(label)) return Promise.resolve(true);
-    if (kind === "reject" && label.state === "rejected") return Promise.resolve(true);
+  /**
+   * @param {"accept" | "reject" | "delete"} kind
+   * @param {PageLabel} label
+   */
+  async function save(kind, label) {
+    // a new box is stored together with its draft
+    if (kind === "accept" && desk.hasDraft && !label.isNew) {
+      const isSaved = await desk.commit();
+      const stored = desk.stored(label.uid);
+      return isSaved && stored && !isReviewed(stored) ? desk.decide("accept", label.uid) : isSaved;
+    }
+    if (kind === "accept" && isReviewed(label)) return true;
+    if (kind === "reject" && label.state === "rejected") return true;
     return desk.decide(kind, label.uid);
   }
 
   async function refit() {
     const label = desk.shown;
     if (!label) return;
-    const { id } = app.state.frame.frame;
+    const { id } = currentFrame(app).frame;
     try {
-      const { box, note } = await app.api.post(app.path("frames", id, "refit"), { box: label.box, label: label.label });
+      /** @type {Api.RefitOut} */
+      const { box, note } = await app.api.post(app.path("frames", id, "refit"), {
+        box: label.box,
+        label: label.label,
+      });
       if (desk.uid !== label.uid) return;
-      if (!sameBox(desk.shown.box, label.box)) {
-        app.toast("The box was changed while it was fitted: press G again to fit it from there.", "warn");
+      if (desk.shown && !sameBox(desk.shown.box, label.box)) {
+        app.toast("The box was changed during the fit. Press G to fit it again.", "warn");
         return;
       }
       await desk.edit({ box });
@@ -267,22 +352,32 @@ export function mount(root, app) {
     }
   }
 
-  /** While a frame is on its way nothing is asked of it. */
+  /**
+   * Runs an action unless a frame is being opened.
+   *
+   * @param {() => unknown} fn
+   */
   const whenCalm = (fn) => (loading ? undefined : void fn());
 
-  const canDraw = () => Boolean(app.state.frame) && !loading && !app.state.frame.frame.finalised;
+  const canDraw = () => app.state.frame !== null && !loading && !app.state.frame.frame.finalised;
 
-  /** A box was drawn on the image. What is not found in it is drawn on in Label, of which this is the first drag. */
-  async function fitDrawn(image_box) {
-    const { id } = app.state.frame.frame;
+  /**
+   * A box was drawn on the image. If no object is found in it, it becomes the first of the five drags in Label.
+   *
+   * @param {Box2D} box
+   */
+  async function fitDrawn(box) {
+    const { id } = currentFrame(app).frame;
     try {
-      const { note, ...found } = await app.api.post(app.path("frames", id, "fit"), { image_box });
+      /** @type {Api.FitOut} */
+      const { note, box: fitted, ...found } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
       if (app.state.frame?.frame.id !== id || !parts.root.isConnected) return;
-      if (found.box) {
-        desk.add({ ...found, label: image_box.label, image_box });
+      if (fitted) {
+        desk.add({ ...found, box: fitted, label: box.label, image_box: box });
       } else {
-        app.toast(`${note[0].toUpperCase()}${note.slice(1)}: go on here with four drags on its views.`, "warn");
-        app.go(makeHash(project, "label", id), { project, frame: id, image_box });
+        const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
+        app.toast(`${why}: finish the box here with four drags on its views.`, "warn");
+        app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
       }
     } catch (error) {
       app.toast(error);
@@ -293,7 +388,11 @@ export function mount(root, app) {
     if (app.state.frame?.frame.previous == null) return;
     try {
       const added = await desk.copyPrevious();
-      app.toast(added > 0 ? `${count(added, "box", "boxes")} copied from the previous frame` : "The previous frame has no box that is missing here.");
+      app.toast(
+        added > 0
+          ? `${count(added, "box", "boxes")} copied from the previous frame`
+          : "This frame already has all boxes of the previous one.",
+      );
     } catch (error) {
       app.toast(error);
     }
@@ -303,17 +402,28 @@ export function mount(root, app) {
     if (!app.state.frame) return;
     const { frame } = app.state.frame;
     const left = desk.labels().filter(isOpen).length;
-    if (!frame.finalised && left > 0 && !(await confirm("Finalise the frame", `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`, "Finalise anyway"))) return;
-    if (await desk.finalise(!frame.finalised)) app.toast(frame.finalised ? "The frame is open again." : "The frame is finalised.", "good");
+    if (
+      !frame.finalised &&
+      left > 0 &&
+      !(await confirm(
+        "Finalise the frame",
+        `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`,
+        "Finalise anyway",
+      ))
+    )
+      return;
+    if (await desk.finalise(!frame.finalised))
+      app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
   }
 
+  /** @param {string} key */
   function setClass(key) {
     const name = app.state.project.classes[Number(key) - 1];
     if (name && image.drawing !== null) image.draw(name);
     else if (name && desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
   }
 
-  /** Takes back what is going on: a drag, then an edit that is not saved, then the selection. */
+  /** Cancels a drag, or else an edit that is not saved, or else deselects. */
   function cancel() {
     if (ortho.cancel() || image.cancel()) return;
     if (desk.hasDraft) desk.revert();
@@ -321,20 +431,23 @@ export function mount(root, app) {
   }
 
   function keys() {
-    // a key that is held down decides about one box, not about all that follow
-    const once = (fn) => (event, key) => event.repeat || void fn(key);
+    // a key that is held down acts on one box only, not on the following ones
+    /** @param {(key: string) => unknown} fn */
+    const once = (fn) => (/** @type {KeyboardEvent} */ event, /** @type {string} */ key) => {
+      if (!event.repeat) fn(key);
+    };
     return {
       accept: once(act.accept),
       reject: once(act.reject),
       delete: once(act.remove),
       refit: once(refit),
       flip: once(act.flip),
-      class: (_, key) => setClass(key),
+      class: (/** @type {KeyboardEvent} */ _, /** @type {string} */ key) => setClass(key),
       cancel,
       finalise: once(finalise),
       "copy-previous": once(copy),
       "propose-next": once(act.next),
-      "copy-next": once(() => whenCalm(() => desk.stored() && !desk.shown.is_new && tracks.follow("copy", desk.uid))),
+      "copy-next": once(() => whenCalm(() => desk.shown && !desk.shown.isNew && tracks.follow("copy", desk.uid))),
       interpolate: once(() => whenCalm(() => tracks.interpolate())),
       "interpolate-refit": once(() => whenCalm(() => tracks.interpolate(true))),
       "next-of-track": once(() => whenCalm(() => tracks.step(1))),
@@ -358,32 +471,53 @@ export function mount(root, app) {
 
   async function begin() {
     const { frame, query } = app.state.route;
-    // the frame can be worked on where its place in the queue is not known
-    await queue.load().then(() => (seen_queue = true), app.toast);
-    if (frame !== null) return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid);
+    // the frame can be reviewed without the queue
+    try {
+      await queue.load();
+      seenQueue = true;
+    } catch (error) {
+      app.toast(error);
+    }
+    if (frame !== null)
+      return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0]);
+    /** @type {Api.FrameListJson} */
     const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
     return go({ frame: frames[0].id, uid: null });
   }
 
-  parts.done.replaceChildren("Nothing is left to review. ", h("a", { href: makeHash(project, "train") }, "Propose more"), " or ", h("a", { href: makeHash(project, "export") }, "export"), ".");
+  parts.done.replaceChildren(
+    "No proposals left to review. ",
+    h("a", { href: makeHash(project, "train") }, "Propose more"),
+    " or ",
+    h("a", { href: makeHash(project, "export") }, "export"),
+    ".",
+  );
   showActions();
   begin().catch((error) => app.toast(error));
 
   return {
+    /** @param {Route} route */
     route({ frame, query }) {
       const uid = query.get("uid");
       if (frame === null) void begin().catch(app.toast);
-      else if (frame !== opened && frame !== broken) void open(frame, uid).then((is_open) => is_open === false && app.stay(opened));
+      else if (frame !== opened && frame !== broken)
+        void open(frame, uid).then((isOpen) => {
+          if (isOpen === false && opened !== null) app.stay(opened);
+        });
       else if (uid) desk.select(uid);
     },
     unsaved: () => desk.unsaved && { ...desk.unsaved, retry: desk.retryAll, discard: desk.discardAll },
     async flush() {
       await desk.flush();
-      if (app.state.frame) seen = { frame: app.state.frame.frame.id, labels: new Map(desk.labels().map((label) => [label.uid, fingerprint(label)])) };
+      if (app.state.frame)
+        seen = {
+          frame: app.state.frame.frame.id,
+          labels: new Map(desk.labels().map((label) => [label.uid, fingerprint(label)])),
+        };
     },
     unmount() {
-      stop.forEach((end) => end());
+      for (const end of stop) end();
       queue.end();
       scene.destroy();
       ortho.destroy();
@@ -393,18 +527,24 @@ export function mount(root, app) {
   };
 }
 
+/** @param {PageLabel} label */
 const fingerprint = ({ state, label, track_id, box }) => JSON.stringify([state, label, track_id, box]);
 
+/** @param {PageLabel[]} labels */
 const mostDoubtful = (labels) => labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];
 
 function layout() {
-  const part = (tag, name, label) => h(tag, { class: `panel ${name}`, "aria-label": label });
-  const queue = part("section", "queue", "Queue");
-  const boxes = part("section", "frame-boxes", "Boxes of this frame");
-  const image_panel = part("section", "image", "Camera image");
-  const scene = part("section", "scene", "3D view");
+  /**
+   * @param {string} name
+   * @param {string} label
+   */
+  const part = (name, label) => h("section", { class: `panel ${name}`, "aria-label": label });
+  const queue = part("queue", "Queue");
+  const boxes = part("frame-boxes", "Boxes of this frame");
+  const imagePanel = part("image", "Camera image");
+  const scene = part("scene", "3D view");
   const ortho = h("div", { class: "orthos", "data-testid": "orthos" });
-  const fields = part("section", "fields", "Selected box");
+  const fields = part("fields", "Selected box");
   const actions = h("div", { class: "actions", role: "toolbar", "aria-label": "Actions" });
   const saving = h("span", { class: "muted", role: "status", "data-testid": "saving" });
   const done = h("div", { class: "done-note", hidden: true, role: "status", "data-testid": "review-done" });
@@ -412,13 +552,19 @@ function layout() {
     "div",
     { class: "review" },
     h("div", { class: "side" }, queue, boxes),
-    h("div", { class: "pictures" }, image_panel, scene),
+    h("div", { class: "pictures" }, imagePanel, scene),
     h("div", { class: "bar" }, actions, done, saving),
     h("div", { class: "details" }, ortho, fields),
   );
-  return { root, queue, boxes, image: image_panel, scene, ortho, fields, actions, saving, done };
+  return { root, queue, boxes, image: imagePanel, scene, ortho, fields, actions, saving, done };
 }
 
 function emptyProject() {
-  return h("div", { class: "empty" }, h("h2", {}, "There is nothing to review yet"), h("p", {}, "Add a recording to the project first; then label a few objects and let the detectors propose the rest."), h("a", { class: "button", href: "#/" }, "Add a recording"));
+  return h(
+    "div",
+    { class: "empty" },
+    h("h2", {}, "There is nothing to review yet"),
+    h("p", {}, "Add a recording to the project, label a few objects, and let the detectors propose the rest."),
+    h("a", { class: "button", href: "#/" }, "Add a recording"),
+  );
 }

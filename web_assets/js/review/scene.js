@@ -1,70 +1,120 @@
-/** The 3D view of the open frame: cloud, all boxes, and a gizmo on the selected one. */
+/** The 3D view of the open frame: points, all boxes, and a gizmo on the selected box. */
 
 import { h } from "../dom.js";
 
-const COLORS = [["rgb", "Colour"], ["depth", "Depth"], ["height", "Height"], ["intensity", "Intensity"]];
+/** @type {[Api.PointColor, string][]} */
+const COLORS = [
+  ["rgb", "Colour"],
+  ["depth", "Depth"],
+  ["height", "Height"],
+  ["intensity", "Intensity"],
+];
 const POINT_LIMITS = [0.1, 10];
-/** What others save comes into the 3D view no more often than this, ms; a processor draws for a third of a second. */
+/** Minimum time between updates for changes by others, ms; without a graphics card, one takes a third of a second. */
 const CALM_MS = { card: 300, software: 2500, none: 0 };
 
+/**
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ */
 export function createScene(host, app, desk) {
   const body = h("div", { class: "viewport-host" });
   const note = h("span", { class: "muted number", "data-testid": "viewport-points" });
-  const color = h("select", { "aria-label": "Colour of the points", title: "Colour of the points", onchange: () => color.blur() ?? choose("color", color.value) }, COLORS.map(([value, text]) => h("option", { value }, text)));
-  const reset = h("button", { type: "button", class: "quiet small", title: "Back to the camera's place", "data-testid": "reset-view", onclick: () => send({ reset_view: true }) }, "Reset view");
+  /** @type {HTMLSelectElement} */
+  const color = h(
+    "select",
+    {
+      "aria-label": "Colour of the points",
+      title: "Colour of the points",
+      onchange() {
+        color.blur();
+        choose({ color: COLORS.find(([name]) => name === color.value)?.[0] });
+      },
+    },
+    COLORS.map(([value, text]) => h("option", { value }, text)),
+  );
+  const reset = h(
+    "button",
+    {
+      type: "button",
+      class: "quiet small",
+      title: "Look from the camera",
+      "data-testid": "reset-view",
+      onclick: () => send({ reset_view: true }),
+    },
+    "Reset view",
+  );
   host.append(h("header", {}, h("h2", {}, "3D view"), note, h("span", { class: "grow" }), color, reset), body);
   const { viewport } = app;
+  /** @type {{ gizmo: Api.Gizmo, color: Api.PointColor, point_size: number }} */
   const chosen = { gizmo: "off", color: "rgb", point_size: 1 };
-  let is_dragging = false;
-  /** A frame that cannot be read: the 3D view says why, too. */
+  let isDragging = false;
+  /**
+   * A frame that cannot be read; the 3D view shows the reason, too.
+   *
+   * @type {number | null}
+   */
   let broken = null;
-  /** What was sent last: the scene, the revision that it shows, and when. */
+  /**
+   * The scene that was sent last, with the frame's revision and the time.
+   *
+   * @type {{ scene: string, revision: number | null, at: number }}
+   */
   let sent = { scene: "", revision: null, at: -Infinity };
   let timer = 0;
-  if (!viewport) {
-    body.append(h("p", { class: "view-note" }, "The 3D view could not be loaded. Reload the page to try again."));
-    return { gizmo: "off", setGizmo() {}, show() {}, fail() {}, preview() {}, points() {}, destroy() {} };
-  }
   body.append(viewport.element);
 
   const stop = [
     viewport.on("select", ({ uid }) => desk.select(uid)),
-    viewport.on("shown", ({ shown_points, points }) => (note.textContent = shown_points < points ? `${shown_points.toLocaleString("en")} of ${points.toLocaleString("en")} points` : `${points.toLocaleString("en")} points`)),
+    viewport.on(
+      "shown",
+      ({ shown_points, points }) =>
+        (note.textContent =
+          shown_points < points
+            ? `${shown_points.toLocaleString("en")} of ${points.toLocaleString("en")} points`
+            : `${points.toLocaleString("en")} points`),
+    ),
     viewport.on("box", ({ uid, box, final }) => {
       if (uid !== desk.uid) return;
       // the gizmo has moved away from what was sent
       sent.scene = "";
-      is_dragging = !final;
+      isDragging = !final;
       desk.preview({ box });
       if (final) void desk.commit();
     }),
   ];
 
   /**
-   * What is shown already is not sent again: without a graphics card each drawing of the cloud takes time. Where nothing but
-   * the labels has changed, as when others save, it comes at a calm pace.
+   * Sends the scene, unless it was sent already: without a graphics card, drawing takes time. If only the stored
+   * labels have changed, as when others save, there is a pause between two updates.
+   *
+   * @param {Partial<Scene3D>} [more]
    */
   function send(more = {}) {
     clearTimeout(timer);
-    const { id = broken, revision = null } = app.state.frame?.frame ?? {};
-    const preview = desk.hasDraft || desk.shown?.is_new ? { uid: desk.uid, box: desk.shown.box } : null;
-    const others = desk.labels().filter(({ uid, is_new }) => is_new && uid !== desk.uid);
+    const id = app.state.frame?.frame.id ?? broken;
+    const revision = app.state.frame?.frame.revision ?? null;
+    const { shown } = desk;
+    const preview = shown && (desk.hasDraft || shown.isNew) ? { uid: shown.uid, box: shown.box } : null;
+    const others = desk.labels().filter(({ uid, isNew }) => isNew && uid !== desk.uid);
     const added = others.map((label) => ({ uid: label.uid, box: desk.seen(label).box }));
+    /** @type {Scene3D} */
     const scene = { frame: id, selected: desk.uid, labels: "all", preview, added, ...chosen, ...more };
     const text = JSON.stringify(scene);
     if (text === sent.scene && revision === sent.revision) return;
-    const wait_ms = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;
-    if (wait_ms > 0) {
-      timer = setTimeout(send, wait_ms);
+    const waitMs = text === sent.scene ? sent.at + CALM_MS[viewport.graphics] - performance.now() : 0;
+    if (waitMs > 0) {
+      timer = setTimeout(send, waitMs);
       return;
     }
     viewport.show(scene);
     sent = { scene: text, revision, at: performance.now() };
   }
 
-  function choose(name, value) {
-    if (chosen[name] === value) return;
-    chosen[name] = value;
+  /** @param {Partial<typeof chosen>} changes */
+  function choose(changes) {
+    Object.assign(chosen, changes);
     send();
   }
 
@@ -72,21 +122,30 @@ export function createScene(host, app, desk) {
     get gizmo() {
       return chosen.gizmo;
     },
-    setGizmo: (mode) => choose("gizmo", mode),
+    /** @param {Api.Gizmo} mode */
+    setGizmo: (mode) => choose({ gizmo: mode }),
     show: () => send(),
-    fail: (frame) => (broken = frame),
-
-    /** The box moves; where it is the gizmo that moves it, the 3D view knows already. */
-    preview() {
-      if (!is_dragging) send();
+    /** @param {number | null} frame */
+    fail(frame) {
+      broken = frame;
     },
 
-    /** Larger or smaller points, by a factor. */
-    points: (factor) => choose("point_size", Math.min(Math.max(chosen.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1])),
+    /** The box is being changed. During a drag of the gizmo, the 3D view already shows it. */
+    preview() {
+      if (!isDragging) send();
+    },
+
+    /**
+     * Larger or smaller points, by a factor.
+     *
+     * @param {number} factor
+     */
+    points: (factor) =>
+      choose({ point_size: Math.min(Math.max(chosen.point_size * factor, POINT_LIMITS[0]), POINT_LIMITS[1]) }),
 
     destroy() {
       clearTimeout(timer);
-      stop.forEach((end) => end());
+      for (const end of stop) end();
     },
   };
 }

@@ -1,15 +1,27 @@
-/** A change that came too late: somebody else has changed the frame first. The operator says which version stays. */
+/** If others have changed the frame in the meantime, the operator chooses between the two versions. */
 
 import { outline } from "../camera.js";
+import { isStale } from "../errors.js";
 import { askVersion } from "../stale.js";
 
-const VERBS = { accept: "accepted", reject: "rejected", delete: "deleted", edit: "edited", track: "in another track", create: "added", finalise: "the frame is finalised", reopen: "the frame is opened again" };
+/** @type {Record<string, string>} */
+const VERBS = {
+  accept: "accepted",
+  reject: "rejected",
+  delete: "deleted",
+  edit: "edited",
+  track: "moved to another track",
+  create: "added",
+  finalise: "the frame is finalised",
+  reopen: "the frame is reopened",
+};
 
 /**
- * @param {ApiError} error with `body.state`, the frame as it is now.
- * @param {{changes: object[], subject: string | null, take: (frame: object) => void}} mine what was sent, and what takes a
- *     new state of the frame.
- * @throws {Error} mine could not be saved on top of theirs.
+ * @param {Pick<App, "api" | "path">} app
+ * @param {StaleError} error
+ * @param {{changes: Change[], subject: string | null, take: (frame: FrameState) => unknown}} sent what
+ *     was sent; `take` is called with a new state of the frame.
+ * @throws {Error} the operator's version could not be saved on top of the others' version.
  */
 export async function resolveStale(app, error, { changes, subject, take }) {
   const theirs = error.body.state;
@@ -21,7 +33,7 @@ export async function resolveStale(app, error, { changes, subject, take }) {
   try {
     take(await sendAgain(app, theirs, changes, subject));
   } catch (again) {
-    if (!again.isStale) {
+    if (!isStale(again)) {
       take(theirs);
       throw again;
     }
@@ -29,25 +41,50 @@ export async function resolveStale(app, error, { changes, subject, take }) {
   }
 }
 
+/**
+ * @param {Pick<App, "api" | "path">} app
+ * @param {FrameState} theirs
+ * @param {Change[]} changes
+ * @param {string | null} subject
+ * @returns {Promise<FrameState>}
+ */
 async function sendAgain(app, theirs, changes, subject) {
   const uids = new Set(theirs.labels.map(({ uid }) => uid));
-  const present = changes.map((change) => (change.kind === "edit" && !uids.has(change.uid) ? asNew(change) : change));
-  const fitting = present.filter(({ uid }) => uid === undefined || uids.has(uid));
-  if (fitting.length === 0) throw new Error("The box is not there any more: somebody else has deleted it.");
-  const body = { revision: theirs.frame.revision, changes: fitting, subject: uids.has(subject) ? subject : null };
+  const isGone = (/** @type {Change} */ { uid }) => uid !== undefined && !uids.has(uid);
+  const present = changes.map((change) => (change.kind === "edit" && isGone(change) ? asNew(change) : change));
+  const fitting = present.filter((change) => !isGone(change));
+  if (fitting.length === 0) throw new Error("Somebody else has deleted the box.");
+  const body = {
+    revision: theirs.frame.revision,
+    changes: fitting,
+    subject: subject !== null && uids.has(subject) ? subject : null,
+  };
   return app.api.change(app.path("frames", theirs.frame.id, "changes"), body);
 }
 
-/** An edited box that somebody else has deleted meanwhile comes back as a new one. */
+/**
+ * The change that adds an edited box again, as a new one, after others have deleted it.
+ *
+ * @param {Change} change
+ * @returns {Change}
+ */
 const asNew = ({ label, box, track_id }) => ({ kind: "create", label, box, track_id });
 
+/**
+ * @param {FrameState} theirs
+ * @param {Change[]} changes
+ * @returns {Mine}
+ */
 function shown(theirs, changes) {
   const labels = new Map(theirs.labels.map((label) => [label.uid, label]));
   const { width, height } = theirs.image;
   const camera = { ...theirs.image.camera, width, height };
-  const boxes = changes.map((change) => change.box ?? labels.get(change.uid)?.box).filter(Boolean);
-  const text = changes.map(({ kind, uid, label }) => [label ?? labels.get(uid)?.label, VERBS[kind] ?? kind].filter(Boolean).join(": "));
+  const boxes = changes.flatMap(({ box, uid }) => box ?? labels.get(uid ?? "")?.box ?? []);
+  const text = changes.map(({ kind, uid, label }) =>
+    [label ?? labels.get(uid ?? "")?.label, VERBS[kind] ?? kind].filter(Boolean).join(": "),
+  );
   return { text, boxes: [], outlines: boxes.map((box) => outline(camera, box).flatMap(pairs)) };
 }
 
+/** @param {Line} line */
 const pairs = (line) => line.slice(1).map((end, i) => [line[i], end]);

@@ -1,75 +1,119 @@
 /**
- * An object over the recording: where its boxes are, to its next and previous one, on into the next frame, and what lies
- * between two reviewed boxes. All of it is the server's work (workflows/tracks); here are the keys, and a strip of its frames.
+ * The track of an object: a strip with its boxes, steps to the next and previous one, proposals in the next frame, and
+ * proposals between two reviewed boxes. The server does the work (workflows/tracks).
  */
 
 import { trackColor } from "../colors.js";
 import { count, h } from "../dom.js";
+import { isStale } from "../errors.js";
+import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 
-/** So many frames of an object are shown around the present one. */
+/** Frames of an object that are shown around the current one. */
 const SHOWN = 40;
 
-/** `open({frame, uid})`: shows a box in its frame. */
+/**
+ * `open` shows a box in its frame.
+ *
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ * @param {{ open: (target: Target) => unknown }} options
+ */
 export function createTracks(host, app, desk, { open }) {
   const title = h("span", { class: "grow ellipsis" });
-  const fill = h("button", { type: "button", title: "Fill the frames between this reviewed box and its track's reviewed box before (I)", "data-testid": "act-fill", onclick: () => void interpolate() }, "Fill back", h("kbd", {}, "I"));
+  const fill = h(
+    "button",
+    {
+      type: "button",
+      title: "Propose boxes between this reviewed box and its track's last reviewed box (I)",
+      "data-testid": "act-fill",
+      onclick: () => void interpolate(),
+    },
+    "Fill back",
+    h("kbd", {}, "I"),
+  );
   const strip = h("div", { class: "track-strip", "data-testid": "track-strip" });
   const body = h("div", { class: "track", hidden: true }, h("div", { class: "row pad" }, title, fill), strip);
   host.append(body);
+  /** @type {{ key: string, boxes: Api.TrackBox[] }} */
   let known = { key: "", boxes: [] };
 
-  const recording = () => app.state.frame.frame.recording;
-  const path = (track_id) => app.path("recordings", recording(), "tracks", track_id);
+  const recording = () => currentFrame(app).frame.recording;
+  /** @param {number} id */
+  const path = (id) => app.path("recordings", recording(), "tracks", id);
 
   async function show() {
     const { shown: label } = desk;
-    const { frame } = app.state.frame ?? {};
-    const track_id = desk.stored()?.track_id ?? null;
-    body.hidden = !label || track_id === null;
-    if (body.hidden) {
+    const frame = app.state.frame?.frame;
+    const id = desk.stored()?.track_id ?? null;
+    const isHidden = !label || !frame || id === null;
+    body.hidden = isHidden;
+    if (isHidden) {
       known = { key: "", boxes: [] };
       return;
     }
-    const key = `${frame.recording}/${track_id}/${frame.id}/${frame.revision}`;
-    if (known.key === key) return draw(label, track_id);
+    const key = `${frame.recording}/${id}/${frame.id}/${frame.revision}`;
+    if (known.key === key) return draw(label, id);
     known = { key, boxes: [] };
     try {
-      const { boxes } = await app.api.get(path(track_id));
+      /** @type {Api.TrackOut} */
+      const { boxes } = await app.api.get(path(id));
       if (known.key !== key) return;
       known.boxes = boxes;
-      draw(label, track_id);
+      draw(label, id);
     } catch (error) {
       app.toast(error);
     }
   }
 
-  function draw(label, track_id) {
-    const at = Math.max(0, known.boxes.findIndex(({ uid }) => uid === label.uid));
+  /**
+   * @param {PageLabel} label
+   * @param {number} id
+   */
+  function draw(label, id) {
+    const at = Math.max(
+      0,
+      known.boxes.findIndex(({ uid }) => uid === label.uid),
+    );
     const from = Math.max(0, Math.min(at - SHOWN / 2, known.boxes.length - SHOWN));
-    title.textContent = `Track ${track_id} (${known.boxes.length})`;
+    title.textContent = `Track ${id} (${known.boxes.length})`;
     title.title = `${count(known.boxes.length, "box", "boxes")} in this recording`;
-    title.style.color = trackColor(track_id);
+    title.style.color = trackColor(id);
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
     strip.replaceChildren(
       ...known.boxes.slice(from, from + SHOWN).map((box) =>
         h("button", {
-          type: "button", class: `tick state-${box.state}`, title: `${box.key}, ${box.state}`, "aria-label": `Frame ${box.key}, ${box.state}`,
-          "aria-current": box.uid === label.uid ? "true" : null, "data-testid": "track-tick", "data-uid": box.uid, onclick: () => open({ frame: box.frame, uid: box.uid }),
+          type: "button",
+          class: `tick state-${box.state}`,
+          title: `${box.key}, ${box.state}`,
+          "aria-label": `Frame ${box.key}, ${box.state}`,
+          "aria-current": box.uid === label.uid ? "true" : null,
+          "data-testid": "track-tick",
+          "data-uid": box.uid,
+          onclick: () => open({ frame: box.frame, uid: box.uid }),
         }),
       ),
     );
   }
 
-  /** The same object in the next (by = 1) or previous (by = -1) frame that has it. */
+  /**
+   * Goes to the next (by = 1) or previous (by = -1) frame with the same object.
+   *
+   * @param {number} by
+   */
   async function step(by) {
     const label = desk.stored();
     if (!label) return;
-    if (label.track_id === null) return app.toast("This box belongs to no track. Give it a track id, or run annotator track.", "warn");
+    if (label.track_id === null)
+      return app.toast("This box has no track. Enter a track id, or run `annotator track`.", "warn");
     try {
-      const { index } = app.state.frame.frame;
+      const index = currentFrame(app).frame.index ?? 0;
+      /** @type {Api.TrackOut} */
       const { boxes } = await app.api.get(path(label.track_id));
-      const others = boxes.filter((box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index));
+      const others = boxes.filter(
+        (box) => box.index !== null && box.state !== "rejected" && (by > 0 ? box.index > index : box.index < index),
+      );
       const next = by > 0 ? others[0] : others[others.length - 1];
       if (next) await open({ frame: next.frame, uid: next.uid });
       else app.toast(by > 0 ? "No later frame has this object." : "No earlier frame has this object.");
@@ -78,33 +122,49 @@ export function createTracks(host, app, desk, { open }) {
     }
   }
 
-  /** Proposals in the next frame, from this frame's reviewed boxes; with a `uid` a copy of that box. Goes there. */
+  /**
+   * Proposes boxes in the next frame from this frame's reviewed ones, or copies the box `uid`, and goes there.
+   *
+   * @param {"detect" | "copy"} how
+   * @param {string | null} [uid]
+   */
   async function follow(how, uid = null) {
     if (!app.state.frame) return;
     await desk.flush();
-    const { id } = app.state.frame.frame;
+    const { id } = currentFrame(app).frame;
     app.effort.action();
     try {
-      const done = await desk.enqueue(() => app.api.change(app.path("frames", id, "follow"), { revision: app.state.frame.frame.revision, how, uid }));
-      app.toast(told(done, how), done.lost > 0 ? "warn" : "good");
+      const done = await desk.enqueue(() =>
+        app.api.change(app.path("frames", id, "follow"), { revision: currentFrame(app).frame.revision, how, uid }),
+      );
+      app.toast(describe(done, how), done.lost > 0 ? "warn" : "good");
       app.go(makeHash(app.state.route.project, "review", done.frame));
     } catch (error) {
       await refused(error);
     }
   }
 
-  /** Proposals in the frames between this reviewed box and its track's reviewed box before. */
+  /** Proposes boxes in the frames between this reviewed box and its track's previous reviewed box. */
   async function interpolate(refit = false) {
     const label = desk.stored();
-    if (!label || label.is_new) return;
+    if (!label || label.isNew) return;
     await desk.flush();
-    const { id } = app.state.frame.frame;
+    const { id } = currentFrame(app).frame;
     app.effort.action();
     try {
-      const { state, ...done } = await desk.enqueue(() => app.api.change(app.path("frames", id, "interpolate"), { revision: app.state.frame.frame.revision, uid: label.uid, refit }));
+      const { state, ...done } = await desk.enqueue(() =>
+        app.api.change(app.path("frames", id, "interpolate"), {
+          revision: currentFrame(app).frame.revision,
+          uid: label.uid,
+          refit,
+        }),
+      );
       app.frames.take(state);
       const left = done.finalised + done.covered;
-      app.toast(`${count(done.filled, "frame")} filled between the two boxes${left > 0 ? `, ${left} left as they are` : ""}.`, "good");
+      app.toast(
+        `${count(done.filled, "frame")} filled between the two boxes${left > 0 ? `, ${left} left unchanged` : ""}.`,
+        "good",
+      );
       known.key = "";
       await show();
     } catch (error) {
@@ -112,17 +172,25 @@ export function createTracks(host, app, desk, { open }) {
     }
   }
 
-  /** Nothing was changed. Where somebody was faster, their version is shown, to be looked at before it is tried again. */
+  /**
+   * Reports a refused change. If others have changed the frame in the meantime, their version is shown.
+   *
+   * @param {unknown} error
+   */
   async function refused(error) {
-    if (error.isStale) app.frames.take(error.body.state);
-    app.toast(error, error.isStale ? "warn" : undefined);
+    if (isStale(error)) app.frames.take(error.body.state);
+    app.toast(error, isStale(error) ? "warn" : undefined);
   }
 
   return { show, step, follow, interpolate };
 }
 
-function told({ proposed, lost, how }, asked) {
-  const text = `${count(proposed, "box", "boxes")} ${how === "copy" ? "copied" : "proposed"} from the frame before`;
-  if (how !== asked) return `${text}: there are no detectors to look for objects yet.`;
-  return lost > 0 ? `${text}; ${count(lost, "object")} not found again.` : `${text}.`;
+/**
+ * @param {Api.FollowOut} options
+ * @param {"detect" | "copy"} asked
+ */
+function describe({ proposed, lost, how }, asked) {
+  const text = `${count(proposed, "box", "boxes")} ${how === "copy" ? "copied" : "proposed"} from the previous frame`;
+  if (how !== asked) return `${text}: there are no detectors yet that could look for objects.`;
+  return lost > 0 ? `${text}; ${count(lost, "object")} not found.` : `${text}.`;
 }

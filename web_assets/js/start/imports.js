@@ -1,49 +1,55 @@
-/** The boxes of recordings that are being read: the start page has no project open, so nobody tells it of them. */
+/**
+ * Follows the jobs that read boxes of recordings. The start page has no open project, so it receives no events of
+ * these jobs.
+ */
 
 import { isActive } from "../jobs.js";
 
-/** Boxes of a small recording are read at once, those of a large one for minutes: each look waits longer than the one before. */
+/** Reading boxes takes between a moment and minutes, so the interval between requests grows. */
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
 
 /**
- * Asks for the jobs, once and then as long as boxes are read.
+ * Requests the jobs once, and then repeatedly while boxes are being read.
  *
- * @param {() => void} onDone some have been read.
- * @returns {() => void} ends it.
+ * @param {App} app
+ * @param {() => void} onDone called when a job has ended.
+ * @returns {() => void} ends the requests.
  */
 export function followImports(app, onDone) {
-  let is_over = false;
+  let isOver = false;
   let timer = 0;
-  let wait_ms = WAIT_MS.first;
+  let waitMs = WAIT_MS.first;
+  /** @param {Api.Job} job */
   const isImport = (job) => job.kind === "import" && isActive(job);
   const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
 
   function plan() {
     clearTimeout(timer);
-    const is_running = running().length > 0 && !is_over;
-    timer = is_running ? setTimeout(look, wait_ms) : 0;
-    wait_ms = is_running ? Math.min(wait_ms * WAIT_MS.growth, WAIT_MS.longest) : WAIT_MS.first;
+    const isRunning = running().length > 0 && !isOver;
+    timer = isRunning ? setTimeout(look, waitMs) : 0;
+    waitMs = isRunning ? Math.min(waitMs * WAIT_MS.growth, WAIT_MS.longest) : WAIT_MS.first;
   }
 
   async function look() {
     const before = running();
     try {
+      /** @type {Api.JobList} */
       const { jobs } = await app.api.get("/api/jobs");
-      if (is_over) return;
-      // what was begun since the question is not in the answer
+      if (isOver) return;
+      // the answer lacks jobs that were started after the request
       const begun = app.state.jobs.filter((job) => isImport(job) && !jobs.some(({ id }) => id === job.id));
       app.state.set({ jobs: [...begun, ...jobs] });
     } catch {
-      // the page says by itself that the server does not answer
+      // another part of the page shows that the server does not answer
     }
     plan();
-    if (!is_over && before.some((id) => !running().includes(id))) onDone();
+    if (!isOver && before.some((id) => !running().includes(id))) onDone();
   }
 
   const stop = app.state.on("jobs", () => timer || plan());
   void look();
   return () => {
-    is_over = true;
+    isOver = true;
     plan();
     stop();
   };

@@ -1,75 +1,125 @@
-/** The dialogs that add recordings to a project, and that find one again whose folder was moved. */
+/** The dialogs that add recordings to a project, and that point to a moved recording. */
 
 import { openDialog } from "../dialogs.js";
 import { count, glyph, h } from "../dom.js";
 import { projectPath } from "../api.js";
+import { messageOf } from "../errors.js";
 import { createJobLine, takeJob } from "../jobs.js";
 import { createFolders } from "./folders.js";
 
-/** Shows the folders until it is closed; several recordings can be added one after the other. */
+/**
+ * Shows the folders until it is closed, so that several recordings can be added.
+ *
+ * @param {App} app
+ * @param {string} project
+ */
 export function addRecordings(app, project) {
   const done = h("div", { class: "added", role: "status" });
   const labels = h("input", { type: "checkbox", checked: true, "data-testid": "own-labels" });
-  const folders = createFolders(app, { text: "Add", testid: "add", onPick: (entry, button) => add(app, { project, done, labels }, entry, button) });
+  const folders = createFolders(app, {
+    text: "Add",
+    testid: "add",
+    onPick: (entry, button) => add(app, { project, done, labels }, entry, button),
+  });
   const closed = openDialog({
     title: `Add recordings to ${project}`,
     testid: "add-recording-dialog",
     wide: true,
-    content: [...folders.nodes, h("label", { class: "row" }, labels, "Take over the 3D boxes that a recording brings, where it has any"), done],
+    content: [
+      ...folders.nodes,
+      h("label", { class: "row" }, labels, "Import the 3D boxes of the recording, if it has any"),
+      done,
+    ],
     actions: [{ label: "Done", value: "done" }],
   });
   void folders.show("");
   return closed;
 }
 
+/**
+ * @param {App} app
+ * @param {{ project: string, done: HTMLElement, labels: HTMLInputElement }} options
+ * @param {Api.FolderEntry} entry
+ * @param {HTMLButtonElement} button
+ */
 async function add(app, { project, done, labels }, entry, button) {
   button.disabled = true;
   button.textContent = "Adding …";
   try {
-    const { added, job, note } = await app.api.post(projectPath(project, "recordings"), { path: entry.path, labels: labels.checked });
+    /** @type {Api.AddedRecordings} */
+    const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
+      path: entry.path,
+      labels: labels.checked,
+    });
     done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
     if (job) done.append(jobLine(app, job));
     if (note) done.append(h("p", { class: "error-box", role: "alert", "data-testid": "recording-note" }, note));
-    // added again, what could not be begun is
+    // adding it again starts the job that could not be started
     button.textContent = note ? "Add" : "Added";
     button.disabled = !note;
   } catch (error) {
-    done.append(h("p", { class: "error-box", role: "alert" }, error.message));
+    done.append(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     button.textContent = "Add";
     button.disabled = false;
   }
 }
 
-/** How far the boxes are read; it goes on when the dialog is closed. */
+/**
+ * The progress of reading the boxes, which continues when the dialog is closed.
+ *
+ * @param {App} app
+ * @param {Api.Job} job
+ */
 function jobLine(app, job) {
   takeJob(app, job);
   const line = createJobLine(app, "import", () => app.state.jobs.find(({ id }) => id === job.id) ?? job);
-  const stop = app.state.on("jobs", () => (line.root.isConnected ? line.show() : stop()));
+  const stop = app.state.on("jobs", () => {
+    if (line.root.isConnected) line.show();
+    else stop();
+  });
   line.show();
   return line.root;
 }
 
+/** @param {Api.AddedRecording} options */
 function describe({ recording, is_new, new_frames }) {
-  return is_new ? `${recording.name}: ${count(recording.frames, "frame")}` : `${recording.name} was there already: ${count(new_frames, "new frame")}`;
+  return is_new
+    ? `${recording.name}: ${count(recording.frames, "frame")}`
+    : `${recording.name} was already in the project: ${count(new_frames, "new frame")}`;
 }
 
-/** Asks where a recording is now; what the server knows of it since, or null where it was given up. */
+/**
+ * Asks for the new path of a recording. Returns the recording, or null if the dialog was cancelled.
+ *
+ * @param {App} app
+ * @param {string} project
+ * @param {Api.MissingRecording} options
+ */
 export function locateRecording(app, project, { id, name }) {
+  /** @type {string | null} */
   let chosen = null;
-  const told = h("p", { role: "status", "data-testid": "located" }, "Choose the folder with the same frames.");
+  const status = h("p", { role: "status", "data-testid": "located" }, "Choose the folder that has the same frames.");
   const folders = createFolders(app, {
     text: "Choose",
     testid: "choose",
     onPick: (entry) => {
       chosen = entry.path;
-      told.textContent = `Chosen: ${entry.path}`;
+      status.textContent = `Chosen: ${entry.path}`;
     },
   });
   const closed = openDialog({
-    title: `Where is ${name} now?`,
+    title: `Find ${name}`,
     testid: "locate-dialog",
     wide: true,
-    content: [h("p", { class: "help" }, "Its folder is not where it was. Boxes and labels are kept; they wait for their pictures."), ...folders.nodes, told],
+    content: [
+      h(
+        "p",
+        { class: "help" },
+        "Its folder has been moved. Boxes and labels are kept, and shown again once the folder is found.",
+      ),
+      ...folders.nodes,
+      status,
+    ],
     actions: [
       { label: "Cancel", value: "cancel" },
       { label: "Use this folder", value: "locate" },

@@ -1,7 +1,8 @@
-/** The first page: the projects with what is in them, a new one, and recordings for it. */
+/** The start page: the projects, a new project, and recordings for them. */
 
 import { count, glyph, h } from "../dom.js";
 import { makeHash } from "../router.js";
+import { messageOf } from "../errors.js";
 import { createJobLine, isActive } from "../jobs.js";
 import { followImports } from "./imports.js";
 import { addRecordings, locateRecording } from "./recordings.js";
@@ -9,8 +10,13 @@ import { createProject } from "./new_project.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 
+/**
+ * @param {HTMLElement} root
+ * @param {App} app
+ */
 export function mount(root, app) {
   const list = h("div", { class: "projects", "aria-live": "polite" });
+  /** @type {JobLine[]} */
   let lines = [];
   const page = h(
     "div",
@@ -21,7 +27,12 @@ export function mount(root, app) {
   );
 
   function newButton() {
-    return h("button", { type: "button", class: "primary", "data-testid": "new-project", onclick: make }, glyph("plus"), "New project");
+    return h(
+      "button",
+      { type: "button", class: "primary", "data-testid": "new-project", onclick: make },
+      glyph("plus"),
+      "New project",
+    );
   }
 
   async function make() {
@@ -31,24 +42,34 @@ export function mount(root, app) {
     await add(project.name);
   }
 
+  /** @param {string} name */
   async function add(name) {
     await addRecordings(app, name);
     await refresh();
   }
 
+  /**
+   * @param {string} name
+   * @param {Api.MissingRecording} recording
+   */
   async function locate(name, recording) {
     if (await locateRecording(app, name, recording)) await refresh();
   }
 
   async function refresh() {
     try {
+      /** @type {Api.ProjectList} */
       const { projects } = await app.api.get("/api/projects");
       lines = projects.map(({ name }) => importLine(app, name));
-      list.replaceChildren(...(projects.length ? projects.map((project, i) => card(project, { add, locate, line: lines[i].root })) : [nothing()]));
+      list.replaceChildren(
+        ...(projects.length
+          ? projects.map((project, i) => card(project, { add, locate, line: lines[i].root }))
+          : [nothing()]),
+      );
       showLines();
     } catch (error) {
       const retry = h("button", { type: "button", onclick: refresh }, "Try again");
-      list.replaceChildren(h("p", { class: "error-box", role: "alert" }, error.message), h("div", {}, retry));
+      list.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)), h("div", {}, retry));
     }
   }
 
@@ -57,24 +78,50 @@ export function mount(root, app) {
       "div",
       { class: "panel empty", "data-testid": "no-projects" },
       h("h2", {}, "No project yet"),
-      h("p", {}, "A project holds the recordings that are labelled together, their labels, and the detectors that learn from them."),
+      h("p", {}, "A project has recordings, their labels, and the detectors that are trained on them."),
       newButton(),
     );
   }
 
-  const showLines = () => lines.forEach((line) => line.show());
+  function showLines() {
+    for (const line of lines) line.show();
+  }
+
   const stop = [app.state.on("jobs", showLines), followImports(app, refresh)];
   root.append(page);
   refresh();
-  return { unmount: () => stop.forEach((end) => end()) };
+  return {
+    unmount() {
+      for (const end of stop) end();
+    },
+  };
 }
 
-/** How far the boxes that the last recordings bring are read, or why they could not be. */
+/**
+ * The progress of reading the boxes of recordings, or the reason why that failed.
+ *
+ * @param {App} app
+ * @param {string} project
+ */
 function importLine(app, project) {
-  const own = () => app.state.jobs.filter((job) => job.kind === "import" && job.project === project).toSorted((a, b) => b.created_ns - a.created_ns);
-  return createJobLine(app, "import", () => own().find(isActive) ?? own().find((job, i) => i === 0 && job.state === "failed"));
+  const own = () =>
+    app.state.jobs
+      .filter((job) => job.kind === "import" && job.project === project)
+      .toSorted((a, b) => b.created_ns - a.created_ns);
+  return createJobLine(
+    app,
+    "import",
+    () => own().find(isActive) ?? own().find((job, i) => i === 0 && job.state === "failed"),
+  );
 }
 
+/**
+ * @param {Api.ProjectSummary} project
+ * @param {object} parts
+ * @param {(name: string) => void} parts.add
+ * @param {(name: string, recording: Api.MissingRecording) => void} parts.locate
+ * @param {HTMLElement} parts.line
+ */
 function card(project, { add, locate, line }) {
   const { name, problem } = project;
   const labels = project.labels_by_state;
@@ -87,7 +134,17 @@ function card(project, { add, locate, line }) {
     box.append(h("p", { class: "error-box" }, problem));
     return box;
   }
-  const addButton = h("button", { type: "button", class: project.recordings ? "" : "primary", onclick: () => add(name), "data-testid": `add-recording-${name}` }, glyph("plus"), "Recording");
+  const addButton = h(
+    "button",
+    {
+      type: "button",
+      class: project.recordings ? "" : "primary",
+      onclick: () => add(name),
+      "data-testid": `add-recording-${name}`,
+    },
+    glyph("plus"),
+    "Recording",
+  );
   const links = project.recordings
     ? [
         link(name, "label", "Label"),
@@ -95,8 +152,18 @@ function card(project, { add, locate, line }) {
       ]
     : [];
   box.append(
-    h("p", { class: "classes" }, project.classes.map((label) => h("span", { class: "chip" }, label))),
-    h("p", { class: "number muted" }, project.recordings ? `${count(project.recordings, "recording")}, ${count(project.frames, "frame")}` : "No recording yet: add one to begin."),
+    h(
+      "p",
+      { class: "classes" },
+      project.classes.map((label) => h("span", { class: "chip" }, label)),
+    ),
+    h(
+      "p",
+      { class: "number muted" },
+      project.recordings
+        ? `${count(project.recordings, "recording")}, ${count(project.frames, "frame")}`
+        : "No recording yet: add one to begin.",
+    ),
     h("p", { class: "number states" }, stateCounts(labels)),
     ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
     line,
@@ -105,17 +172,35 @@ function card(project, { add, locate, line }) {
   return box;
 }
 
+/**
+ * @param {Api.MissingRecording} options
+ * @param {() => void} onLocate
+ */
 function missing({ name }, onLocate) {
   const locate = h("button", { type: "button", "data-testid": `locate-${name}`, onclick: onLocate }, "Locate …");
-  return h("div", { class: "row missing" }, h("span", { class: "grow bad" }, `${name}: its folder is not where it was`), locate);
+  return h(
+    "div",
+    { class: "row missing" },
+    h("span", { class: "grow bad" }, `${name}: its folder was not found`),
+    locate,
+  );
 }
 
-function link(name, mode, text, is_primary = false) {
-  return h("a", { class: `button${is_primary ? " strong" : ""}`, href: makeHash(name, mode) }, text);
+/**
+ * @param {string} name
+ * @param {string} mode
+ * @param {string} text
+ * @param {boolean} [isPrimary]
+ */
+function link(name, mode, text, isPrimary = false) {
+  return h("a", { class: `button${isPrimary ? " strong" : ""}`, href: makeHash(name, mode) }, text);
 }
 
+/** @param {Record<string, number>} labels */
 function stateCounts(labels) {
   const known = STATES.filter((state) => labels[state] > 0);
   if (!known.length) return [h("span", { class: "muted" }, "no labels")];
-  return known.map((state) => h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`));
+  return known.map((state) =>
+    h("span", { class: `state-${state}` }, `${labels[state].toLocaleString("en")} ${state}`),
+  );
 }

@@ -1,39 +1,80 @@
-/** Statistics: what a box costs, how good the proposals are, and how far the project is. The same numbers as `annotator stats --json`. */
+/**
+ * Statistics: the effort of a box, the quality of proposals, and the project's progress, as in `annotator stats
+ * --json`.
+ */
 
 import { createChart } from "../charts.js";
 import { h } from "../dom.js";
+import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 
 const STATES = ["proposed", "accepted", "edited", "rejected"];
-const ORIGINS = { "proposal accepted untouched": "Proposal, accepted untouched", "proposal edited": "Proposal, edited", "from nothing": "From nothing", "placed in 3D": "Placed in 3D", copied: "Copied", "import edited": "Imported, edited" };
-/** These are listed without any box, too: they are what the tool is measured by. */
+/** @type {Record<string, string>} */
+const ORIGINS = {
+  "proposal accepted untouched": "Proposal, accepted untouched",
+  "proposal edited": "Proposal, edited",
+  "from nothing": "From scratch",
+  "placed in 3D": "Placed in 3D",
+  copied: "Copied",
+  "import edited": "Imported, edited",
+};
+/** Listed even without boxes: these compare proposals with drawing from scratch. */
 const ALWAYS = ["proposal accepted untouched", "proposal edited", "from nothing"];
 
+/**
+ * @param {HTMLElement} root
+ * @param {ModeApp} app
+ */
 export function mount(root, app) {
   const tiles = h("div", { class: "tiles", "data-testid": "stats-tiles" });
-  const seconds_chart = h("div", { class: "chart" });
-  const actions_chart = h("div", { class: "chart" });
-  const state_chart = h("div", { class: "chart" });
+  const secondsHost = h("div", { class: "chart" });
+  const actionsHost = h("div", { class: "chart" });
+  const stateHost = h("div", { class: "chart" });
   const tables = h("div", { class: "stack" });
-  const charts_box = h("div", { class: "charts three" }, h("figure", {}, h("figcaption", {}, "Seconds a box, by where it came from"), seconds_chart), h("figure", {}, h("figcaption", {}, "Actions a box"), actions_chart), h("figure", {}, h("figcaption", {}, "Boxes by class and state"), state_chart));
-  root.append(h("div", { class: "page wide", "data-testid": "statistics" }, h("h1", {}, "Statistics"), tiles, h("section", { class: "panel" }, h("div", { class: "body" }, charts_box)), tables));
+  const chartsBox = h(
+    "div",
+    { class: "charts three" },
+    h("figure", {}, h("figcaption", {}, "Seconds per box, by origin"), secondsHost),
+    h("figure", {}, h("figcaption", {}, "Actions per box"), actionsHost),
+    h("figure", {}, h("figcaption", {}, "Boxes by class and state"), stateHost),
+  );
+  const chartsPanel = h("section", { class: "panel" }, h("div", { class: "body" }, chartsBox));
+  root.append(
+    h(
+      "div",
+      { class: "page wide", "data-testid": "statistics" },
+      h("h1", {}, "Statistics"),
+      tiles,
+      chartsPanel,
+      tables,
+    ),
+  );
+  /** @type {Api.Statistics | null} */
   let known = null;
   let ended = false;
-  const charts = [createChart(seconds_chart, (colors) => effortChart(known, "seconds_a_box", colors.accent)), createChart(actions_chart, (colors) => effortChart(known, "actions_a_box", colors.proposed)), createChart(state_chart, (colors) => stateChart(known, colors))];
+  const charts = [
+    createChart(secondsHost, (colors) => effortChart(known, "seconds_a_box", colors.accent)),
+    createChart(actionsHost, (colors) => effortChart(known, "actions_a_box", colors.proposed)),
+    createChart(stateHost, (colors) => stateChart(known, colors)),
+  ];
 
   async function load() {
+    /** @type {Api.Statistics} */
+    let fresh;
     try {
-      known = await app.api.get(app.path("statistics"));
+      fresh = await app.api.get(app.path("statistics"));
     } catch (error) {
-      if (!ended) tiles.replaceChildren(h("p", { class: "error-box", role: "alert" }, error.message));
+      if (!ended) tiles.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
       return;
     }
     if (ended) return;
-    tiles.replaceChildren(...tilesOf(known));
-    if (known.labels.total === 0) tables.replaceChildren(nothingYet(app));
-    else tables.replaceChildren(effortTable(known), countTable(known), projectTable(known));
-    charts_box.parentElement.parentElement.hidden = known.labels.total === 0;
-    charts.forEach((chart) => void chart.draw());
+    known = fresh;
+    const isEmpty = fresh.labels.total === 0;
+    tiles.replaceChildren(...tilesOf(fresh));
+    if (isEmpty) tables.replaceChildren(nothingYet(app));
+    else tables.replaceChildren(effortTable(fresh), countTable(fresh), projectTable(fresh));
+    chartsPanel.hidden = isEmpty;
+    for (const chart of charts) void chart.draw();
   }
 
   const stop = [app.events.on("frame", () => void load()), app.events.on("reconnected", () => void load())];
@@ -41,84 +82,201 @@ export function mount(root, app) {
   return {
     unmount() {
       ended = true;
-      stop.forEach((end) => end());
-      charts.forEach((chart) => chart.destroy());
+      for (const end of stop) end();
+      for (const chart of charts) chart.destroy();
     },
   };
 }
 
-const number = (value, digits = 1) => (value === null || value === undefined ? "–" : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }));
+/**
+ * @param {number | null | undefined} value
+ * @param {number} [digits]
+ */
+const number = (value, digits = 1) =>
+  value === null || value === undefined
+    ? "–"
+    : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+/** @param {number | null | undefined} value */
 const percent = (value) => (value === null || value === undefined ? "–" : `${number(100 * value, 0)} %`);
+/** @param {string} name */
 const originName = (name) => ORIGINS[name] ?? name;
 
+/** @param {Api.Statistics} options */
 function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels }) {
   const done = (labels.by_state.accepted ?? 0) + (labels.by_state.edited ?? 0);
   return [
     ["Boxes done", number(done, 0), "accepted or edited"],
-    ["Seconds a box", number(effort.seconds_a_box), "of an operator at work"],
-    ["Actions a box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
+    ["Seconds per box", number(effort.seconds_a_box), "of work"],
+    ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
-    ["IoU proposal to final", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 is the same box"],
-  ].map(([name, value, help]) => h("div", { class: "tile" }, h("div", { class: "tile-name" }, name), h("div", { class: "tile-value number" }, value), h("div", { class: "muted" }, help)));
+    ["IoU proposal to final", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
+  ].map(([name, value, help]) =>
+    h(
+      "div",
+      { class: "tile" },
+      h("div", { class: "tile-name" }, name),
+      h("div", { class: "tile-value number" }, value),
+      h("div", { class: "muted" }, help),
+    ),
+  );
 }
 
+/**
+ * @param {string} title
+ * @param {HTMLElement} table
+ */
 function section(title, table) {
   return h("section", { class: "panel" }, h("header", {}, h("h2", {}, title)), h("div", { class: "scroll-x" }, table));
 }
 
+/**
+ * @param {string[]} heads
+ * @param {string[][]} rows
+ * @param {string} testid
+ */
 function table(heads, rows, testid) {
   return h(
     "table",
     { class: "dense", "data-testid": testid },
-    h("thead", {}, h("tr", {}, heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text)))),
-    h("tbody", {}, rows.map((cells) => h("tr", {}, cells.map((cell, i) => (i ? h("td", { class: "number right" }, cell) : h("th", { scope: "row" }, cell)))))),
+    h(
+      "thead",
+      {},
+      h(
+        "tr",
+        {},
+        heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text)),
+      ),
+    ),
+    h(
+      "tbody",
+      {},
+      rows.map((cells) =>
+        h(
+          "tr",
+          {},
+          cells.map((cell, i) => (i ? h("td", { class: "number right" }, cell) : h("th", { scope: "row" }, cell))),
+        ),
+      ),
+    ),
   );
 }
 
+/** @param {Api.Statistics} options */
 function effortTable({ effort }) {
   const shown = Object.entries(effort.by_origin).filter(([name, entry]) => entry.boxes > 0 || ALWAYS.includes(name));
-  const rows = shown.map(([name, entry]) => [originName(name), number(entry.boxes, 0), number(entry.seconds_a_box), number(entry.actions_a_box)]);
+  const rows = shown.map(([name, entry]) => [
+    originName(name),
+    number(entry.boxes, 0),
+    number(entry.seconds_a_box),
+    number(entry.actions_a_box),
+  ]);
   rows.push(["All", number(effort.boxes, 0), number(effort.seconds_a_box), number(effort.actions_a_box)]);
-  return section("What a box costs", table(["Where it came from", "Boxes", "Seconds a box", "Actions a box"], rows, "stats-effort"));
+  return section(
+    "Effort per box",
+    table(["Origin", "Boxes", "Seconds per box", "Actions per box"], rows, "stats-effort"),
+  );
 }
 
+/** @param {Api.Statistics} options */
 function countTable({ labels }) {
   const classes = labels.by_class_and_state ?? null;
   if (!classes) {
-    const rows = [...STATES.map((state) => [state, number(labels.by_state[state] ?? 0, 0)]), ["All", number(labels.total, 0)]];
+    const rows = [
+      ...STATES.map((state) => [state, number(labels.by_state[state] ?? 0, 0)]),
+      ["All", number(labels.total, 0)],
+    ];
     return section("Boxes by state", table(["State", "Boxes"], rows, "stats-states"));
   }
-  const rows = Object.entries(classes).map(([name, states]) => [name, ...STATES.map((state) => number(states[state] ?? 0, 0)), number(sum(Object.values(states)), 0)]);
+  const rows = Object.entries(classes).map(([name, states]) => [
+    name,
+    ...STATES.map((state) => number(states[state] ?? 0, 0)),
+    number(sum(Object.values(states)), 0),
+  ]);
   rows.push(["All", ...STATES.map((state) => number(labels.by_state[state] ?? 0, 0)), number(labels.total, 0)]);
   return section("Boxes by class and state", table(["Class", ...STATES, "All"], rows, "stats-states"));
 }
 
+/** @param {Api.Statistics} known */
 function projectTable(known) {
+  /** @type {[string, number][]} */
   const rows = [
-    ["Recordings", known.recordings], ["Frames", known.frames], ["Frames with labels", known.frames_with_labels], ["Frames with open proposals", known.frames_with_proposals],
-    ["Frames finalised", known.frames_finalised], ["Frames that failed", known.frames_failed], ["2D boxes on images", known.image_boxes?.boxes], ["2D boxes on views", known.view_boxes?.boxes], ["Models", known.models],
-  ].filter(([, value]) => typeof value === "number");
-  return section("The project", table(["", "Number"], rows.map(([name, value]) => [name, number(value, 0)]), "stats-project"));
+    ["Recordings", known.recordings],
+    ["Frames", known.frames],
+    ["Frames with labels", known.frames_with_labels],
+    ["Frames with open proposals", known.frames_with_proposals],
+    ["Frames finalised", known.frames_finalised],
+    ["Frames that failed", known.frames_failed],
+    ["2D boxes on images", known.image_boxes.boxes],
+    ["2D boxes on views", known.view_boxes.boxes],
+    ["Models", known.models],
+  ];
+  return section(
+    "The project",
+    table(
+      ["", "Number"],
+      rows.map(([name, value]) => [name, number(value, 0)]),
+      "stats-project",
+    ),
+  );
 }
 
+/**
+ * @param {Api.Statistics | null} known
+ * @param {"seconds_a_box" | "actions_a_box"} key
+ * @param {string} color
+ */
 function effortChart(known, key, color) {
   const entries = Object.entries(known?.effort.by_origin ?? {}).filter(([, entry]) => entry.boxes > 0);
   const names = entries.map(([name]) => originName(name).replace(", ", ",<br>"));
-  return { traces: [{ type: "bar", x: names, y: entries.map(([, entry]) => entry[key]), marker: { color } }], layout: { yaxis: { rangemode: "tozero" }, margin: { l: 34, r: 6, t: 10, b: 40 } } };
+  return {
+    traces: [{ type: "bar", x: names, y: entries.map(([, entry]) => entry[key]), marker: { color } }],
+    layout: { yaxis: { rangemode: "tozero" }, margin: { l: 34, r: 6, t: 10, b: 40 } },
+  };
 }
 
+/**
+ * @param {Api.Statistics | null} known
+ * @param {Record<string, string>} colors
+ */
 function stateChart(known, colors) {
   const classes = known?.labels.by_class_and_state ?? null;
   if (classes) {
     const names = Object.keys(classes);
-    return { traces: STATES.map((state) => ({ type: "bar", name: state, x: names, y: names.map((name) => classes[name][state] ?? 0), marker: { color: colors[state] } })), layout: { barmode: "stack", yaxis: { title: { text: "boxes" } } } };
+    return {
+      traces: STATES.map((state) => ({
+        type: "bar",
+        name: state,
+        x: names,
+        y: names.map((name) => classes[name][state] ?? 0),
+        marker: { color: colors[state] },
+      })),
+      layout: { barmode: "stack", yaxis: { title: { text: "boxes" } } },
+    };
   }
   const states = known?.labels.by_state ?? {};
-  return { traces: [{ type: "bar", x: STATES, y: STATES.map((state) => states[state] ?? 0), marker: { color: STATES.map((state) => colors[state]) } }], layout: { yaxis: { title: { text: "boxes" } } } };
+  return {
+    traces: [
+      {
+        type: "bar",
+        x: STATES,
+        y: STATES.map((state) => states[state] ?? 0),
+        marker: { color: STATES.map((state) => colors[state]) },
+      },
+    ],
+    layout: { yaxis: { title: { text: "boxes" } } },
+  };
 }
 
+/** @param {number[]} values */
 const sum = (values) => values.reduce((total, value) => total + value, 0);
 
+/** @param {ModeApp} app */
 function nothingYet(app) {
-  return h("div", { class: "empty" }, h("h2", {}, "No boxes yet"), h("p", {}, "Numbers appear here as soon as objects are labelled or proposed."), h("a", { class: "button", href: makeHash(app.state.route.project, "label") }, "Label objects"));
+  return h(
+    "div",
+    { class: "empty" },
+    h("h2", {}, "No boxes yet"),
+    h("p", {}, "The numbers are shown once objects are labelled or proposed."),
+    h("a", { class: "button", href: makeHash(app.state.route.project, "label") }, "Label objects"),
+  );
 }

@@ -1,53 +1,90 @@
-/** Curves of a training: how right the boxes are (0 to 1), and the losses, by epoch and detector. */
+/** Training curves by epoch and detector: quality (0 to 1) and losses. */
 
 import { createChart } from "../charts.js";
 import { h } from "../dom.js";
 
-// precision and recall are in the table of models; four more lines would hide these
+// precision and recall are in the table of models: four more lines would hide these
 const QUALITY = /^map50(_95)?$/;
 const LOSS = /loss$/;
-const NAMES = { map50: "mAP 50", map50_95: "mAP 50–95", box_loss: "box loss", cls_loss: "class loss", dfl_loss: "edge loss" };
-const ROLES = { image: "image", view: "view" };
+/** @type {Record<string, string>} */
+const NAMES = {
+  map50: "mAP 50",
+  map50_95: "mAP 50–95",
+  box_loss: "box loss",
+  cls_loss: "class loss",
+  dfl_loss: "edge loss",
+};
 
+/** @param {HTMLElement} host */
 export function createCurves(host) {
   const quality = h("div", { class: "chart", "data-testid": "curves-quality" });
   const losses = h("div", { class: "chart", "data-testid": "curves-losses" });
-  const box = h("div", { class: "charts", hidden: true }, h("figure", {}, h("figcaption", {}, "On validation pictures: share that is right"), quality), h("figure", {}, h("figcaption", {}, "Losses while learning"), losses));
+  const box = h(
+    "div",
+    { class: "charts", hidden: true },
+    h("figure", {}, h("figcaption", {}, "Quality on validation pictures"), quality),
+    h("figure", {}, h("figcaption", {}, "Training losses"), losses),
+  );
   host.append(box);
+  /** @type {Api.CurvePoint[]} */
   let points = [];
   const charts = [
-    createChart(quality, (colors) => ({ traces: traces(points, colors, (name) => QUALITY.test(name)), layout: { yaxis: { range: [0, 1.02] }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
-    createChart(losses, (colors) => ({ traces: traces(points, colors, (name) => LOSS.test(name)), layout: { yaxis: { rangemode: "tozero" }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } } })),
+    createChart(quality, (colors) => ({
+      traces: traces(points, colors, (name) => QUALITY.test(name)),
+      layout: { yaxis: { range: [0, 1.02] }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } },
+    })),
+    createChart(losses, (colors) => ({
+      traces: traces(points, colors, (name) => LOSS.test(name)),
+      layout: { yaxis: { rangemode: "tozero" }, xaxis: { title: { text: "epoch" }, rangemode: "tozero" } },
+    })),
   ];
   let drawn = "";
 
   return {
+    /** @param {Api.CurvePoint[]} fresh */
     show(fresh) {
       points = fresh;
       box.hidden = points.length === 0;
       const key = JSON.stringify(points);
       if (key === drawn || points.length === 0) return;
       drawn = key;
-      charts.forEach((chart) => void chart.draw());
+      for (const chart of charts) void chart.draw();
     },
-    destroy: () => charts.forEach((chart) => chart.destroy()),
+    destroy() {
+      for (const chart of charts) chart.destroy();
+    },
   };
 }
 
+/**
+ * @param {Api.CurvePoint[]} points
+ * @param {Record<string, string>} colors
+ * @param {(name: string) => boolean} wanted
+ */
 function traces(points, colors, wanted) {
+  /** @type {Map<string, { role: Api.DetectorKind, name: string, x: number[], y: number[] }>} */
   const series = new Map();
   for (const { role, epoch, metrics } of points) {
     for (const [name, value] of Object.entries(metrics)) {
       if (!wanted(name) || value === null) continue;
       const key = `${role} ${name}`;
-      if (!series.has(key)) series.set(key, { role, name, x: [], y: [] });
-      series.get(key).x.push(epoch);
-      series.get(key).y.push(value);
+      const one = series.get(key) ?? { role, name, x: [], y: [] };
+      one.x.push(epoch);
+      one.y.push(value);
+      series.set(key, one);
     }
   }
-  const palette = { image: [colors.accent, colors.good, colors.muted], view: [colors.proposed, colors.bad, colors.text] };
+  const palette = {
+    image: [colors.accent, colors.good, colors.muted],
+    view: [colors.proposed, colors.bad, colors.text],
+  };
   const used = { image: 0, view: 0 };
   return [...series.values()].map(({ role, name, x, y }) => ({
-    x, y, name: `${ROLES[role] ?? role}: ${NAMES[name] ?? name}`, mode: x.length > 40 ? "lines" : "lines+markers", line: { color: palette[role][used[role]++ % 3], width: 1.6, dash: role === "view" ? "dot" : "solid" }, marker: { size: 4 },
+    x,
+    y,
+    name: `${role}: ${NAMES[name] ?? name}`,
+    mode: x.length > 40 ? "lines" : "lines+markers",
+    line: { color: palette[role][used[role]++ % 3], width: 1.6, dash: role === "view" ? "dot" : "solid" },
+    marker: { size: 4 },
   }));
 }

@@ -1,19 +1,47 @@
-/** Propose boxes on chosen recordings, and go on to review them. */
+/** Proposes boxes on the chosen recordings, then links to their review. */
 
 import { count, h } from "../dom.js";
+import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
 
+/**
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ */
 export function createPropose(host, app) {
   const line = createJobLine(app, "propose");
   const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
-  const limit = h("input", { type: "number", min: 1, step: 1, placeholder: "all", "aria-label": "At most so many frames", "data-testid": "propose-limit" });
+  const limit = h("input", {
+    type: "number",
+    min: 1,
+    step: 1,
+    placeholder: "all",
+    "aria-label": "Maximum number of frames",
+    "data-testid": "propose-limit",
+  });
   const start = h("button", { type: "submit", class: "primary", "data-testid": "propose-start" }, "Propose");
   const note = h("p", { class: "help" });
   const problem = h("p", { class: "error-box", role: "alert", hidden: true });
   const review = h("a", { class: "button primary-link", "data-testid": "review-proposals" });
-  const form = h("form", { class: "stack", "data-testid": "propose-form" }, choices, h("div", { class: "row" }, h("label", { class: "row" }, "At most", limit, "frames"), note, h("span", { class: "grow" }), start), problem);
-  host.append(h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), review), h("div", { class: "body stack" }, form, line.root));
+  const form = h(
+    "form",
+    { class: "stack", "data-testid": "propose-form" },
+    choices,
+    h(
+      "div",
+      { class: "row" },
+      h("label", { class: "row" }, "At most", limit, "frames"),
+      note,
+      h("span", { class: "grow" }),
+      start,
+    ),
+    problem,
+  );
+  host.append(
+    h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), review),
+    h("div", { class: "body stack" }, form, line.root),
+  );
   const boxes = new Map();
 
   form.addEventListener("submit", async (event) => {
@@ -26,7 +54,7 @@ export function createPropose(host, app) {
       const recordings = chosen.length === boxes.size ? null : chosen;
       await startJob(app, { kind: "propose", recordings, limit: limit.value === "" ? null : limit.valueAsNumber });
     } catch (error) {
-      problem.textContent = error.message;
+      problem.textContent = messageOf(error);
       problem.hidden = false;
     } finally {
       show();
@@ -40,13 +68,21 @@ export function createPropose(host, app) {
       if (boxes.has(id)) continue;
       const box = h("input", { type: "checkbox", checked: true });
       boxes.set(id, box);
-      choices.append(h("label", { class: "row" }, box, h("span", { class: "ellipsis" }, name), h("span", { class: "muted number" }, count(frames, "frame"))));
+      choices.append(
+        h(
+          "label",
+          { class: "row" },
+          box,
+          h("span", { class: "ellipsis" }, name),
+          h("span", { class: "muted number" }, count(frames, "frame")),
+        ),
+      );
     }
     line.show();
     const job = latestJob(app, "propose");
     const ready = project.detectors.image !== null && project.detectors.view !== null;
     start.disabled = !ready || project.recordings.length === 0 || Boolean(job && isActive(job));
-    note.textContent = ready ? "Boxes that somebody reviewed stay as they are; so do finalised frames." : "Both detectors have to be trained first.";
+    note.textContent = ready ? "Reviewed boxes and finalised frames are not changed." : "Train both detectors first.";
     const waiting = project.labels_by_state.proposed ?? 0;
     review.hidden = waiting === 0;
     review.textContent = `Review ${count(waiting, "proposal")}`;

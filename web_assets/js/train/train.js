@@ -1,29 +1,36 @@
-/** Train and propose: what there is to learn from, training as it goes on, the models there are, and their proposals. */
+/** Train and propose: the training data, the running training, the models, and proposals. */
 
 import { count, h } from "../dom.js";
+import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { createCurves } from "./curves.js";
 import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
 
-/** The server's own defaults, shown so that an operator knows what an empty field means. */
+/** The server's defaults, which empty fields show. */
 const PICTURES = { image: 1600, view: 18000 };
 const SIZES_PX = { image: 256, view: 128 };
+/** @type {[Api.DetectorKind, string, string][]} */
 const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
   ["view", "View detector", "finds their edges on pseudo-views"],
 ];
 
+/**
+ * @param {HTMLElement} root
+ * @param {ModeApp} app
+ */
 export function mount(root, app) {
   const material = h("div", { class: "cards" });
   const line = createJobLine(app, "train");
-  const curves_host = h("div", {});
-  const curves = createCurves(curves_host);
-  const models_host = h("section", { class: "panel" });
-  const propose_host = h("section", { class: "panel" });
-  const models = createModelList(models_host, app, load);
-  const propose = createPropose(propose_host, app);
+  const curvesHost = h("div", {});
+  const curves = createCurves(curvesHost);
+  const modelsHost = h("section", { class: "panel" });
+  const proposeHost = h("section", { class: "panel" });
+  const models = createModelList(modelsHost, app, load);
+  const propose = createPropose(proposeHost, app);
   const { form, start } = createForm(app);
+  /** @type {Api.ModelList | null} */
   let known = null;
   let ended = false;
 
@@ -32,14 +39,20 @@ export function mount(root, app) {
       "div",
       { class: "page wide train-page" },
       h("h1", {}, "Train and propose"),
-      h("section", { class: "panel" }, h("header", {}, h("h2", {}, "Train the detectors")), h("div", { class: "body stack" }, material, form, line.root, curves_host)),
-      propose_host,
-      models_host,
+      h(
+        "section",
+        { class: "panel" },
+        h("header", {}, h("h2", {}, "Train the detectors")),
+        h("div", { class: "body stack" }, material, form, line.root, curvesHost),
+      ),
+      proposeHost,
+      modelsHost,
     ),
   );
 
   async function load() {
     try {
+      /** @type {Api.ModelList} */
       const answer = await app.api.get(app.path("models"));
       if (ended) return;
       known = answer;
@@ -56,7 +69,8 @@ export function mount(root, app) {
     propose.show();
     start.disabled = Boolean(job && isActive(job));
     if (!known) return;
-    material.replaceChildren(...ROLES.map((role) => materialCard(role, known)));
+    const list = known;
+    material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
     models.show(known.models);
     const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
@@ -68,7 +82,7 @@ export function mount(root, app) {
   const stop = [
     app.state.on("jobs", () => {
       show();
-      // new models and new proposals change what else the page says
+      // new models and proposals change other parts of the page
       const now = states();
       if (now !== last) {
         void load();
@@ -84,24 +98,47 @@ export function mount(root, app) {
   return {
     unmount() {
       ended = true;
-      stop.forEach((end) => end());
+      for (const end of stop) end();
       curves.destroy();
     },
   };
 }
 
+/** @param {ModeApp} app */
 function createForm(app) {
-  const roles = ROLES.map(([role, label]) => h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` }));
+  const roles = ROLES.map(([role]) =>
+    h("input", { type: "checkbox", name: role, checked: true, "data-testid": `train-role-${role}` }),
+  );
   const pictures = ROLES.map(([role, label]) =>
-    h("input", { type: "number", min: 16, max: 1000000, step: 1, placeholder: String(PICTURES[role]), "aria-label": `Pictures for the ${label.toLowerCase()}`, "data-testid": `train-pictures-${role}` }),
+    h("input", {
+      type: "number",
+      min: 16,
+      max: 1000000,
+      step: 1,
+      placeholder: String(PICTURES[role]),
+      "aria-label": `Pictures for the ${label.toLowerCase()}`,
+      "data-testid": `train-pictures-${role}`,
+    }),
   );
   const sizes = ROLES.map(([role, label]) =>
-    h("input", { type: "number", min: 32, max: 2048, step: 32, placeholder: String(SIZES_PX[role]), "aria-label": `Size of the pictures for the ${label.toLowerCase()}`, "data-testid": `train-size-${role}` }),
+    h("input", {
+      type: "number",
+      min: 32,
+      max: 2048,
+      step: 32,
+      placeholder: String(SIZES_PX[role]),
+      "aria-label": `Size of the pictures for the ${label.toLowerCase()}`,
+      "data-testid": `train-size-${role}`,
+    }),
   );
   const model = h(
     "select",
     { "data-testid": "train-model" },
-    [["", "yolo11n: small and fast (default)"], ["yolo11s", "yolo11s: larger, slower"], ["yolo11m", "yolo11m: for a GPU"]].map(([value, text]) => h("option", { value }, text)),
+    [
+      ["", "yolo11n: small and fast (default)"],
+      ["yolo11s", "yolo11s: larger, slower"],
+      ["yolo11m", "yolo11m: for a GPU"],
+    ].map(([value, text]) => h("option", { value }, text)),
   );
   const start = h("button", { type: "submit", class: "primary", "data-testid": "train-start" }, "Train");
   const problem = h("p", { class: "error-box", role: "alert", hidden: true });
@@ -112,19 +149,35 @@ function createForm(app) {
     h(
       "div",
       { class: "settings" },
-      ROLES.map(([role, label], i) => h("label", { class: "field" }, h("span", {}, `${label}: pictures seen`), pictures[i])),
-      ROLES.map(([, label], i) => h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i])),
+      ROLES.map(([, label], i) =>
+        h("label", { class: "field" }, h("span", {}, `${label}: pictures shown`), pictures[i]),
+      ),
+      ROLES.map(([, label], i) =>
+        h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i]),
+      ),
       h("label", { class: "field" }, h("span", {}, "Network"), model),
-      h("p", { class: "help" }, "Every picture is shown many times, changed a little each time. More of them take longer and teach more; larger ones show small objects better. What is left empty takes the number shown in grey."),
+      h(
+        "p",
+        { class: "help" },
+        "Each picture is shown many times, with small random changes. More pictures take longer and train better; ",
+        "larger pictures show small objects better. An empty field uses the number shown in grey.",
+      ),
     ),
   );
   const form = h(
     "form",
     { class: "stack", "data-testid": "train-form" },
-    h("div", { class: "row" }, ROLES.map(([, label], i) => h("label", { class: "row" }, roles[i], label)), h("span", { class: "grow" }), start),
+    h(
+      "div",
+      { class: "row" },
+      ROLES.map(([, label], i) => h("label", { class: "row" }, roles[i], label)),
+      h("span", { class: "grow" }),
+      start,
+    ),
     more,
     problem,
   );
+  /** @param {HTMLInputElement} input */
   const number = (input) => (input.value === "" ? null : input.valueAsNumber);
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -133,9 +186,17 @@ function createForm(app) {
     try {
       const chosen = ROLES.map(([role]) => role).filter((_, i) => roles[i].checked);
       if (chosen.length === 0) throw new Error("Choose at least one detector to train.");
-      await startJob(app, { kind: "train", roles: chosen, image_pictures: number(pictures[0]), view_pictures: number(pictures[1]), image_size_px: number(sizes[0]), view_size_px: number(sizes[1]), model: model.value || null });
+      await startJob(app, {
+        kind: "train",
+        roles: chosen,
+        image_pictures: number(pictures[0]),
+        view_pictures: number(pictures[1]),
+        image_size_px: number(sizes[0]),
+        view_size_px: number(sizes[1]),
+        model: model.value || null,
+      });
     } catch (error) {
-      problem.textContent = error.message;
+      problem.textContent = messageOf(error);
       problem.hidden = false;
       start.disabled = false;
     }
@@ -143,9 +204,13 @@ function createForm(app) {
   return { form, start };
 }
 
+/**
+ * @param {(typeof ROLES)[number]} options
+ * @param {Api.ModelList} options2
+ */
 function materialCard([role, label, what], { models, material }) {
   const active = models.find((model) => model.role === role && model.active);
-  const learned = active ? (active.boxes === null ? "not known" : count(active.boxes, "box", "boxes")) : "nothing yet";
+  const learned = active ? (active.boxes === null ? "unknown" : count(active.boxes, "box", "boxes")) : "nothing yet";
   return h(
     "div",
     { class: "card", "data-testid": `material-${role}` },
@@ -154,23 +219,41 @@ function materialCard([role, label, what], { models, material }) {
     h(
       "dl",
       { class: "figures" },
-      h("dt", {}, "has learned from"),
+      h("dt", {}, "trained on"),
       h("dd", { class: "number" }, learned),
-      h("dt", {}, "can learn from now"),
-      h("dd", { class: "number" }, `${count(material[role], "drawn box", "drawn boxes")} and ${count(material.labels, "reviewed 3D box", "reviewed 3D boxes")}`),
+      h("dt", {}, "available now"),
+      h(
+        "dd",
+        { class: "number" },
+        `${count(material[role], "drawn box", "drawn boxes")} and `,
+        count(material.labels, "reviewed 3D box", "reviewed 3D boxes"),
+      ),
     ),
-    role === "view" ? h("p", { class: "help" }, "Each 3D box teaches several views, from directions of its own.") : null,
+    role === "view"
+      ? h("p", { class: "help" }, "Each 3D box gives several training pictures, from different directions.")
+      : null,
   );
 }
 
+/** @param {ModeApp} app */
 function nothingYet(app) {
-  return h("div", { class: "empty" }, h("p", {}, "There are no boxes to learn from yet. Draw a few objects first: each takes five drags."), h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/label` }, "Label objects"));
+  return h(
+    "div",
+    { class: "empty" },
+    h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five drags."),
+    h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/label` }, "Label objects"),
+  );
 }
 
-/** Curves of the training that runs, or of the active models where none does. */
+/**
+ * Curves of the running training, or else of the active models.
+ *
+ * @param {Api.Job | null} job
+ * @param {Api.ModelList | null} known
+ */
 function curvesOf(job, known) {
   if (job && (isActive(job) || job.curves.length > 0) && job.state !== "done") return job.curves;
   const active = known?.models.filter((model) => model.active) ?? [];
-  const kept = active.flatMap((model) => (model.curves ?? []).map((point) => ({ role: model.role, ...point })));
+  const kept = active.flatMap((model) => model.curves);
   return kept.length ? kept : (job?.curves ?? []);
 }

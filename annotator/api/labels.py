@@ -1,0 +1,123 @@
+"""Reads, writes and evaluates labels without a project."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.report import Report, oriented_report
+from annotator.formats.boxes_json import read_boxes, write_boxes
+from annotator.types import Frame, Label, Proposal, Truth
+from annotator.types.errors import ArgumentError
+from annotator.workflows.evaluating.evaluate_files import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
+from annotator.workflows.evaluating.evaluate_files import evaluate_files as evaluate_protocol
+from annotator.workflows.importing import table
+from annotator.workflows.importing.label_set import LabelSet, LeftBehind
+
+BOXES = "boxes"
+FORMATS = (BOXES, *table.BoxFormat)
+Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
+"""The boxes of each frame, by the frame's key."""
+
+
+@dataclass(frozen=True)
+class BoxesLabels:
+    """The content of a `boxes.json` file, as a `LabelSet`."""
+
+    path: Path
+    boxes: Mapping[str, Sequence[Truth]]
+
+    @property
+    def frames(self) -> Sequence[str]:
+        """The keys of the labelled frames."""
+        return tuple(self.boxes)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        """The objects of one of these frames, in the camera frame."""
+        return list(self.boxes[name])
+
+    def left_behind(self, name: str) -> LeftBehind:
+        """Counts of zero, since `truths` leaves nothing out."""
+        return LeftBehind()
+
+
+def read_labels(path: str | Path, format: str = BOXES) -> LabelSet:
+    """The 3D labels in a file or folder, read and checked as a whole.
+
+    Args:
+        format: boxes (a `boxes.json` file), rcv, kitti, kitti-tracking, sunrgbd, openlabel, labelcloud or nuscenes.
+
+    Returns:
+        the labels: `frames` has the names of the labelled frames, and `truths(name, frame)` returns the objects of one
+        of them in the camera frame. It needs the `Frame`, because several formats store boxes in other coordinates.
+
+    Raises:
+        ArgumentError: an unknown format.
+        FormatError: a file does not follow the format; the message names file and line.
+    """
+    if format not in FORMATS:
+        raise ArgumentError(f"format must be one of {', '.join(FORMATS)}, not {format!r}")
+    place = Path(path)
+    return (
+        BoxesLabels(place, read_boxes(place)) if format == BOXES else table.read_labels(table.BoxFormat(format), place)
+    )
+
+
+def write_labels(path: str | Path, labels: Boxes) -> None:
+    """Writes boxes to a `boxes.json` file, which `read_labels` reads and any RGB-D folder may contain; without scores.
+
+    The other formats also need images and calibrations; use `Project.export` for them.
+
+    Args:
+        labels: truths, labels or proposals, by frame key.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    as_truths = {
+        key: [Truth(each.label, each.box, getattr(each, "track_id", None)) for each in boxes]
+        for key, boxes in labels.items()
+    }
+    write_boxes(Path(path), as_truths)
+
+
+def evaluate(found: Boxes, truth: Boxes) -> Report:
+    """Average precision (exact 3D IoU thresholds 0.25 and 0.5) and mean errors of fully oriented boxes.
+
+    Args:
+        found: by frame key; a frame without an entry has no boxes. A box without a score gets the score 1.
+        truth: by frame key; only its frames are evaluated.
+
+    Raises:
+        ArgumentError: the truth has no box, or the two have no frame in common.
+    """
+    if not any(truth.values()):
+        raise ArgumentError("the truth has no box to evaluate against")
+    if not set(found) & set(truth):
+        raise ArgumentError(f"no frame in common: found has {list(found)[:3]}, the truth {list(truth)[:3]}")
+    columns = [box_table([list(map(_scored_box, side.get(key, ()))) for key in truth]) for side in (found, truth)]
+    return oriented_report(evaluate_oriented(columns[0], columns[1]))
+
+
+def _scored_box(each: Truth | Label | Proposal) -> ScoredBox:
+    return each.label, each.box, DEFAULT_SCORE if each.score is None else each.score
+
+
+def evaluate_files(
+    detections: str | Path, truth: str | Path, protocol: str = Protocol.ORIENTED, options: Options | None = None
+) -> Report:
+    """Evaluates files with a benchmark's protocol, as `annotator evaluate` does.
+
+    Args:
+        detections, truth: kitti: folders of label files; sunrgbd: CSV files of boxes; oriented: `rcv` datasets.
+        protocol: kitti, sunrgbd or oriented.
+
+    Raises:
+        ArgumentError: an unknown protocol.
+        FormatError, ConfigError: the files cannot be read, or do not belong together.
+    """
+    if protocol not in tuple(Protocol):
+        raise ArgumentError(f"protocol must be one of {', '.join(Protocol)}, not {protocol!r}")
+    return evaluate_protocol(Path(detections), Path(truth), Protocol(protocol), options)

@@ -1,0 +1,227 @@
+"""Proposes boxes with detectors that the caller provides."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, overload
+
+from annotator.api.inputs import require_on_image
+from annotator.geometry.image_shares import clip_to_image
+from annotator.project.config import BoxRotation
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.types import Box2D, BoxKind, Detector, Frame, Image, PseudoView, Region
+from annotator.types.errors import ArgumentError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.live.detection import Detected, LiveDetection
+from annotator.workflows.live.source import Taken
+from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.settings import checked_config
+
+ImageDetector = Detector | Callable[[Frame], Sequence[Box2D]]
+"""A `Detector`, or a function from one frame (image in `.rgb`, depth in `.depth_m`) to its boxes."""
+ViewDetector = Detector | Callable[[PseudoView], Sequence[Box2D]]
+"""A `Detector`, or a function from one pseudo-view (image in `.rgb`, points in `.xyz_m`) to its boxes."""
+# Minimum side of a box that is clipped to a region, pixels; thinner remainders are dropped.
+LEAST_SIDE_PX = 1.0
+Rotation = BoxRotation | str
+"""upright; free; or auto: upright for frames with a known `up`, else free."""
+
+
+class FunctionDetector:
+    """A detector made from a function that takes one whole image (a frame or a pseudo-view)."""
+
+    # the classes that a function detects are not known in advance
+    labels: tuple[str, ...] = ()
+
+    def __init__(self, function: Callable[[Any], Sequence[Box2D]]) -> None:
+        self._function = function
+
+    @property
+    def fingerprint(self) -> str:
+        """The function's name, because its behaviour cannot be hashed."""
+        return f"{self._function.__module__}.{getattr(self._function, '__qualname__', type(self._function).__name__)}"
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        """The boxes of each image, best score first; for a `Region`, the boxes of the whole image clipped to it."""
+        return [sorted(self._boxes(image), key=lambda box: -box.score) for image in images]
+
+    def _boxes(self, image: Image) -> Sequence[Box2D]:
+        if not isinstance(image, Region):
+            return self._function(image)
+        inside = (
+            clip_to_image(box.shifted(-image.x_px, -image.y_px), image.width_px, image.height_px, LEAST_SIDE_PX)
+            for box in self._function(image.of)
+        )
+        return [box for box in inside if box is not None]
+
+
+def as_detector(given: Any) -> Detector:
+    """Returns a detector unchanged, and makes one from a function.
+
+    Raises:
+        ArgumentError: `given` is neither.
+    """
+    if isinstance(given, type) or not (isinstance(given, Detector) or callable(given)):
+        raise ArgumentError(f"{given!r} is not a detector: it needs labels, fingerprint and detect; or pass a function")
+    return given if isinstance(given, Detector) else FunctionDetector(given)
+
+
+@overload
+def propose(
+    frames: Frame,
+    *,
+    view_detector: ViewDetector,
+    image_boxes: Sequence[Box2D] | None = ...,
+    image_detector: ImageDetector | None = ...,
+    rotation: Rotation = ...,
+    box_kind: BoxKind | str | None = ...,
+    settings: Mapping[str, Any] | None = ...,
+) -> FrameProposals: ...
+
+
+@overload
+def propose(
+    frames: Sequence[Frame],
+    *,
+    view_detector: ViewDetector,
+    image_boxes: Sequence[Sequence[Box2D]] | None = ...,
+    image_detector: ImageDetector | None = ...,
+    rotation: Rotation = ...,
+    box_kind: BoxKind | str | None = ...,
+    settings: Mapping[str, Any] | None = ...,
+) -> list[FrameProposals]: ...
+
+
+def propose(
+    frames: Frame | Sequence[Frame],
+    *,
+    view_detector: ViewDetector,
+    image_boxes: Sequence[Any] | None = None,
+    image_detector: ImageDetector | None = None,
+    rotation: Rotation = BoxRotation.AUTO,
+    box_kind: BoxKind | str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> FrameProposals | list[FrameProposals]:
+    """Oriented 3D boxes from 2D boxes on the images (Recursive Cross-View).
+
+    Several frames are processed together, in larger detector batches; a few frames per call are enough for this.
+
+    Args:
+        frames: one frame, or several.
+        view_detector: detects objects on pseudo-views; its class names must be those of the image boxes.
+        image_boxes: the boxes on the image of one frame, or one list per frame. Boxes with a score below the setting
+            `min_image_score` (0.25) are ignored.
+        image_detector: detects these boxes, if `image_boxes` is not given.
+        rotation: auto, upright or free.
+        box_kind: what the view detector's boxes measure: "silhouette" (the visible points) or "box" (the whole object,
+            hidden parts included). None: the detector's attribute `box_kind`, or silhouette if it has none.
+        settings: settings of the recursion that differ from the defaults, such as `{"max_steps": 3}`.
+
+    Returns:
+        the `proposals` of a frame, best first, and the objects `lost`; a list of these if `frames` is a list.
+
+    Raises:
+        ArgumentError: not exactly one of `image_boxes` and `image_detector` is given, a box lies outside the image,
+            the number of lists is not the number of frames, or the rotation or box kind is unknown.
+        ConfigError: an unknown setting, or a value out of its range.
+    """
+    several = [frames] if isinstance(frames, Frame) else list(frames)
+    boxes = image_boxes_of(frames, image_boxes, image_detector)
+    view = as_detector(view_detector)
+    config = checked_config(settings or {}).with_box_kind(kind_of(view_detector, box_kind))
+    found = propose_image_boxes(several, boxes, view, config, rotation_of(rotation)) if several else []
+    return found[0] if isinstance(frames, Frame) else found
+
+
+def watch(
+    frames: Iterable[Frame],
+    *,
+    image_detector: ImageDetector,
+    view_detector: ViewDetector,
+    rotation: Rotation = BoxRotation.AUTO,
+    box_kind: BoxKind | str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Iterator[Detected]:
+    """Detects boxes in the frames of a live camera. Starting from the boxes of the previous frame makes it faster.
+
+    Args:
+        frames: any iterable, such as a generator. The next frame is requested when the caller asks for the next
+            result; yield the newest frame then, so that no backlog builds up.
+        image_detector: may be given only the parts of an image around its last detections, as objects of which only
+            `.rgb` is guaranteed. A function always gets the whole frame.
+        view_detector, rotation, box_kind, settings: as for `propose`.
+
+    Raises:
+        ArgumentError, ConfigError: as `propose`.
+    """
+    pair = Detectors(as_detector(image_detector), as_detector(view_detector), kind_of(view_detector, box_kind))
+    return watch_with(frames, pair, checked_config(settings or {}), rotation_of(rotation))
+
+
+def watch_with(
+    frames: Iterable[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+) -> Iterator[Detected]:
+    """As `watch`, with checked detectors and settings."""
+    detection = LiveDetection(detectors, config, rotation, warm_start=True)
+
+    def run() -> Iterator[Detected]:
+        begin = time.perf_counter()
+        for frame in frames:
+            taken_s = time.perf_counter()
+            yield detection.detect(Taken(frame, taken_s, taken_s - begin))
+            begin = time.perf_counter()
+
+    return run()
+
+
+def image_boxes_of(
+    frames: Any, image_boxes: Sequence[Any] | None, image_detector: ImageDetector | None
+) -> list[list[Box2D]]:
+    """One list of boxes per frame, either given or detected.
+
+    Raises:
+        ArgumentError: as `propose`.
+    """
+    several = [frames] if isinstance(frames, Frame) else list(frames)
+    if not all(isinstance(frame, Frame) for frame in several):
+        raise ArgumentError("frames must be a Frame or several; make them with frame_from_rgbd or open_recording")
+    if (image_boxes is None) == (image_detector is None):
+        raise ArgumentError("give either image_boxes or image_detector")
+    if image_detector is not None:
+        return as_detector(image_detector).detect(several) if several else []
+    assert image_boxes is not None
+    lists = [list(image_boxes)] if isinstance(frames, Frame) else list(map(list, _lists(image_boxes)))
+    if len(lists) != len(several):
+        raise ArgumentError(f"image_boxes has {len(lists)} lists for {len(several)} frames; pass one list per frame")
+    for frame, boxes in zip(several, lists, strict=True):
+        require_on_image(boxes, frame.camera)
+    return lists
+
+
+def _lists(image_boxes: Sequence[Any]) -> Sequence[Sequence[Box2D]]:
+    if any(isinstance(boxes, Box2D) for boxes in image_boxes):
+        raise ArgumentError("several frames need one list of boxes each: image_boxes=[[...], [...]]")
+    return image_boxes
+
+
+def rotation_of(rotation: Rotation) -> BoxRotation:
+    """The rotation of this name; raises ArgumentError for an unknown one."""
+    try:
+        return BoxRotation(rotation)
+    except ValueError as error:
+        raise ArgumentError(f"rotation must be one of {', '.join(BoxRotation)}, not {rotation!r}") from error
+
+
+def kind_of(view_detector: ViewDetector, given: BoxKind | str | None) -> BoxKind:
+    """What a view detector's boxes measure: `given`, else the detector's `box_kind`, else silhouettes.
+
+    Raises:
+        ArgumentError: an unknown kind.
+    """
+    kind = getattr(view_detector, "box_kind", BoxKind.SILHOUETTE) if given is None else given
+    try:
+        return BoxKind(kind)
+    except ValueError as error:
+        raise ArgumentError(f"box_kind must be one of {', '.join(BoxKind)}, not {kind!r}") from error

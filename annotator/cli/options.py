@@ -1,0 +1,55 @@
+"""Options and arguments that several commands share: one name, one meaning and one help text for each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from tyro.conf import arg
+
+from annotator.types import BoxKind
+
+Value = TypeVar("Value")
+
+ProjectName = Annotated[str, arg(help="name of the project.")]
+RecordingName = Annotated[str, arg(help="name of the recording in the project.")]
+RecordingNames = Annotated[tuple[str, ...], arg(help="names of the project's recordings; default: all.")]
+
+Projects = Annotated[
+    Path | None,
+    arg(
+        metavar="DIR",
+        help="folder of projects; default: the variable ANNOTATOR_PROJECTS, else ./projects.",
+        help_behavior_hint="",
+    ),
+]
+AsJson = Annotated[bool, arg(name="json", help="print one JSON object.")]
+Seed = Annotated[int, arg(help="seed of the random choices, 0 or more.")]
+Limit = Annotated[int | None, arg(help="stop after this many frames; default: no limit.")]
+
+BoxKindOption = Annotated[
+    BoxKind,
+    arg(
+        name="box-kind",
+        help="what the 2D boxes enclose: silhouette = the visible part of the object, box = its projected 3D box.",
+    ),
+]
+# These differ in their type or default from command to command, so the command gives the type: Rotation[BoxRotation].
+Rotation = Annotated[
+    Value,
+    arg(help="rotation of the boxes: upright, free, or auto: upright if gravity is known, else free."),
+]
+BackendOption = Annotated[
+    Value,
+    arg(
+        help="what runs the detectors: auto = the fastest backend that is as exact as torch; fastest = also half "
+        "precision where the processor supports it."
+    ),
+]
+
+Host = Annotated[str, arg(help="address to listen on; on any but this computer's own, browsers need a token.")]
+Port = Annotated[int, arg(help="port to listen on; 0 picks a free one.")]
+Token = Annotated[
+    str | None,
+    arg(help="token that browsers must show; default: none on this computer, a random one on any other address."),
+]

@@ -1,0 +1,159 @@
+"""Compares the output of a backend with torch in single precision on the CPU.
+
+How far two correct outputs may differ depends on the network and the CPU, so the bound is measured: torch runs the
+network in a second precision (the yardstick), and the distance from torch's single precision, times `TOLERANCE`, is
+the bound.
+
+- Single precision: the yardstick is double precision. The distance is the rounding error of single precision. The same
+  sums in another order have an error of that size.
+- bfloat16 and float16: the yardstick is the whole network in that precision, on the CPU. Backends compute a part
+  of it in single precision, so their error should be smaller.
+
+A wrong graph, a wrong kernel or lost weights cause errors far above rounding: boxes are off by pixels, which in single
+precision is thousands of times the bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from annotator.detection.backends.export import export
+from annotator.detection.backends.network import Answer, Network
+from annotator.detection.backends.raw_network import raw_network
+from annotator.detection.backends.torch_network import TorchNetwork
+from annotator.detection.ultralytics_api import api, pick_device
+from annotator.types.errors import DetectionError
+
+# Allowed error as a multiple of the yardstick's error. Winograd convolutions, which some backends use, lose up to three
+# binary digits.
+TOLERANCE = {"float64": 8.0, "bfloat16": 2.0, "float16": 2.0}
+
+
+class BackendMissingError(DetectionError):
+    """A backend cannot be tested: it is not installed, or the CPU lacks its instructions."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Root mean square difference between the raw output of a backend and that of torch.
+
+    Attributes:
+        boxes_px, boxes_bound_px: difference of the box coordinates and its upper bound, pixels.
+        scores, scores_bound: difference of the scores (0 to 1) and its upper bound.
+        yardstick: precision that the bounds were measured with.
+    """
+
+    boxes_px: float
+    boxes_bound_px: float
+    scores: float
+    scores_bound: float
+    yardstick: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether both differences are within their bounds; False where one is not finite."""
+        return self.boxes_px <= self.boxes_bound_px and self.scores <= self.scores_bound
+
+
+class Agreements:
+    """Compares backends on one network and one set of images."""
+
+    def __init__(self, weights: Path, images: UInt8[np.ndarray, "n h w 3"]) -> None:
+        """
+        Args:
+            weights: weights file of the network.
+            images: RGB images; height and width are multiples of the network's stride.
+
+        Raises:
+            DetectionError: the packages cannot be loaded, or torch cannot run the network.
+        """
+        self._weights, self._images = weights, images
+        self._expected = self._answer(TorchNetwork(weights, pick_device("cpu")))
+        self._distances: dict[str, tuple[float, float]] = {}
+
+    def of(self, open_network: Callable[[Path], Network]) -> Agreement:
+        """Compares one backend with torch.
+
+        Args:
+            open_network: opens the weights file on the backend, such as one of `openers()`.
+
+        Raises:
+            BackendMissingError: the backend is not installed or not supported by the CPU.
+            DetectionError: the backend fails, or its output has another shape.
+        """
+        network = open_network(self._weights)
+        yardstick = "float64"
+        if network.backend == "openvino-bf16":
+            yardstick = "bfloat16"
+        elif network.device.startswith("cuda"):
+            yardstick = "float16"
+        boxes, scores = self._distance(self._answer(network))
+        yardstick_boxes, yardstick_scores = self._yardstick(yardstick)
+        factor = TOLERANCE[yardstick]
+        return Agreement(boxes, factor * yardstick_boxes, scores, factor * yardstick_scores, yardstick)
+
+    def _answer(self, network: Network) -> Answer:
+        return network.predict([self._images])[0]
+
+    def _distance(self, answer: Float[np.ndarray, "_ _ _"]) -> tuple[float, float]:
+        if answer.shape != self._expected.shape:
+            raise DetectionError(f"the output has shape {answer.shape}, torch's has {self._expected.shape}")
+        squares = (answer.astype(np.float64) - self._expected) ** 2
+        return float(np.sqrt(squares[:, :4].mean())), float(np.sqrt(squares[:, 4:].mean()))
+
+    def _yardstick(self, precision: str) -> tuple[float, float]:
+        if precision not in self._distances:
+            torch = api().torch
+            module, _ = raw_network(self._weights, torch.device("cpu"))
+            module = module.to(getattr(torch, precision))
+            with torch.inference_mode():
+                answer = module(torch.from_numpy(self._images)).double().numpy()
+            self._distances[precision] = self._distance(answer)
+        return self._distances[precision]
+
+
+def openers(cuda_devices: Sequence[str]) -> dict[str, Callable[[Path], Network]]:
+    """For each backend except torch on the CPU: a function that opens a weights file. Exports stay in memory.
+
+    Args:
+        cuda_devices: names of CUDA devices to test torch on, such as "cuda:0".
+    """
+    exported = lru_cache(export)  # both precisions of OpenVINO share one export
+
+    def openvino_network(weights: Path, *, bfloat16: bool) -> Network:
+        from annotator.detection.backends.openvino_api import computes_bfloat16, openvino
+        from annotator.detection.backends.openvino_network import OpenVinoNetwork
+
+        if find_spec("openvino") is None:
+            raise BackendMissingError("not installed")
+        openvino()  # reports a broken package before the slow export
+        if bfloat16 and not computes_bfloat16():
+            raise BackendMissingError("the processor does not support bfloat16")
+        return OpenVinoNetwork(*exported(weights, "openvino"), None, bfloat16=bfloat16)
+
+    def onnx_network(weights: Path) -> Network:
+        from annotator.detection.backends.onnx_network import OnnxNetwork
+
+        if find_spec("onnxruntime") is None or find_spec("onnx") is None:
+            raise BackendMissingError("not installed (extra onnx)")
+        return OnnxNetwork(*exported(weights, "onnxruntime"), None)
+
+    by_name: dict[str, Callable[[Path], Network]] = {
+        "openvino": partial(openvino_network, bfloat16=False),
+        "openvino-bf16": partial(openvino_network, bfloat16=True),
+        "onnxruntime": onnx_network,
+    }
+    for device in cuda_devices:
+        by_name[f"torch, {device}"] = partial(_torch_network, device=device)
+    return by_name
+
+
+def _torch_network(weights: Path, *, device: str) -> Network:
+    return TorchNetwork(weights, pick_device(device))

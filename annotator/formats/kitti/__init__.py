@@ -1,0 +1,1 @@
+"""KITTI: object, tracking and raw-drive labels, and detection results."""

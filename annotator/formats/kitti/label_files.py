@@ -1,0 +1,219 @@
+"""KITTI label files: object `label_2/KEY.txt` and tracking `label_02.txt`.
+
+KITTI object devkit, readme.txt ("Data Format Description"): 15 fields per row, a 16th (score) in results only,
+
+    type truncated occluded alpha left top right bottom height width length x y z rotation_y [score]
+
+in the frame of rectified camera 0 (x right, y down, z forward); x y z is the middle of the bottom face and rotation_y
+turns about y, 0 if the object faces +x. Tracking files put `frame track_id` before the type. `Truth` objects are
+returned in annotator's convention: x along the heading, y across, z up, in the camera frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.reading import finite_number
+from annotator.formats.text_folder import text_rows
+from annotator.types import Box2D, OrientedBox, Truth
+from annotator.types.errors import FormatError
+from annotator.types.label import MOST_TRACK
+
+DONT_CARE = "DontCare"
+FIELDS = 15
+DECIMALS = 2
+TRACKING_FIELDS = 2
+
+
+@dataclass(frozen=True)
+class KittiLabel:
+    """One row as stored: KITTI's order, units and frame (metres, radians, pixels).
+
+    Attributes:
+        label: KITTI's `type`, such as "Car"; "DontCare" for an unlabelled area.
+        truncated: fraction of the object outside the image, 0..1 (tracking: 0, 1 or 2); -1 if unknown.
+        occluded: 0 visible, 1 partly, 2 largely hidden, 3 unknown; -1 for DontCare.
+        alpha: observation angle.
+        left, top, right, bottom: 2D box.
+        height, width, length: size of the 3D box.
+        x, y, z: middle of the bottom face, rectified camera 0.
+        rotation_y: heading, about the camera's y axis.
+        score: score of a result; None in a label.
+    """
+
+    label: str
+    truncated: float
+    occluded: int
+    alpha: float
+    left: float
+    top: float
+    right: float
+    bottom: float
+    height: float
+    width: float
+    length: float
+    x: float
+    y: float
+    z: float
+    rotation_y: float
+    score: float | None = None
+
+    @property
+    def image_box(self) -> Box2D:
+        """The row's 2D box.
+
+        Raises:
+            ValueError: it has no width or no height.
+        """
+        score = 1.0 if self.score is None else self.score
+        return Box2D(self.label, self.left, self.top, self.right, self.bottom, score)
+
+
+def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> KittiLabel:
+    """Parses an object row of 15 or 16 fields; `path` and `line` are for the error message.
+
+    Raises:
+        FormatError: too few or too many fields, or a field that is not a number.
+    """
+    return parse_fields(text.split(), path, line)
+
+
+def dump_label_line(row: KittiLabel) -> str:
+    """Returns a row as text, numbers with two decimals as in KITTI's own files; `parse_label_line` reads it.
+
+    Args:
+        row: the label must be one word. Of a DontCare area only the 2D box is written, as in KITTI's files.
+    """
+    edges = [_decimal(edge) for edge in (row.left, row.top, row.right, row.bottom)]
+    if row.label == DONT_CARE:
+        return " ".join([DONT_CARE, "-1 -1 -10", *edges, "-1 -1 -1 -1000 -1000 -1000 -10"])
+    solid = (row.height, row.width, row.length, row.x, row.y, row.z, row.rotation_y)
+    score = [] if row.score is None else [f"{row.score:.6g}"]
+    first = [row.label, _decimal(row.truncated), str(row.occluded), _decimal(row.alpha)]
+    return " ".join([*first, *edges, *map(_decimal, solid), *score])
+
+
+def _decimal(value: float) -> str:
+    # no "-0.00", so that reading and writing a file leaves it unchanged
+    return f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}"
+
+
+def label_box(row: KittiLabel) -> OrientedBox:
+    """Returns the row's 3D box in KITTI's frame (rectified camera 0).
+
+    Raises:
+        ValueError: a size that is not positive.
+    """
+    center = np.array([row.x, row.y - row.height / 2, row.z])
+    return OrientedBox.from_parts(center, heading_rotation(row.rotation_y), _size_m(row))
+
+
+def heading_rotation(rotation_y: float) -> Float64[np.ndarray, "3 3"]:
+    """Returns the box's axes in rectified camera 0 as columns: x along the heading, y to its left, z up (camera -y)."""
+    cos, sin = np.cos(rotation_y), np.sin(rotation_y)
+    return np.array([[cos, sin, 0.0], [0.0, 0.0, -1.0], [-sin, cos, 0.0]])
+
+
+def read_object_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
+    """Returns the objects of one `label_2/KEY.txt`, in file order, without DontCare; an empty file has none.
+
+    Args:
+        path: the file.
+        T_camera_label: from rectified camera 0 to the camera frame (`Frame.T_camera_label`); None for identity.
+
+    Raises:
+        FormatError: the file is missing, or a row is not a valid label; names file and line.
+    """
+    rows = ((line, parse_fields(fields, path, line)) for line, fields in text_rows(path))
+    return [row_truth(row, None, T_camera_label, path, line) for line, row in rows if row.label != DONT_CARE]
+
+
+def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> dict[int, list[Truth]]:
+    """Returns the objects of a `label_02.txt` by frame number, in file order, without DontCare.
+
+    A frame without objects has no entry. Arguments and errors as in `read_object_labels`.
+    """
+    frames: dict[int, list[Truth]] = {}
+    for line, fields in text_rows(path):
+        frame, track_id, row = parse_tracking_fields(fields, path, line)
+        if row.label != DONT_CARE:
+            frames.setdefault(frame, []).append(row_truth(row, track_id, T_camera_label, path, line))
+    return frames
+
+
+def read_tracking_areas(path: Path) -> dict[int, list[KittiLabel]]:
+    """Returns the DontCare rows of a `label_02.txt` by frame number, in file order; other frames have no entry.
+
+    Raises:
+        FormatError: the file is missing, or a row is not a valid label; names file and line.
+    """
+    frames: dict[int, list[KittiLabel]] = {}
+    for line, fields in text_rows(path):
+        frame, _, row = parse_tracking_fields(fields, path, line)
+        if row.label == DONT_CARE:
+            frames.setdefault(frame, []).append(row)
+    return frames
+
+
+def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int, int, KittiLabel]:
+    """Returns frame number, track id and row of a line of a tracking file.
+
+    Raises:
+        FormatError: as `parse_label_line`.
+    """
+    frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
+    if max(abs(frame), abs(track_id)) > MOST_TRACK:
+        raise FormatError(
+            path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track_id:.6g}", line
+        )
+    return frame, track_id, parse_fields(fields[TRACKING_FIELDS:], path, line)
+
+
+def _leading(fields: list[str], path: Path, line: int) -> list[str]:
+    if len(fields) < TRACKING_FIELDS + FIELDS:
+        raise FormatError(path, f"a tracking row has {TRACKING_FIELDS + FIELDS} fields, not {len(fields)}", line)
+    return fields[:TRACKING_FIELDS]
+
+
+def parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
+    """Parses the fields of an object row; errors as `parse_label_line`."""
+    if len(fields) not in (FIELDS, FIELDS + 1):
+        raise FormatError(
+            path, f"a label row has {FIELDS} fields (or {FIELDS + 1} with a score), not {len(fields)}", line
+        )
+    values = [finite_number(field, path, line) for field in fields[1:]]
+    occluded = _integer(fields[2], path, line)
+    return KittiLabel(fields[0], values[0], occluded, *values[2:])
+
+
+def _integer(field: str, path: Path, line: int) -> int:
+    value = finite_number(field, path, line)
+    if value != int(value):
+        raise FormatError(path, f"{field!r} is not a whole number", line)
+    return int(value)
+
+
+def _size_m(row: KittiLabel) -> Float64[np.ndarray, "3"]:
+    return np.array([row.length, row.width, row.height])
+
+
+def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int) -> Truth:
+    """Returns a row's object in the camera frame; `T` leads there from rectified camera 0 (None for identity).
+
+    Raises:
+        FormatError: a size that is not positive.
+    """
+    if (_size_m(row) <= 0).any():
+        raise FormatError(
+            path, f"height width length must be positive, not {row.height} {row.width} {row.length}", line
+        )
+    try:
+        box = label_box(row)
+        return Truth(row.label, box if T is None else box.transformed(T), track_id, row.score)
+    except ValueError as error:
+        raise FormatError(path, str(error), line) from error

@@ -1,0 +1,175 @@
+"""KITTI labels of many frames: `label_2` folders, the datasets around them, tracking files, and detection results.
+
+Boxes are in rectified camera 0, as in `label_files.py`. A `frames.csv` above the label files, as in annotator's
+exports, gives the name of each file's frame in a project; without it the file's stem is the frame's key.
+
+The shift to the colour camera comes from the calibrations beside the labels: P2 = K [I | t], so a point in the frame of
+camera 0 plus t is the same point in the colour camera's frame (KITTI object devkit, readme.txt). In KITTI t is about
+6 cm. As in the devkit, results need a file for every frame; it is empty for a frame without detections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.formats.frame_class_names import DatasetNames
+from annotator.formats.json_file import MOST
+from annotator.formats.kitti.label_files import (
+    DONT_CARE,
+    KittiLabel,
+    parse_fields,
+    parse_label_line,
+    parse_tracking_fields,
+    row_truth,
+)
+from annotator.formats.text_folder import read_text, text_files, text_rows
+from annotator.types import Truth
+from annotator.types.errors import FormatError
+
+PLACES = ("training/label_2", "label_2", "label_02.txt")
+
+Frames = dict[str, tuple[Truth, ...]]
+"""The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
+
+
+def read_kitti_labels(path: Path) -> Frames:
+    """Returns the objects of all frames, in file order, without DontCare.
+
+    Args:
+        path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
+            file `label_02.txt`, where every frame with a row counts as labelled.
+
+    Raises:
+        FormatError: there are no labels, a row is not a valid label (names the line), or frames.csv does not list a
+            label file.
+    """
+    place = _place(path)
+    if place.is_file() and place.suffix == ".txt":
+        return _tracked(place)
+    dataset_names, frames = DatasetNames.of(place), Frames()
+    for stem, file, text in text_files(place, within=LABELS):
+        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
+        rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
+        frames[dataset_names.frame(stem)] = _objects(rows, file, dataset_names)
+    return frames
+
+
+def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
+    """Returns the shift from rectified camera 0 to the colour camera, metres, of each frame with a calibration.
+
+    Args:
+        path: as in `read_kitti_labels`; archives and tracking files have no calibrations.
+
+    Raises:
+        FormatError: a calibration is damaged, or frames.csv does not list a label file.
+    """
+    place = _place(path)
+    if not place.is_dir():
+        return {}
+    dataset_names = DatasetNames.of(place)
+    files = {file.stem: calibration_beside(file) for file in sorted(place.glob("*.txt")) if file.name[0] != "."}
+    return {dataset_names.frame(stem): read_shift(file) for stem, file in files.items() if file is not None}
+
+
+def _place(path: Path) -> Path:
+    return next((path / name for name in PLACES if (path / name).exists()), path)
+
+
+def _objects(rows: Iterable[tuple[int, KittiLabel]], file: Path, dataset_names: DatasetNames) -> tuple[Truth, ...]:
+    truths = [row_truth(row, None, None, file, line) for line, row in rows if row.label != DONT_CARE]
+    return tuple(replace(truth, label=dataset_names.label(truth.label)) for truth in truths)
+
+
+def _tracked(file: Path) -> Frames:
+    """Returns the objects of a tracking file, by frame number with six digits, as KITTI names the images."""
+    frames: dict[str, list[Truth]] = {}
+    for line, fields in text_rows(file):
+        number, track_id, row = parse_tracking_fields(fields, file, line)
+        objects = frames.setdefault(f"{number:06d}", [])
+        if row.label != DONT_CARE:
+            objects.append(row_truth(row, track_id, None, file, line))
+    if not frames:
+        raise FormatError(file, "has no row")
+    return {name: tuple(objects) for name, objects in frames.items()}
+
+
+LABELS, CALIBRATIONS = "label_2", "calib"
+# Plausibility limit, metres: two cameras of one vehicle.
+MOST_SHIFT_M = 100.0
+
+
+def calibration_beside(label_file: Path) -> Path | None:
+    """Returns `calib/STEM.txt` beside the `label_2` folder of a label file; None if there is no such file."""
+    if label_file.parent.name != LABELS:
+        return None
+    file = label_file.parent.parent / CALIBRATIONS / label_file.name
+    return file if file.is_file() else None
+
+
+def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
+    """Returns t of a calibration file, metres.
+
+    Raises:
+        FormatError: the file cannot be read; P2 is missing, damaged or singular; or t is longer than `MOST_SHIFT_M`.
+    """
+    for line, (head, *words) in text_rows(path):
+        if head.rstrip(":") != "P2":
+            continue
+        try:
+            P2 = np.array([float(word) for word in words]).reshape(3, 4)
+            if not (np.abs(P2) <= MOST).all():
+                raise ValueError
+            shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise FormatError(path, "P2 must be a 3x4 camera matrix: twelve numbers", line) from error
+        if not (np.abs(shift) <= MOST_SHIFT_M).all():
+            raise FormatError(path, f"P2 moves the camera by more than {MOST_SHIFT_M:g} m", line)
+        return shift
+    raise FormatError(path, "has no P2")
+
+
+# The size in rows without a 3D box.
+UNKNOWN_SIZE = (-1.0, -1.0, -1.0)
+
+
+def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel, ...]]:
+    """Returns the rows of every frame, by the file's stem, in file order.
+
+    Args:
+        path: a folder, or a zip archive, of `KEY.txt` files.
+        scored: True for results: every row must have a score.
+
+    Raises:
+        FormatError: as `text_files`; or a row has too few fields, a field that is not a finite number, a 2D box with
+            right < left or bottom < top, or a size that is not positive (-1 -1 -1 means an unknown 3D box).
+    """
+    return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
+
+
+def read_kitti_file(path: Path, *, scored: bool) -> tuple[KittiLabel, ...]:
+    """Returns the rows of one frame; arguments and errors as in `read_kitti_folder`."""
+    return _rows(read_text(path), path, scored)
+
+
+def _rows(text: str, file: Path, scored: bool) -> tuple[KittiLabel, ...]:
+    lines = enumerate(text.splitlines(), 1)
+    return tuple(_row(line, file, number, scored) for number, line in lines if line.strip())
+
+
+def _row(text: str, file: Path, line: int, scored: bool) -> KittiLabel:
+    row = parse_label_line(text, file, line)
+    if scored and row.score is None:
+        raise FormatError(file, "has 15 fields; a result row has 16, the last is the score", line)
+    if row.right < row.left or row.bottom < row.top:
+        edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
+        raise FormatError(file, f"left <= right and top <= bottom must hold, not left top right bottom = {edges}", line)
+    size = (row.height, row.width, row.length)
+    if min(size) <= 0 and size != UNKNOWN_SIZE and row.label.lower() != DONT_CARE.lower():
+        height, width, length = size
+        raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
+    return row

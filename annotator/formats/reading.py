@@ -1,0 +1,76 @@
+"""What label readers share: handling of faults, finite numbers, and image files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.files import read_at_most
+from annotator.image_bytes import decode_image
+from annotator.types.errors import FormatError
+
+OnFault = Callable[[FormatError], None]
+"""Called with each fault. If it returns, the faulty entry is skipped and reading continues."""
+
+
+def raise_fault(fault: FormatError) -> None:
+    """Stops reading by raising the fault.
+
+    Raises:
+        FormatError: always.
+    """
+    raise fault
+
+
+# Characters of an invalid text that a message quotes.
+SHOWN = 40
+
+
+def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
+    """Returns a text as a finite number.
+
+    Args:
+        path, line: for the error message.
+        name: the field's name, for the error message.
+
+    Raises:
+        FormatError: the text is not a number, or not finite.
+    """
+    quoted = f"{name}: {text[:SHOWN]!r}" if name else f"{text[:SHOWN]!r}"
+    try:
+        # float() would accept 1_000
+        value = float(text.replace("_", "?"))
+    except ValueError:
+        raise FormatError(path, f"{quoted} is not a number", line) from None
+    if not math.isfinite(value):
+        raise FormatError(path, f"{quoted} is not a finite number", line)
+    return value
+
+
+# Uncompressed images of the largest cameras have a few hundred megabytes.
+MAX_PICTURE_BYTES = 512 * 2**20
+
+
+def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
+    """Returns the bytes of an image file and its pixels: BGR order, rotated according to the EXIF tag.
+
+    Raises:
+        FormatError: the file cannot be read, is truncated, damaged, not an image or too large.
+    """
+    import cv2
+
+    try:
+        content = read_at_most(file, MAX_PICTURE_BYTES)
+        if len(content) > MAX_PICTURE_BYTES:
+            raise ValueError(f"the file is longer than {MAX_PICTURE_BYTES // 2**20} MiB")
+        return content, decode_image(content, cv2.IMREAD_COLOR)
+    except OSError as error:
+        raise FormatError(
+            file, f"the image cannot be read ({error.strerror}); restore it, or remove its labels"
+        ) from error
+    except ValueError as error:
+        raise FormatError(file, f"is not a readable image: {error}; restore it, or remove its labels") from error

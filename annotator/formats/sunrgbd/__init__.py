@@ -1,0 +1,1 @@
+"""SUN RGB-D: VoteNet's folder layout and the data set's own label table."""

@@ -1,0 +1,363 @@
+"""The payloads of events: one model per kind.
+
+Events are never rewritten, so these models must read every existing database: a new field needs a default, and a
+changed meaning needs a new kind.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field, TypeAdapter, model_validator
+
+from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
+from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Source
+from annotator.types.label import MOST_TRACK
+
+ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Uid = Annotated[str, Field(min_length=1, max_length=64)]
+ClassName = Annotated[str, Field(min_length=1)]
+TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
+
+
+class Origin(StrEnum):
+    """How an operator made a label that was not proposed.
+
+    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another frame.
+    """
+
+    DRAWN = "drawn"
+    PLACED = "placed"
+    COPIED = "copied"
+
+
+class LabelState(BaseModel):
+    """All stored values of a label except its uid and frame, as in `Label` and `StoredLabel`.
+
+    Attributes:
+        place: id of its row, which orders the labels of a frame.
+        track_linked: True if linking gave the track id, not a person or a file.
+    """
+
+    model_config = EXACT
+
+    label: ClassName
+    box: BoxRecord
+    score: float | None
+    source: Source
+    state: ReviewState
+    author: str
+    time_ns: int
+    track_id: int | None
+    view_disagreement: float | None
+    kept_share: float | None
+    last_change: float | None
+    proposal_event_id: int | None
+    run_id: int | None
+    origin: Origin | None
+    image_box: Box2D | None
+    place: int
+    image_agreement: float | None = None
+    track_linked: bool = False
+
+
+class ImageBoxesState(BaseModel):
+    """All stored values of the boxes on a camera image, as in `ImageBoxes`."""
+
+    model_config = EXACT
+
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    author: str
+    time_ns: int
+    source: Source
+
+
+class ViewBoxesState(BaseModel):
+    """All stored values of the boxes on a pseudo-view, as in `ViewBoxes`."""
+
+    model_config = EXACT
+
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    step: int | None
+    geometry: ViewGeometry | None
+    author: str
+    time_ns: int
+    source: Source
+
+
+class _Payload(BaseModel):
+    model_config = EXACT
+
+    def classes(self) -> set[str]:
+        """The class names that the payload contains."""
+        return set()
+
+
+class ImageBoxesSet(_Payload):
+    """Replaces all 2D boxes on the camera image; empty = the image shows no object."""
+
+    kind: Literal["image_boxes_set"] = "image_boxes_set"
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.boxes}
+
+
+class ViewBoxesSet(_Payload):
+    """Replaces all 2D boxes on one pseudo-view.
+
+    Attributes:
+        view: SHA-256 of the view's PNG, as returned by `Views.store`.
+        step: the step of the recursion that drew the view, from 0, if known.
+        geometry: pose and scale of the view, if known.
+    """
+
+    kind: Literal["view_boxes_set"] = "view_boxes_set"
+    view: ViewId
+    boxes: tuple[Box2D, ...]
+    box_kind: BoxKind
+    step: int | None = None
+    geometry: ViewGeometry | None = None
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.boxes}
+
+
+class ProposedObject(BaseModel):
+    """One proposal of an automatic pass.
+
+    Attributes:
+        uid: of the label created from it.
+        covered_by: uid of the reviewed label of the same object; if given, no label was created.
+        track_id: the object's id over the recording, if the pass followed it from another frame.
+    """
+
+    model_config = EXACT
+
+    uid: Uid
+    proposal: ProposalRecord
+    covered_by: Uid | None = None
+    track_id: TrackId | None = None
+
+
+class ProposalsReplaced(_Payload):
+    """An automatic pass: its proposals replace all unreviewed labels.
+
+    Attributes:
+        run: id of the batch run, if it was part of one.
+        objects: every proposal with its trace, also those covered by a reviewed label.
+        lost: frustums without a resulting box.
+    """
+
+    kind: Literal["proposals_replaced"] = "proposals_replaced"
+    run: int | None = None
+    objects: tuple[ProposedObject, ...]
+    lost: tuple[LostObject, ...] = ()
+
+    def classes(self) -> set[str]:
+        return {entry.proposal.label for entry in self.objects}
+
+
+class LabelCreated(_Payload):
+    """A 3D box that no automatic pass proposed: made by an operator, or imported.
+
+    Attributes:
+        origin: how an operator made it, if one did.
+        image_box: box on the camera image that the label was made from, if any.
+    """
+
+    kind: Literal["label_created"] = "label_created"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    score: Finite | None = None
+    track_id: int | None = None
+    state: ReviewState = ReviewState.ACCEPTED
+    origin: Origin | None = None
+    image_box: Box2D | None = None
+
+    @model_validator(mode="after")
+    def _reviewed(self) -> LabelCreated:
+        # the next automatic pass would remove it
+        if self.state is ReviewState.PROPOSED:
+            raise ValueError("a created label cannot be in state 'proposed'; only an automatic pass proposes")
+        return self
+
+    def classes(self) -> set[str]:
+        return {self.label}
+
+
+class LabelProposed(_Payload):
+    """A proposal that an operator requested: copied or interpolated from other frames of its track, or detected.
+
+    Like the proposals of a pass, it waits for a review, and the next pass over the frame replaces it.
+
+    Attributes:
+        proposal: with its trace, if the recursion found the box.
+    """
+
+    kind: Literal["label_proposed"] = "label_proposed"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    track_id: TrackId | None = None
+    proposal: ProposalRecord | None = None
+
+    def classes(self) -> set[str]:
+        return {self.label}
+
+
+class LabelTracked(_Payload):
+    """Changes the label's track, or removes it from its track; its box and review state stay."""
+
+    kind: Literal["label_tracked"] = "label_tracked"
+    uid: Uid
+    track_id: TrackId | None
+
+
+class LinkedLabel(BaseModel):
+    """Result of linking for one label.
+
+    Attributes:
+        track_id: the new track id; None keeps the label's own, given by a person or a file.
+        box: smoothed over its track; None keeps the label's box, as required for a reviewed label.
+    """
+
+    model_config = EXACT
+
+    uid: Uid
+    track_id: TrackId | None = None
+    box: BoxRecord | None = None
+
+
+class TracksLinked(_Payload):
+    """Result of linking over the recording: track ids of labels of one frame, and smoothed boxes of open proposals."""
+
+    kind: Literal["tracks_linked"] = "tracks_linked"
+    labels: tuple[LinkedLabel, ...]
+
+
+class LabelAccepted(_Payload):
+    """Accepts the label unchanged."""
+
+    kind: Literal["label_accepted"] = "label_accepted"
+    uid: Uid
+
+
+class LabelEdited(_Payload):
+    """Changes the label's class, box and track.
+
+    Attributes:
+        image_box: the new box on the camera image that the label is made from; None = unchanged.
+    """
+
+    kind: Literal["label_edited"] = "label_edited"
+    uid: Uid
+    label: ClassName
+    box: BoxRecord
+    track_id: int | None = None
+    image_box: Box2D | None = None
+
+    def classes(self) -> set[str]:
+        return {self.label}
+
+
+class LabelRejected(_Payload):
+    """Rejects the label: the object does not exist. The label stays, so that later passes do not propose it again."""
+
+    kind: Literal["label_rejected"] = "label_rejected"
+    uid: Uid
+
+
+class LabelDeleted(_Payload):
+    """Removes the label; a later pass may propose the object again."""
+
+    kind: Literal["label_deleted"] = "label_deleted"
+    uid: Uid
+
+
+class LabelRestored(_Payload):
+    """Restores a former state of the label: reverts an edit, a review or a deletion."""
+
+    kind: Literal["label_restored"] = "label_restored"
+    uid: Uid
+    former: LabelState
+
+    def classes(self) -> set[str]:
+        return {self.former.label}
+
+
+class ImageBoxesRestored(_Payload):
+    """Restores former boxes on the camera image."""
+
+    kind: Literal["image_boxes_restored"] = "image_boxes_restored"
+    former: ImageBoxesState
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.former.boxes}
+
+
+class ImageBoxesRemoved(_Payload):
+    """The camera image is unlabelled again."""
+
+    kind: Literal["image_boxes_removed"] = "image_boxes_removed"
+
+
+class ViewBoxesRestored(_Payload):
+    """Restores former boxes on one pseudo-view."""
+
+    kind: Literal["view_boxes_restored"] = "view_boxes_restored"
+    view: ViewId
+    former: ViewBoxesState
+
+    def classes(self) -> set[str]:
+        return {box.label for box in self.former.boxes}
+
+
+class ViewBoxesRemoved(_Payload):
+    """The pseudo-view is unlabelled again: its object is being redrawn, or was removed."""
+
+    kind: Literal["view_boxes_removed"] = "view_boxes_removed"
+    view: ViewId
+
+
+class FrameFinalised(_Payload):
+    """Finalises the frame: automatic passes may not change it."""
+
+    kind: Literal["frame_finalised"] = "frame_finalised"
+
+
+class FrameReopened(_Payload):
+    """Reopens a finalised frame."""
+
+    kind: Literal["frame_reopened"] = "frame_reopened"
+
+
+LabelChange = LabelAccepted | LabelEdited | LabelRejected | LabelDeleted
+
+Payload = (
+    ImageBoxesSet
+    | ViewBoxesSet
+    | ProposalsReplaced
+    | TracksLinked
+    | LabelCreated
+    | LabelProposed
+    | LabelTracked
+    | LabelAccepted
+    | LabelEdited
+    | LabelRejected
+    | LabelDeleted
+    | LabelRestored
+    | ImageBoxesRestored
+    | ImageBoxesRemoved
+    | ViewBoxesRestored
+    | ViewBoxesRemoved
+    | FrameFinalised
+    | FrameReopened
+)
+
+PAYLOAD: TypeAdapter[Payload] = TypeAdapter(Annotated[Payload, Field(discriminator="kind")])

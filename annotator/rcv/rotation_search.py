@@ -1,0 +1,171 @@
+"""The rotation search of the box fit: a grid of rotations, and what each costs given the intervals' lengths.
+
+Half the length of an interval along d is `sum_i s_i / 2 |d.r_i|`: linear in the sizes s_i for a known rotation with
+axes r_i, and independent of the centre. Each rotation is therefore a least-squares problem with three unknowns, solved
+in closed form. The best quarter is solved again with intervals weighted by their residuals (`kernels.rotation_search`).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial.transform import Rotation
+
+from annotator.rcv.axes import BOX_SYMMETRIES
+from annotator.rcv.config import FitConfig
+
+# Resolution of the search; not settings, since they do not change what counts as an object.
+GRID_SIZE = 400
+YAW_GRID = 36
+# Share of the rotations that is solved again: in the first round, a wrong interval raises the cost of all of them.
+SECOND_ROUND_SHARE = 0.25
+# Grids up to this size are solved again as a whole.
+SMALL_GRID = 64
+
+_IDENTITY = int(np.argmax(np.einsum("sii->s", BOX_SYMMETRIES)))
+
+
+def rotation_matrices(vectors: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 3 3"]:
+    """Rotation matrices of rotation vectors, radians (Rodrigues); faster than scipy for a few vectors."""
+    angle = np.sqrt((vectors**2).sum(axis=1))
+    half = 0.5 * angle
+    # sin(x) / x and (1 - cos(x)) / x**2 in forms that are exact near zero
+    by_cross, by_square = np.sinc(angle / np.pi), 0.5 * np.sinc(half / np.pi) ** 2
+    cross = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+    cross -= cross.swapaxes(1, 2)
+    return np.eye(3) + by_cross[:, None, None] * cross + by_square[:, None, None] * (cross @ cross)
+
+
+@lru_cache(maxsize=4)
+def spread_rotations(count: int) -> Float64[np.ndarray, "k 3 3"]:
+    """`count` rotations spread evenly over those that differ for a box; deterministic, the identity first.
+
+    A super-Fibonacci spiral (Alexa, CVPR 2022) covers SO(3). Only rotations whose nearest box symmetry is the identity
+    are kept.
+    """
+    total = count * 24
+    while True:
+        rotations = _super_fibonacci(total)
+        traces = np.einsum("sij,kji->ks", BOX_SYMMETRIES, rotations)
+        near_identity = traces[:, _IDENTITY] >= traces.max(axis=1) - 1e-12
+        if near_identity.sum() >= count - 1:
+            distinct = rotations[near_identity]
+            picked = distinct[np.linspace(0, len(distinct) - 1, count - 1).astype(int)] if count > 1 else distinct[:0]
+            return _read_only(np.concatenate([np.eye(3)[None], picked]))
+        total = int(total * 1.2) + 1
+
+
+def free_grid() -> Float64[np.ndarray, "k 3 3"]:
+    """The grid of rotations for free boxes."""
+    return spread_rotations(GRID_SIZE)
+
+
+def yaw_grid(up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "k 3 3"]:
+    """The grid of rotations for boxes with z = up, over a quarter turn.
+
+    The next quarter turn repeats the same boxes with length and width swapped.
+    """
+    return _yaw_grid(tuple(up.tolist()))
+
+
+@lru_cache(maxsize=16)
+def _yaw_grid(up: tuple[float, ...]) -> Float64[np.ndarray, "k 3 3"]:
+    z = np.array(up)
+    helper = np.eye(3)[np.argmin(np.abs(z))]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    base = np.stack([x, np.cross(z, x), z], axis=1)
+    angles = np.arange(YAW_GRID) * (np.pi / 2 / YAW_GRID)
+    return _read_only(Rotation.from_rotvec(angles[:, None] * z).as_matrix() @ base)
+
+
+def grid_neighbours(up: Float64[np.ndarray, "3"] | None, angle_rad: float) -> Bool[np.ndarray, "k k"]:
+    """`neighbours` of `yaw_grid(up)`, or of `free_grid()` if `up` is None; cached."""
+    return _grid_neighbours(None if up is None else tuple(up.tolist()), angle_rad)
+
+
+@lru_cache(maxsize=16)
+def _grid_neighbours(up: tuple[float, ...] | None, angle_rad: float) -> Bool[np.ndarray, "k k"]:
+    return _read_only(neighbours(free_grid() if up is None else _yaw_grid(up), angle_rad))
+
+
+def neighbours(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Bool[np.ndarray, "k k"]:
+    """Which rotations differ by less than `angle_rad`; rotations that turn a box into itself count as equal."""
+    # trace(A S B^T) for all pairs and symmetries: the columns of A, permuted and signed, against those of B
+    flat = rotations.reshape(len(rotations), 9)
+    best = np.full((len(rotations), len(rotations)), -np.inf)
+    for symmetry in BOX_SYMMETRIES:
+        np.maximum(best, (rotations @ symmetry).reshape(-1, 9) @ flat.T, out=best)
+    return best > 1 + 2 * np.cos(angle_rad)
+
+
+def cheapest_distinct(
+    costs: Float64[np.ndarray, "k"], near: Bool[np.ndarray, "k k"], count: int
+) -> Int64[np.ndarray, "c"]:
+    """Indices of up to `count` lowest finite costs, in rising order, without neighbours of a cheaper one.
+
+    Args:
+        near: from `neighbours`.
+    """
+    left = costs.copy()
+    chosen: list[int] = []
+    while len(chosen) < count:
+        index = int(np.argmin(left))
+        if left[index] == np.inf:
+            break
+        chosen.append(index)
+        left[near[index]] = np.inf
+        left[index] = np.inf
+    return np.array(chosen, np.int64)
+
+
+def rotation_costs(
+    directions: Float64[np.ndarray, "m 3"],
+    ends_m: Float64[np.ndarray, "m 2"],
+    sigma_m: Float64[np.ndarray, "m 2"],
+    rotations: Float64[np.ndarray, "k 3 3"],
+    config: FitConfig,
+) -> Float64[np.ndarray, "k"]:
+    """The robust cost of each rotation with its best sizes, in units of the expected variance.
+
+    Rotations that are not among the best after the first round cost infinity.
+
+    Args:
+        directions, ends_m, sigma_m: as in `Intervals`; intervals with an unknown end are ignored.
+        rotations: columns = box axes in the frame of `directions`.
+    """
+    from annotator.rcv.kernels.rotation_search import size_costs
+
+    half = (ends_m[:, 1] - ends_m[:, 0]) / 2
+    sigma = np.hypot(sigma_m[:, 0], sigma_m[:, 1]) / 2
+    known = np.isfinite(sigma)
+    # in multiples of the expected error, so that all weights start at one
+    scaled, target = directions[known] / sigma[known, None] / 2, half[known] / sigma[known]
+    delta, least = config.huber_sigmas, config.min_size_m
+    # copies, since numba compiles a second variant for read-only arrays
+    if len(rotations) <= SMALL_GRID:
+        return size_costs(scaled, target, rotations.copy(), delta, least, 2)
+    costs = size_costs(scaled, target, rotations.copy(), delta, least, 1)
+    again = np.argpartition(costs, int(len(costs) * SECOND_ROUND_SHARE))[: int(len(costs) * SECOND_ROUND_SHARE)]
+    costs[:] = np.inf
+    costs[again] = size_costs(scaled, target, rotations[again], delta, least, 2)
+    return costs
+
+
+def _super_fibonacci(n: int) -> Float64[np.ndarray, "n 3 3"]:
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(n) + 0.5
+    r, big_r = np.sqrt(s / n), np.sqrt(1 - s / n)
+    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    quaternions = np.stack([r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)], axis=1)
+    return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+
+
+def _read_only(values: np.ndarray) -> np.ndarray:
+    """The same array, made read-only because the cache shares it."""
+    values.flags.writeable = False
+    return values

@@ -1,0 +1,1 @@
+"""Point cloud files in all supported formats, and folders of them."""

@@ -1,0 +1,48 @@
+"""Reads a point cloud file of any supported format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns
+from annotator.recordings.clouds.las_file import parse_las
+from annotator.recordings.clouds.numpy_file import parse_npy, parse_npz
+from annotator.recordings.clouds.pcd_file import parse_pcd
+from annotator.recordings.clouds.ply_file import parse_ply
+from annotator.recordings.kitti.frame import read_scan
+from annotator.types.errors import FrameError
+
+PARSERS: dict[str, Callable[[Path, bytes], RawCloud]] = {
+    ".ply": parse_ply,
+    ".pcd": parse_pcd,
+    ".npy": parse_npy,
+    ".npz": parse_npz,
+    ".las": parse_las,
+    ".laz": parse_las,
+}
+# KITTI's scans have no header and are read by `read_scan`.
+SCAN_SUFFIX = ".bin"
+CLOUD_SUFFIXES = (*PARSERS, SCAN_SUFFIX)
+
+
+def read_cloud(path: Path) -> RawCloud:
+    """Returns the valid points of a file with one of `CLOUD_SUFFIXES`, in its own frame, metres.
+
+    Raises:
+        MissingExtraError: a LAS or LAZ file, but the extra `las` is not installed.
+        FrameError: the file is missing, damaged, shorter than its header says, or has no valid point.
+    """
+    suffix = path.suffix.lower()
+    if suffix == SCAN_SUFFIX:
+        scan = read_scan(path)
+        return from_columns(path, dict(zip(("x", "y", "z", "reflectance"), scan.T.astype(np.float64), strict=True)))
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
+    if not data:
+        raise FrameError(path, "the file is empty", CLOUD_REMEDY)
+    return PARSERS[suffix](path, data)

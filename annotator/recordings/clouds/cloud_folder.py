@@ -1,0 +1,236 @@
+"""Folders of point clouds: PLY, PCD, KITTI's BIN, NPY, NPZ, LAS or LAZ, one file per frame.
+
+KEY.ply (and so on)        in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
+image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
+calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour camera 2
+camera_intrinsic.json      optional alternative, as in an RGB-D folder; the clouds are in the camera's frame, or in the
+                           frame from which "cloud_to_camera" (4 x 4, row by row) leads to it
+gravity.json               optional, beside camera_intrinsic.json
+timestamps.csv             optional: capture time of each frame (`frame_times`)
+
+Without a calibration the clouds are assumed to come from a level LiDAR (x forward, y left, z up), with a virtual camera
+at its origin, looking forward. If all points are further away than a LiDAR's range (map coordinates), the virtual
+camera is in the middle of the cloud. Without images, the image is rendered from the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Never
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform
+
+from annotator.geometry.projection import inside_image, project
+from annotator.image_bytes import MOST_PIXELS
+from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.frame_times import Times, read_times
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
+from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.plausible import is_rotation
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rgbd_camera import FILE_NAME, Number, read_camera, read_up
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError
+
+LOOKED_FOR = f"files of points ({' '.join(CLOUD_SUFFIXES)}), here or in points/"
+CLOUD_FOLDERS = ("points", "clouds", "cloud", "pointcloud", "pointclouds", "velodyne", "lidar", "pcd", "ply")
+IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
+# For clouds without a camera; horizontal field of view 90 degrees.
+VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
+# Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
+T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+MOST_OFF_ROTATION = 1e-3
+# If the nearest point is further away, the coordinates are map coordinates.
+FARTHEST_SEEN_M = 10_000.0
+Four = tuple[Number, Number, Number, Number]
+
+
+class CloudPoseFile(BaseModel):
+    """The optional pose of the clouds' frame in `camera_intrinsic.json`."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    cloud_to_camera: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CloudCamera:
+    """The camera of a folder's clouds.
+
+    Attributes:
+        path: the calibration file, for messages.
+        T_camera_cloud: from the clouds' own frame to the camera.
+        up: unit vector against gravity in the camera frame; None if unknown.
+        kitti: KITTI's calibration; its matrices are used unchanged: they are orthonormal only to seven digits.
+    """
+
+    path: Path
+    T_camera_cloud: RigidTransform
+    camera: Camera
+    up: Float64[np.ndarray, "3"] | None
+    kitti: KittiCalibration | None = None
+
+    def to_camera(self, raw: RawCloud) -> PointCloud:
+        """Returns a cloud in the camera frame."""
+        transform = self.T_camera_cloud.apply if self.kitti is None else self.kitti.to_camera
+        xyz_m = transform(raw.xyz_m)
+        return PointCloud(xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
+
+
+@dataclass(frozen=True, eq=False)
+class CloudFolder(KeyedFrames):
+    """A `Recording` of a folder of point clouds, in time order; labels are in the clouds' own frame.
+
+    Attributes:
+        clouds: the folder of the cloud files.
+        images: the folder of the images; None without images.
+        times_ns: capture times from `timestamps.csv`; None without that file.
+    """
+
+    clouds: Path
+    images: Path | None
+    times_ns: Times | None = None
+    format: ClassVar[str] = "cloud_folder"
+    is_sequence: ClassVar[bool] = True
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
+
+        Raises:
+            FrameError: a missing or broken file, an image without a calibration, or no point inside the image.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        raw = read_cloud(cloud_path)
+        if self.images is None:
+            source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
+            if source.camera.width_px * source.camera.height_px > MOST_PIXELS:
+                size = f"{source.camera.width_px} x {source.camera.height_px}"
+                raise FrameError(
+                    source.path,
+                    f"the camera has {size} pixels; at most {MOST_PIXELS} are allowed",
+                    "correct the calibration",
+                )
+            cloud = source.to_camera(raw)
+            rgb = virtual_image(source.camera, cloud)
+        else:
+            image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
+            rgb = read_rgb(image_path)
+            source = self._cloud_camera(key, rgb) or self._refuse(key)
+            cloud = _seen(source.camera, source.to_camera(raw), rgb)
+            if len(cloud) == 0:
+                raise FrameError(
+                    cloud_path,
+                    f"none of its {len(raw.xyz_m)} points lies in the image, so the cloud is empty",
+                    f"check that {source.path} belongs to this cloud and maps its frame to the camera's",
+                )
+        return Frame(
+            key,
+            i,
+            source.camera,
+            rgb,
+            cloud,
+            up=source.up,
+            T_camera_label=source.T_camera_cloud,
+            timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+        )
+
+    def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
+        """Returns the camera from the folder's calibration; None without one."""
+        for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
+            if path.is_file():
+                return _kitti_camera(path, rgb)
+        path = self.path / FILE_NAME
+        return _json_camera(path, rgb) if path.is_file() else None
+
+    def _refuse(self, key: str) -> Never:
+        raise FrameError(
+            self.path / FILE_NAME,
+            "the calibration of the images is missing",
+            f"write {FILE_NAME} (with cloud_to_camera), or add KITTI's calib/{key}.txt or calib.txt, or remove the "
+            "images from the folder",
+        )
+
+
+def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
+    """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
+
+    Raises:
+        RecordingError: `timestamps.csv` is invalid.
+    """
+    if not path.is_dir():
+        return NotFound(LOOKED_FOR)
+    for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):
+        keys = stems(clouds, CLOUD_SUFFIXES) if clouds.is_dir() else set()
+        if keys:
+            images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
+            if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
+                images = clouds
+            ordered = sorted_keys(path, keys, LOOKED_FOR)
+            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered))
+    return NotFound(LOOKED_FOR)
+
+
+def _level_camera(path: Path, raw: RawCloud) -> CloudCamera:
+    """Returns a virtual camera at a level LiDAR's origin; for map coordinates in the middle, in whole metres."""
+    nearest_m = np.sqrt((raw.xyz_m**2).sum(axis=1).min())
+    place_m = np.floor(np.median(raw.xyz_m, axis=0)) if nearest_m > FARTHEST_SEEN_M else np.zeros(3)
+    return CloudCamera(path, T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m), VIRTUAL_CAMERA, UP)
+
+
+def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
+    """Returns colour camera 2; without an image, the principal point is assumed to be the middle of the image."""
+    calibration = read_calibration(path)
+    if rgb is not None:
+        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+    else:
+        width, height = (int(2 * calibration.matrix[axis, 2]) + 1 for axis in (0, 1))
+        if min(width, height) <= 0:
+            raise FrameError(path, f"P2 implies an image of {width} x {height} pixels", "correct the calibration")
+        camera = calibration.camera(width, height)
+    return CloudCamera(path, calibration.T_camera_lidar, camera, UP, calibration)
+
+
+def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
+    camera = read_camera(path).camera
+    if rgb is not None and rgb.shape[:2] != (camera.height_px, camera.width_px):
+        raise FrameError(
+            path,
+            f"the camera has images of {camera.width_px} x {camera.height_px} pixels, but the image has "
+            f"{rgb.shape[1]} x {rgb.shape[0]}",
+            "write the intrinsics for this image size",
+        )
+    try:
+        rows = CloudPoseFile.model_validate_json(path.read_bytes()).cloud_to_camera
+    except (OSError, ValidationError) as error:
+        raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
+    return CloudCamera(path, _pose(path, rows), camera, read_up(path.with_name("gravity.json")))
+
+
+def _pose(path: Path, rows: tuple[Four, ...] | None) -> RigidTransform:
+    if rows is None:
+        return RigidTransform.identity()
+    matrix = np.array(rows)
+    if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
+        raise FrameError(path, "cloud_to_camera is not a rigid transform (last row 0 0 0 1)", "write it row by row")
+    return RigidTransform.from_matrix(matrix)
+
+
+def _seen(camera: Camera, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:
+    """Returns the points that project inside the image; without colours of its own, the cloud gets the image's."""
+    px = project(camera, cloud.xyz_m)
+    inside = np.flatnonzero(inside_image(camera, px) & (cloud.xyz_m[:, 2] > NEAREST_Z_M))
+    seen = cloud.select(inside)
+    if seen.rgb is not None:
+        return seen
+    u, v = np.floor(px[inside] + 0.5).astype(np.int64).T
+    return PointCloud(seen.xyz_m, rgb=rgb[v, u], reflectance=seen.reflectance)

@@ -1,0 +1,155 @@
+"""Converts the named columns of point cloud files to points, colours and reflectances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from annotator.recordings.plausible import LARGEST
+from annotator.types.errors import FrameError
+
+CLOUD_REMEDY = "save the cloud again, or remove the frame"
+COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+PACKED_NAMES = ("rgb", "rgba")
+REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
+# Maximum of reflectance values: fractions, 8 bits or 16 bits.
+REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
+# Longest number in a text file, characters.
+LONGEST_NUMBER = 400
+
+
+@dataclass(frozen=True, eq=False)
+class RawCloud:
+    """The valid points of a file, in the file's own frame.
+
+    Attributes:
+        xyz_m: (n, 3), n > 0, finite.
+        rgb: colours, or None.
+        reflectance: 0..1, or None.
+    """
+
+    xyz_m: Float64[np.ndarray, "n 3"]
+    rgb: UInt8[np.ndarray, "n 3"] | None = None
+    reflectance: Float32[np.ndarray, "n"] | None = None
+
+
+def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
+    """Returns the cloud of columns of equal length, without non-finite points; column names are lower case.
+
+    Raises:
+        FrameError: a column x, y or z is missing, or there is no valid point.
+    """
+    missing = [name for name in "xyz" if name not in columns]
+    if missing:
+        have = ", ".join(columns) or "nothing"
+        raise FrameError(path, f"has no {' '.join(missing)} (it has {have})", CLOUD_REMEDY)
+    xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
+    # false also for infinity and NaN
+    valid = np.all(np.abs(xyz_m) < LARGEST, axis=1)
+    if not valid.any():
+        problem = "every point is NaN or infinite" if len(valid) else "has no points"
+        raise FrameError(path, problem, CLOUD_REMEDY)
+    rgb, reflectance = _colors(columns), _reflectance(columns)
+    return RawCloud(
+        xyz_m[valid],
+        rgb=None if rgb is None else rgb[valid],
+        reflectance=None if reflectance is None else reflectance[valid],
+    )
+
+
+def _colors(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
+    for names in COLOR_NAMES:
+        if all(name in columns for name in names):
+            return eight_bits(np.stack([columns[name] for name in names], axis=1))
+    for name in PACKED_NAMES:
+        if name in columns:
+            return _unpack(columns[name])
+    return None
+
+
+def _real(values: np.ndarray) -> np.ndarray:
+    """Returns the values as doubles; signalling NaNs in damaged files must not raise."""
+    with np.errstate(all="ignore"):
+        return values.astype(np.float64)
+
+
+def eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
+    """Returns colours as bytes: floats up to 1 are fractions; 16-bit numbers lose their lower byte."""
+    if values.dtype == np.uint8:
+        return values
+    if values.dtype == np.uint16:
+        return (values >> 8).astype(np.uint8)
+    levels = np.nan_to_num(_real(values), nan=0.0)
+    if values.dtype.kind == "f" and levels.max(initial=0.0) <= 1:
+        levels = levels * 255
+    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+
+
+def _unpack(packed: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
+    """Returns the colours of PCD files: 0x00RRGGBB as an integer, or as the float with these bits."""
+    with np.errstate(all="ignore"):
+        bits = packed.astype(np.float32).view(np.uint32) if packed.dtype.kind == "f" else packed.astype(np.uint32)
+    return np.stack([bits >> shift & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+
+
+def _reflectance(columns: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n"] | None:
+    name = next((name for name in REFLECTANCE_NAMES if name in columns), None)
+    if name is None:
+        return None
+    values = np.nan_to_num(_real(columns[name]), nan=0.0, posinf=0.0, neginf=0.0)
+    highest = values.max(initial=0.0)
+    if columns[name].dtype in (np.uint8, np.uint16):
+        scale = float(np.iinfo(columns[name].dtype).max)
+    else:
+        scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
+    return np.clip(values / scale, 0, 1).astype(np.float32)
+
+
+def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], first_line: int) -> dict[str, np.ndarray]:
+    """Parses columns stored as text, one row per line.
+
+    Args:
+        body: the text; anything after the rows is ignored.
+        count: the number of rows.
+        first_line: line number of the body's first line in the file, for messages.
+
+    Raises:
+        FrameError: too few rows, or a value that is missing or not a number.
+    """
+    # each value needs two bytes: impossible counts are refused before memory is allocated
+    if count * len(names) * 2 > len(body) + 1:
+        raise FrameError(path, f"declares {count} points, too many for its {len(body)} bytes", CLOUD_REMEDY)
+    rows = [(number, line.split()) for number, line in enumerate(body.splitlines(), first_line) if line.strip()][:count]
+    for number, values in rows:
+        if len(values) < len(names):
+            raise FrameError(path, f"line {number} has {len(values)} values instead of {len(names)}", CLOUD_REMEDY)
+        # a numpy array of strings reserves the longest length for every element
+        if max(map(len, values)) > LONGEST_NUMBER:
+            raise FrameError(path, f"line {number} has a value of more than {LONGEST_NUMBER} characters", CLOUD_REMEDY)
+    if len(rows) < count:
+        raise FrameError(path, f"declares {count} points but has {len(rows)}", CLOUD_REMEDY)
+    try:
+        table = np.array([values[: len(names)] for _, values in rows]).astype(np.float64).reshape(count, len(names))
+    except ValueError as error:
+        raise FrameError(path, f"a value is not a number ({error})", CLOUD_REMEDY) from error
+    return {name: table[:, column] for column, name in enumerate(names)}
+
+
+def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
+    """Returns columns stored as packed rows of `dtype` at `offset`.
+
+    Raises:
+        FrameError: the file is too short.
+    """
+    have = max(len(data) - offset, 0)
+    if count * dtype.itemsize > have:
+        raise FrameError(
+            path, f"declares {count} points of {dtype.itemsize} bytes but has {have} bytes of them", CLOUD_REMEDY
+        )
+    rows = np.frombuffer(data, dtype, count, offset)
+    # fields with several values per point (a normal, a histogram) are not needed
+    return {name: rows[name] for name in dtype.names or () if rows[name].ndim == 1}

@@ -1,0 +1,130 @@
+"""LAS and LAZ point clouds, through laspy and lazrs (the extra `las`).
+
+Format: ASPRS, "LAS Specification 1.4", R15. Coordinates are integers with a scale and an offset, usually map
+coordinates in metres (`cloud_folder` moves the origin). Intensity and colours have 16 bits; some writers use only 8.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns
+from annotator.recordings.clouds.laz_check import LazLayout, laz_problem
+from annotator.types.errors import FrameError, MissingExtraError
+
+if TYPE_CHECKING:
+    import laspy
+
+SIGNATURE = b"LASF"
+# From byte 94: header size, offset of the points, number of records between, point format, bytes per point, points.
+HEAD_AT, HEAD = 94, struct.Struct("<HIIBHI")
+SHORTEST_HEADER = 227
+RECORD_HEAD_BYTES = 54
+# Limit for compressed files: equal points compress to almost nothing.
+MOST_POINTS = 1 << 25
+POINTS_AT_ONCE = 1 << 16
+
+
+def parse_las(path: Path, data: bytes) -> RawCloud:
+    """Parses the points of a LAS or LAZ file, without withheld ones; its unit is assumed to be metres.
+
+    Raises:
+        MissingExtraError: laspy or lazrs is not installed.
+        FrameError: a damaged header, fewer points than declared, damaged compression, or no valid point.
+    """
+    try:
+        import laspy
+        import lazrs  # noqa: F401 - laspy imports it by itself, without an error if it is missing
+    except ImportError as error:
+        raise MissingExtraError("laspy[lazrs]", "las") from error
+    _check_header(path, data)
+    # layers that are not needed stay compressed
+    layers = laspy.DecompressionSelection
+    selection = layers.XY_RETURNS_CHANNEL | layers.Z | layers.INTENSITY | layers.RGB | layers.FLAGS
+    try:
+        with laspy.LasReader(
+            io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False, decompression_selection=selection
+        ) as reader:
+            _check_points(path, data, reader.header)
+            columns = _columns(path, reader)
+    except FrameError:
+        raise
+    # for damaged files laspy raises any exception, and lazrs a PanicException, which is not an Exception
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        raise FrameError(path, f"cannot be read as LAS or LAZ ({str(error)[:100]})", CLOUD_REMEDY) from error
+    return from_columns(path, columns)
+
+
+def _check_header(path: Path, data: bytes) -> None:
+    """Refuses impossible record counts, which laspy would search for hours."""
+    if not data.startswith(SIGNATURE) or len(data) < SHORTEST_HEADER:
+        raise FrameError(path, "is not a LAS file, or its header is truncated", CLOUD_REMEDY)
+    header_bytes, start, records, _, point_bytes, _ = HEAD.unpack_from(data, HEAD_AT)
+    if not SHORTEST_HEADER <= header_bytes <= start <= len(data) or point_bytes == 0:
+        raise FrameError(
+            path, f"the LAS header says that the points begin at byte {start}, which is impossible", CLOUD_REMEDY
+        )
+    if records * RECORD_HEAD_BYTES > start - header_bytes:
+        raise FrameError(path, f"declares {records} records before its points, more than fit there", CLOUD_REMEDY)
+
+
+def _check_points(path: Path, data: bytes, header: laspy.LasHeader) -> None:
+    """Refuses impossible point counts before memory is allocated."""
+    count, size = int(header.point_count), int(header.point_format.size)
+    start = int(header.offset_to_point_data)
+    if not header.are_points_compressed:
+        if count * size > len(data) - start:
+            raise FrameError(
+                path, f"declares {count} points of {size} bytes but has {len(data) - start} bytes of them", CLOUD_REMEDY
+            )
+        return
+    if count > MOST_POINTS:
+        raise FrameError(path, f"declares {count} points; at most {MOST_POINTS} are read", "save fewer points")
+    record = b"".join(record.record_data for record in header.vlrs.get("LasZipVlr")[:1])
+    problem = laz_problem(data, LazLayout(record, int(header.point_format.id), size, count, start))
+    if problem:
+        raise FrameError(path, problem, CLOUD_REMEDY)
+
+
+def _columns(path: Path, reader: laspy.LasReader) -> dict[str, np.ndarray]:
+    count = int(reader.header.point_count)
+    names = set(reader.header.point_format.dimension_names)
+    columns = {name: np.empty(count) for name in "xyz"}
+    bits = [name for name in ("intensity", "red", "green", "blue") if name in names]
+    columns |= {name: np.empty(count, np.uint16) for name in bits}
+    kept = np.ones(count, bool)
+    for first in range(0, count, POINTS_AT_ONCE):
+        points = reader.read_points(POINTS_AT_ONCE)
+        if len(points) != min(POINTS_AT_ONCE, count - first):
+            raise FrameError(path, f"declares {count} points but ends after {first + len(points)}", CLOUD_REMEDY)
+        span = slice(first, first + len(points))
+        for name, values in columns.items():
+            # scale and offset of a damaged file may be any bits
+            with np.errstate(all="ignore"):
+                values[span] = np.asarray(points[name])
+        kept[span] = np.asarray(points["withheld"]) == 0
+    return {name: values[kept] for name, values in _used(columns).items()}
+
+
+def _used(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Returns the columns without all-zero ones; colours that use only 8 bits become 8-bit columns."""
+    colors = [name for name in ("red", "green", "blue") if name in columns]
+    highest = max((int(columns[name].max(initial=0)) for name in colors), default=0)
+    used = dict(columns)
+    for name in colors:
+        if highest == 0:
+            del used[name]
+        elif highest < 256:
+            used[name] = columns[name].astype(np.uint8)
+    # as floats, so that `from_columns` derives the scale from the highest value
+    intensity = used.pop("intensity")
+    if intensity.any():
+        used["intensity"] = intensity.astype(np.float32)
+    return used

@@ -1,0 +1,1 @@
+"""Azure Kinect: recordings and connected devices."""

@@ -1,0 +1,199 @@
+"""The Azure Kinect's calibration from a recording's attachment, for the recorded camera modes.
+
+The attachment describes both cameras at full sensor size, in fractions of it. Each mode bins or scales the sensor and
+crops a window; tables and rules as in the Azure Kinect Sensor SDK (`src/sdk/..calibration`, MIT):
+`c_px = c * width - window - 0.5`, `f_px = f * width`, where -0.5 makes the centre of the first pixel (0, 0). The lens
+model is Brown-Conrady with six radial coefficients, as in OpenCV.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, UInt16
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.geometry.projection import CameraKey, camera_key, pixel_rays, undistort_px
+from annotator.types import Camera
+
+MM_PER_M = 1000.0
+LENS_MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
+ACCELEROMETER = "CALIBRATION_InertialSensorType_Accelerometer"
+DEPTH_PURPOSE, COLOUR_PURPOSE = "CALIBRATION_CameraPurposeDepth", "CALIBRATION_CameraPurposePhotoVideo"
+Size = tuple[int, int]
+# Fractions of a sensor, polynomial coefficients, metres between cameras: all are small and stored in single precision.
+Small = Annotated[FiniteFloat, Field(ge=-1e4, le=1e4)]
+# Image size of a mode -> size of the whole sensor in the mode's pixels, and left and upper edge of the window.
+DEPTH_MODES: dict[Size, tuple[Size, Size]] = {
+    (320, 288): ((512, 512), (96, 90)),
+    (640, 576): ((1024, 1024), (192, 180)),
+    (512, 512): ((512, 512), (0, 0)),
+    (1024, 1024): ((1024, 1024), (0, 0)),
+}
+COLOUR_MODES: dict[Size, tuple[Size, Size]] = {
+    (1280, 720): ((1280, 960), (0, 120)),
+    (1920, 1080): ((1920, 1440), (0, 180)),
+    (2560, 1440): ((2560, 1920), (0, 240)),
+    (2048, 1536): ((2048, 1536), (0, 0)),
+    (3840, 2160): ((3840, 2880), (0, 360)),
+    (4096, 3072): ((4096, 3072), (0, 0)),
+}
+
+
+class _Part(BaseModel):
+    # Other fields of the file are ignored.
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class _Pose(_Part):
+    Rotation: Annotated[tuple[Small, ...], Field(min_length=9, max_length=9)]
+    Translation: Annotated[tuple[Small, ...], Field(min_length=3, max_length=3)]
+
+    def transform(self) -> RigidTransform:
+        """Returns the transform from the device's frame (the depth camera's) to this sensor's, metres."""
+        rotation = Rotation.from_matrix(np.array(self.Rotation).reshape(3, 3))
+        return RigidTransform.from_components(np.array(self.Translation), rotation)
+
+
+class _Intrinsics(_Part):
+    ModelType: str
+    ModelParameters: Annotated[tuple[Small, ...], Field(min_length=14)]
+
+
+class _CameraPart(_Part):
+    Purpose: str
+    Intrinsics: _Intrinsics
+    Rt: _Pose
+    MetricRadius: FiniteFloat = 0.0
+
+    def camera(self, size: Size, modes: dict[Size, tuple[Size, Size]]) -> Camera:
+        """Returns this camera in the mode with images of `size`; raises ValueError if there is no such mode."""
+        if size not in modes:
+            known = ", ".join(f"{width} x {height}" for width, height in modes)
+            raise ValueError(f"images of {size[0]} x {size[1]} pixels belong to no mode of this camera ({known})")
+        if self.Intrinsics.ModelType != LENS_MODEL:
+            raise ValueError(f"the lens model {self.Intrinsics.ModelType} is unknown; only {LENS_MODEL} is supported")
+        (width, height), (left, top) = modes[size]
+        cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, cod_x, cod_y, p2, p1 = self.Intrinsics.ModelParameters[:14]
+        if cod_x or cod_y:
+            raise ValueError("the centre of distortion differs from the principal point, which is not supported")
+        return Camera(
+            *size,
+            fx=fx * width,
+            fy=fy * height,
+            cx=cx * width - left - 0.5,
+            cy=cy * height - top - 0.5,
+            distortion=(k1, k2, p1, p2, k3, k4, k5, k6),
+        )
+
+
+class _InertialPart(_Part):
+    SensorType: str
+    Rt: _Pose
+
+
+class _Information(_Part):
+    Cameras: tuple[_CameraPart, ...]
+    InertialSensors: tuple[_InertialPart, ...] = ()
+
+    def camera_for(self, purpose: str) -> _CameraPart:
+        for camera in self.Cameras:
+            if camera.Purpose == purpose:
+                return camera
+        raise ValueError(f"there is no camera {purpose}")
+
+    def accelerometer(self) -> _Pose | None:
+        return next((sensor.Rt for sensor in self.InertialSensors if sensor.SensorType == ACCELEROMETER), None)
+
+
+class _File(_Part):
+    CalibrationInformation: _Information
+
+
+@dataclass(frozen=True, eq=False)
+class KinectCalibration:
+    """Both cameras of an Azure Kinect, in the modes of one recording.
+
+    Attributes:
+        depth, color: the cameras.
+        T_color_depth: from the depth camera's frame to the colour camera's, metres.
+        depth_reach: calibrated radius of the depth lens, as distance of (x/z, y/z) from the axis; infinite if unknown.
+        color_from_accelerometer: rotation from the accelerometer's axes to the colour camera's; None if unknown.
+    """
+
+    depth: Camera
+    color: Camera
+    T_color_depth: RigidTransform
+    depth_reach: float
+    color_from_accelerometer: Rotation | None = None
+
+    def depth_to_3d(self, px: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
+        """Returns points in the depth camera's frame, metres; NaN outside the calibrated part of the lens."""
+        rays = np.column_stack([undistort_px(self.depth, px), np.ones(len(px))])
+        rays[~((rays[:, :2] ** 2).sum(axis=1) <= self.depth_reach**2)] = np.nan
+        return rays * np.asarray(depth_m, np.float64)[:, None]
+
+    def color_points(self, depth_mm: UInt16[np.ndarray, "rows w"], first_row: int = 0) -> Float32[np.ndarray, "n 3"]:
+        """Returns the points of some rows of a depth image, in the colour camera's frame, metres, in pixel order.
+
+        Args:
+            depth_mm: the rows, 0 = no depth.
+            first_row: index of the first of them in the image.
+        """
+        rays, is_known = _color_rays(
+            camera_key(self.depth), self.depth_reach, tuple(self.T_color_depth.as_matrix().ravel())
+        )
+        depth = depth_mm.reshape(-1)
+        span = slice(first_row * self.depth.width_px, first_row * self.depth.width_px + len(depth))
+        measured = np.flatnonzero((depth > 0) & is_known[span])
+        z_m = depth.take(measured).astype(np.float32) / np.float32(MM_PER_M)
+        # coordinate by coordinate: faster than indexing rows of three numbers
+        xyz = np.stack([ray[span].take(measured) for ray in rays])
+        xyz *= z_m
+        xyz += self.T_color_depth.translation.astype(np.float32)[:, None]
+        return xyz.T
+
+
+def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> KinectCalibration:
+    """Parses the calibration of an attachment, for depth and colour images of these sizes (width, height).
+
+    Raises:
+        ValueError: invalid JSON, a missing camera, or a size of no mode; the message says which.
+    """
+    try:
+        information = _File.model_validate_json(content.rstrip(b"\0 \r\n\t")).CalibrationInformation
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join(str(part) for part in first['loc'])} {first['msg']}".strip()) from error
+    depth, color = information.camera_for(DEPTH_PURPOSE), information.camera_for(COLOUR_PURPOSE)
+    accelerometer = information.accelerometer()
+    return KinectCalibration(
+        depth=depth.camera(depth_size, DEPTH_MODES),
+        color=color.camera(color_size, COLOUR_MODES),
+        T_color_depth=color.Rt.transform() * depth.Rt.transform().inv(),
+        depth_reach=depth.MetricRadius if depth.MetricRadius > 0 else np.inf,
+        color_from_accelerometer=(color.Rt.transform() * accelerometer.transform().inv()).rotation
+        if accelerometer
+        else None,
+    )
+
+
+@lru_cache(maxsize=4)
+def _color_rays(
+    depth: CameraKey, reach: float, pose: tuple[float, ...]
+) -> tuple[Float32[np.ndarray, "3 n"], Bool[np.ndarray, "n"]]:
+    """Returns each depth pixel's ray in the colour camera's frame, and whether the pixel is calibrated.
+
+    A ray is the vector to the point at depth 1 m in the depth camera's frame, without the translation.
+    """
+    xy = pixel_rays(Camera(*depth)).reshape(-1, 2).astype(np.float64)
+    is_known = (xy**2).sum(axis=1) <= reach**2
+    rays = np.array(pose).reshape(4, 4)[:3, :3] @ np.stack([xy[:, 0], xy[:, 1], np.ones(len(xy))])
+    rays = rays.astype(np.float32)
+    for each in (rays, is_known):
+        each.flags.writeable = False
+    return rays, is_known

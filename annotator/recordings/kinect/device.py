@@ -1,0 +1,242 @@
+"""A connected Azure Kinect through pyk4a (the extra `kinect`), which contains Microsoft's Sensor SDK 1.4.
+
+Both cameras and the accelerometer run. A frame is a colour and a depth image of the same moment, combined as in a
+recording (`cloud.py`). Interface: pyk4a 1.5.0 (github.com/etiennedub/pyk4a, MIT).
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8, UInt16
+
+from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
+from annotator.recordings.kinect.cloud import seen_points
+from annotator.recordings.kinect.connection import NAME, load_pyk4a, open_device
+from annotator.recordings.kinect.imu import SAMPLE, WITHIN_NS, up_at_rest
+from annotator.types import Frame, PointCloud
+from annotator.types.errors import DeviceError
+
+LOG = logging.getLogger("annotator.kinect")
+
+# The cameras need a second or two to start.
+FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
+# Timeout of one call, milliseconds; `stop` is checked between calls.
+WAIT_MS = 200
+# Limit of samples read at once; the accelerometer measures at 1.6 kHz.
+MOST_SAMPLES_AT_ONCE = 4096
+COLOR_SIZE: Size = (1280, 720)
+NS_PER_US = 1000
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode of the depth camera, with its names in pyk4a.
+
+    Attributes:
+        depth: member of `DepthMode`.
+        fps: member of `FPS`: the highest rate of the mode.
+        size: image size, pixels.
+    """
+
+    depth: str
+    fps: str
+    size: Size
+
+
+# Azure Kinect hardware specification: "Depth camera supported operating modes".
+MODES: dict[str, Mode] = {
+    "nfov": Mode("NFOV_UNBINNED", "FPS_30", (640, 576)),
+    "nfov_binned": Mode("NFOV_2X2BINNED", "FPS_30", (320, 288)),
+    "wfov_binned": Mode("WFOV_2X2BINNED", "FPS_30", (512, 512)),
+    "wfov": Mode("WFOV_UNBINNED", "FPS_15", (1024, 1024)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceFrame:
+    """A frame of the device.
+
+    Attributes:
+        arrived_s: time of arrival of the colour image at the computer, `time.perf_counter`.
+    """
+
+    frame: Frame
+    arrived_s: float
+
+
+class KinectDevice:
+    """An open device with running cameras; not thread-safe.
+
+    Attributes:
+        name: the device's name with its serial number.
+        calibration: calibration of both cameras.
+    """
+
+    def __init__(self, which: str | None = None, mode: str = "nfov") -> None:
+        """Opens a device and starts its cameras.
+
+        Args:
+            which: its serial number, or its index in the list of devices, from 0; None = the first.
+            mode: depth mode, one of `MODES`.
+
+        Raises:
+            DeviceError: pyk4a or the SDK is missing, there is no such device, another program uses it, or it does not
+                start.
+        """
+        self._k4a = load_pyk4a()
+        self._mode = MODES[mode]
+        config = self._k4a.Config(
+            color_resolution=self._k4a.ColorResolution.RES_720P,
+            color_format=self._k4a.ImageFormat.COLOR_BGRA32,
+            depth_mode=self._k4a.DepthMode[self._mode.depth],
+            camera_fps=self._k4a.FPS[self._mode.fps],
+            synchronized_images_only=True,
+        )
+        self._device, serial = open_device(self._k4a, config, which)
+        self.name = f"{NAME} {serial}"
+        try:
+            self.calibration = self._calibrated()
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+        self._accelerations: deque[tuple[int, tuple[float, float, float]]] = deque()
+        self._frames = 0
+
+    def next_frame(self, stop: threading.Event) -> DeviceFrame | None:
+        """Waits for the next frame; returns None once `stop` is set.
+
+        Raises:
+            DeviceError: no frame arrived for some seconds, or the device is disconnected.
+        """
+        within_s = NEXT_FRAME_WITHIN_S if self._frames else FIRST_FRAME_WITHIN_S
+        end_s = time.monotonic() + within_s
+        while not stop.is_set():
+            capture = self._capture(WAIT_MS)
+            if capture is not None and capture.color is not None and capture.depth is not None:
+                return self._frame(capture)
+            if time.monotonic() > end_s:
+                raise DeviceError(
+                    f"{self.name}: no frame for {within_s:g} s; reconnect it with its own power supply to a USB 3 port "
+                    "that it does not share"
+                )
+        return None
+
+    def skip_old(self) -> None:
+        """Discards the frames that are queued."""
+        while self._capture(0) is not None:
+            pass
+
+    def close(self) -> None:
+        """Stops the cameras and closes the device; further calls do nothing."""
+        if not self._device.opened:
+            return
+        end = self._device.stop if self._device.is_running else self._device.close
+        try:
+            end()
+        except self._k4a.K4AException as error:
+            # a disconnected device has nothing to stop
+            LOG.warning("%s could not be closed: %s", self.name, error or type(error).__name__)
+
+    # --- starting ----------------------------------------------------------------------------------------------------
+
+    def _calibrated(self) -> KinectCalibration:
+        try:
+            raw = self._device.calibration_raw
+            return parse_calibration(str(raw).encode(), self._mode.size, COLOR_SIZE)
+        except (self._k4a.K4AException, ValueError) as error:
+            raise DeviceError(
+                f"{self.name}: its calibration cannot be used ({error or 'it could not be read'}); reconnect it, or "
+                "update its firmware"
+            ) from error
+
+    def _start(self) -> None:
+        try:
+            self._device.start()
+        except self._k4a.K4AException as error:
+            raise DeviceError(
+                f"{self.name}: its cameras do not start. Its firmware may be too old for the SDK (update it with "
+                "AzureKinectFirmwareTool), its USB port may be slower than USB 3 or shared with other devices, or the "
+                "depth engine finds no OpenGL (on Linux it needs a display); see the SDK's messages on standard error"
+            ) from error
+
+    # --- frames ------------------------------------------------------------------------------------------------------
+
+    def _capture(self, timeout_ms: int) -> Any | None:
+        """Returns the next capture; None after the timeout."""
+        try:
+            return self._device.get_capture(timeout=timeout_ms)
+        except self._k4a.K4ATimeoutException:
+            return None
+        except self._k4a.K4AException as error:
+            raise DeviceError(
+                f"{self.name}: disconnected; it was unplugged or lost power. Reconnect it and start again"
+            ) from error
+
+    def _frame(self, capture: Any) -> DeviceFrame:
+        arrived_s = _arrived_s(capture.color_system_timestamp_nsec)
+        time_ns = int(capture.color_timestamp_usec) * NS_PER_US
+        self._read_accelerations(time_ns)
+        rgb = _rgb(self.name, capture.color)
+        xyz_m, pixel = seen_points(self.calibration, _depth_mm(self.name, capture.depth, self._mode.size))
+        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0))
+        key, self._frames = f"{self._frames:06d}", self._frames + 1
+        frame = Frame(
+            key, self._frames - 1, self.calibration.color, rgb, cloud, up=self._up(time_ns), timestamp_ns=time_ns
+        )
+        return DeviceFrame(frame, arrived_s)
+
+    def _read_accelerations(self, time_ns: int) -> None:
+        """Reads the accelerometer's new samples and drops those older than `WITHIN_NS`."""
+        for _ in range(MOST_SAMPLES_AT_ONCE):
+            try:
+                sample = self._device.get_imu_sample(timeout=0)
+            except self._k4a.K4ATimeoutException:
+                break
+            except self._k4a.K4AException as error:
+                raise DeviceError(
+                    f"{self.name}: its accelerometer is disconnected; reconnect it and start again"
+                ) from error
+            self._accelerations.append((int(sample["acc_timestamp"]) * NS_PER_US, sample["acc_sample"]))
+        while self._accelerations and self._accelerations[0][0] < time_ns - WITHIN_NS:
+            self._accelerations.popleft()
+
+    def _up(self, time_ns: int) -> Float64[np.ndarray, "3"] | None:
+        """Returns the unit vector against gravity in the colour camera's frame; None if unknown, or while moving."""
+        rotation = self.calibration.color_from_accelerometer
+        if rotation is None or not self._accelerations:
+            return None
+        samples = np.zeros(len(self._accelerations), SAMPLE)
+        samples["time_ns"] = [at for at, _ in self._accelerations]
+        samples["acceleration_mps2"] = [acceleration for _, acceleration in self._accelerations]
+        up = up_at_rest(samples, time_ns)
+        return None if up is None else np.asarray(rotation.apply(up))
+
+
+def _arrived_s(system_ns: int) -> float:
+    """Returns the SDK's arrival time of an image, on the clock of `perf_counter`; now if that is implausible."""
+    now = time.perf_counter()
+    age_s = now - 1e-9 * system_ns
+    return now - age_s if 0 <= age_s < FIRST_FRAME_WITHIN_S else now
+
+
+def _rgb(name: str, bgra: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
+    import cv2
+
+    width, height = COLOR_SIZE
+    if bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
+        raise DeviceError(f"{name}: its colour images are {bgra.shape} {bgra.dtype}, not {height} x {width} BGRA")
+    return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGB))
+
+
+def _depth_mm(name: str, depth: np.ndarray, size: Size) -> UInt16[np.ndarray, "h w"]:
+    if depth.shape != size[::-1] or depth.dtype != np.uint16:
+        raise DeviceError(f"{name}: its depth images are {depth.shape} {depth.dtype}, not {size[1]} x {size[0]} uint16")
+    return depth

@@ -1,0 +1,245 @@
+"""Azure Kinect recordings (`.mkv`), read without the SDK.
+
+Tracks COLOR (MJPEG, NV12, YUY2 or BGRA), DEPTH and IR (16 bits per pixel, big-endian, depth in millimetres), IMU; the
+calibration is attached. Tags hold the recording's start on the device's clock and the delay of the depth images.
+
+A frame's camera is the colour camera. Its cloud holds the points of the depth image that this camera sees (`cloud.py`).
+`up` is known while the device is at rest (`imu.py`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float64, UInt8, UInt16
+
+from annotator.recordings.kinect.attachments import REMEDY, tagged_ns, tags_and_calibration
+from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
+from annotator.recordings.kinect.captures import Capture, find_captures
+from annotator.recordings.kinect.cloud import seen_points
+from annotator.recordings.kinect.color import FORMATS, decode_color
+from annotator.recordings.kinect.imu import blocks_near, parse_samples, up_at_rest
+from annotator.recordings.kinect.matroska import Block, MatroskaIndex, Track, read_index, read_tracks
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.types import Frame, PointCloud
+from annotator.types.errors import FrameError, RecordingError
+
+TRACKS = frozenset({"COLOR", "DEPTH"})
+LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
+
+
+@dataclass(frozen=True, eq=False)
+class AzureKinect(KeyedFrames):
+    """A `Recording` of an Azure Kinect.
+
+    A frame is a moment with a colour and a depth image, named by the number of its colour image. Moments with only one
+    of the two are not frames. Times are those of the device's clock.
+
+    Attributes:
+        fourcc: the colour images' format.
+        start_ns: device time of the recording's start.
+        inertial: the accelerometer's blocks, sorted by time.
+    """
+
+    captures: tuple[Capture, ...]
+    calibration: KinectCalibration
+    fourcc: str
+    start_ns: int
+    inertial: tuple[Block, ...]
+    format: ClassVar[str] = "azure_kinect"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().stem
+
+    @property
+    def times_ns(self) -> tuple[int, ...]:
+        """Capture times of the colour images, on the device's clock."""
+        return tuple(self.start_ns + capture.color.time_ns for capture in self.captures)
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; its cloud has `rgb`.
+
+        Raises:
+            FrameError: an image is damaged or truncated, or there is no point in the colour image.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        # the image is decoded in parallel to the geometry: both take similar time
+        with ThreadPoolExecutor(1) as beside:
+            decoding = beside.submit(self.color_image, i)
+            xyz_m, pixel = seen_points(self.calibration, self.depth_image(i))
+            color = decoding.result()
+        cloud = PointCloud(xyz_m, rgb=color.reshape(-1, 3).take(pixel, axis=0))
+        if len(cloud) == 0:
+            raise FrameError(
+                self.path,
+                f"frame {key}: no depth pixel lies in the colour image, so the cloud is empty",
+                "record the scene again within the sensor's range, or use the other frames",
+            )
+        time_ns = self.start_ns + self.captures[i].color.time_ns
+        return Frame(key, i, self.calibration.color, color, cloud, up=self.up(i), timestamp_ns=time_ns)
+
+    def up(self, i: int) -> Float64[np.ndarray, "3"] | None:
+        """Returns the unit vector against gravity in the colour camera's frame; None if it moved or there is no IMU.
+
+        Raises:
+            FrameError: the file cannot be read.
+            IndexError: there is no such frame.
+        """
+        key, rotation, time_ns = self.key(i), self.calibration.color_from_accelerometer, self.captures[i].color.time_ns
+        # a truncated file may end within the last block
+        blocks = blocks_near(self.inertial, time_ns)
+        contents = zip(self._contents(key, blocks), blocks, strict=True)
+        samples = [parse_samples(data, block.is_laced) for data, block in contents if len(data) == block.size]
+        if rotation is None or not samples:
+            return None
+        up = up_at_rest(np.concatenate(samples), self.start_ns + time_ns)
+        return None if up is None else np.asarray(rotation.apply(up))
+
+    def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        """Reads colour image `i`, RGB order.
+
+        Raises:
+            FrameError: it is damaged or truncated.
+            IndexError: there is no such frame.
+        """
+        key, camera = self.key(i), self.calibration.color
+        data = self._read(key, "colour", self.captures[i].color)
+        try:
+            return decode_color(self.fourcc, data, camera.width_px, camera.height_px)
+        except ValueError as error:
+            raise FrameError(self.path, f"frame {key}: colour image: {error}", REMEDY) from error
+
+    def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
+        """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth.
+
+        Raises:
+            FrameError: it is damaged or truncated.
+            IndexError: there is no such frame.
+        """
+        return self._raw_image(self.key(i), "depth", self.captures[i].depth)
+
+    def _raw_image(self, key: str, what: str, block: Block | None) -> UInt16[np.ndarray, "h w"]:
+        """Reads an image of the depth camera's size, 16 bits per pixel, big-endian."""
+        if block is None:
+            raise FrameError(self.path, f"frame {key}: the file ends before its {what} image", REMEDY)
+        camera = self.calibration.depth
+        data = self._read(key, what, block)
+        expected = 2 * camera.width_px * camera.height_px
+        if len(data) != expected:
+            raise FrameError(
+                self.path, f"frame {key}: the {what} image has {len(data)} bytes instead of {expected}", REMEDY
+            )
+        return np.frombuffer(data, ">u2").astype(np.uint16).reshape(camera.height_px, camera.width_px)
+
+    def _read(self, key: str, what: str, block: Block) -> bytes:
+        if block.is_laced:
+            raise FrameError(
+                self.path, f"frame {key}: the {what} image shares its block with others", "record it again"
+            )
+        (data,) = self._contents(key, [block])
+        if len(data) < block.size:
+            raise FrameError(self.path, f"frame {key}: the file ends in the middle of its {what} image", REMEDY)
+        return data
+
+    def _contents(self, key: str, blocks: Sequence[Block]) -> list[bytes]:
+        """Reads the blocks, as far as the file reaches."""
+        contents = []
+        try:
+            with self.path.open("rb") as file:
+                end = file.seek(0, os.SEEK_END)
+                for block in blocks:
+                    file.seek(block.offset)
+                    # a damaged size must not allocate more memory than the file needs
+                    contents.append(file.read(max(min(block.size, end - block.offset), 0)))
+        except OSError as error:
+            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        return contents
+
+
+def is_azure_kinect(path: Path) -> bool:
+    """True if a file's head has the tracks of such a recording; much faster than opening it.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    return _is_mkv(path) and {track.name for track in read_tracks(path) or ()} >= TRACKS
+
+
+def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
+    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one.
+
+    Raises:
+        RecordingError: it has no frame, no usable calibration, or an unknown colour format.
+    """
+    if not _is_mkv(path):
+        return NotFound(LOOKED_FOR)
+    stat = path.stat()
+    index = _index(path, stat.st_mtime_ns, stat.st_size)
+    if index is None:
+        raise RecordingError(f"{path}: is not a Matroska file, or its beginning is damaged; {REMEDY}")
+    tracks = {track.name: track for track in index.tracks}
+    color, depth = tracks.get("COLOR"), tracks.get("DEPTH")
+    if color is None or depth is None:
+        have = ", ".join(tracks) or "none"
+        raise RecordingError(
+            f"{path}: has no tracks COLOR and DEPTH (it has: {have}); record with an Azure Kinect, in a mode with both"
+        )
+    tags, attached = tags_and_calibration(path)
+    captures = find_captures(index, color, depth, tagged_ns(tags, "K4A_DEPTH_DELAY_NS"))
+    if not captures:
+        raise RecordingError(f"{path}: no frames; expected colour and depth images of the same moments")
+    return AzureKinect(
+        path=path,
+        keys=tuple(f"{number:06d}" for number in captures),
+        captures=tuple(captures.values()),
+        calibration=_calibration(path, attached, _size(depth), _size(color)),
+        fourcc=_fourcc(path, color),
+        start_ns=tagged_ns(tags, "K4A_START_OFFSET_NS"),
+        inertial=tuple(sorted(_blocks(index, tracks.get("IMU")), key=lambda block: block.time_ns)),
+    )
+
+
+def _is_mkv(path: Path) -> bool:
+    return path.suffix.lower() == ".mkv" and path.is_file()
+
+
+@lru_cache(maxsize=32)
+def _index(path: Path, changed_ns: int, size: int) -> MatroskaIndex | None:
+    """Returns the cached index: adding a recording opens it several times."""
+    return read_index(path)
+
+
+def _calibration(path: Path, attached: bytes, depth: Size, color: Size) -> KinectCalibration:
+    try:
+        return parse_calibration(attached, depth, color)
+    except ValueError as error:
+        raise RecordingError(f"{path}: its calibration cannot be used: {error}; {REMEDY}") from error
+
+
+def _size(track: Track) -> Size:
+    return track.width_px, track.height_px
+
+
+def _fourcc(path: Path, track: Track) -> str:
+    """Returns the colour format: from byte 16 of the track's BITMAPINFOHEADER, or from the codec's name."""
+    named = {"V_MJPEG": "MJPG", "V_UNCOMPRESSED": track.private[:4].decode("ascii", "replace")}
+    fourcc = named.get(track.codec) or track.private[16:20].decode("ascii", "replace")
+    if fourcc not in FORMATS:
+        raise RecordingError(
+            f"{path}: the colour format {fourcc or track.codec!r} is unknown; record with one of {', '.join(FORMATS)}"
+        )
+    return fourcc
+
+
+def _blocks(index: MatroskaIndex, track: Track | None) -> tuple[Block, ...]:
+    return tuple(block for block in index.blocks if track and block.track == track.number)

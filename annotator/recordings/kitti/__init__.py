@@ -1,0 +1,1 @@
+"""KITTI recordings: object, tracking and raw-drive folders."""

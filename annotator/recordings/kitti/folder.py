@@ -1,0 +1,79 @@
+"""The common base of all KITTI folders: an image folder and a folder of LiDAR scans with the same keys."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from annotator.recordings.kitti.calibration import KittiCalibration
+from annotator.recordings.kitti.frame import read_frame
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.recording import KeyedFrames
+from annotator.types import Frame
+
+# The rotating LiDAR triggers KITTI's sensors ten times a second.
+PERIOD_NS = 100_000_000
+# KITTI's names have 6 or 10 digits; times of longer numbers would not fit into 64 bits.
+MOST_DIGITS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class KittiFolder(KeyedFrames, ABC):
+    """A `Recording` of image and scan pairs.
+
+    Attributes:
+        images, scans: their folders, relative to `root`.
+    """
+
+    images: ClassVar[str]
+    scans: ClassVar[str]
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`).
+
+        Raises:
+            FrameError: a missing or broken file, or no point in the image.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        # the key's number determines the time, so gaps are kept
+        number = int(key) if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS else i
+        return read_frame(
+            key,
+            i,
+            frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin"),
+            frame_file(self.root / self.scans, key, (".bin",), f"the image {key}"),
+            self.calibration(key),
+            self.time_ns(number),
+        )
+
+    @abstractmethod
+    def calibration(self, key: str) -> KittiCalibration:
+        """Reads the calibration of a frame.
+
+        Raises:
+            FrameError: it is missing or broken.
+        """
+
+    def time_ns(self, number: int) -> int | None:
+        """Returns the time of frame `number` of the drive, from its frame 0; None if frames have no time.
+
+        Raises:
+            FrameError: the drive's own times are broken.
+        """
+        return number * PERIOD_NS
+
+    @classmethod
+    def keys_in(cls, root: Path) -> tuple[str, ...] | None:
+        """Returns the keys of this kind of folder; None if `root` is not one.
+
+        Raises:
+            RecordingError: it has no frame.
+        """
+        images, scans = root / cls.images, root / cls.scans
+        if not (images.is_dir() and scans.is_dir()):
+            return None
+        expected = f"{cls.images}/KEY.png and {cls.scans}/KEY.bin"
+        return sorted_keys(root, stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",)), expected)

@@ -1,0 +1,54 @@
+"""KITTI object detection folders: unrelated single frames.
+
+[training/]image_2/KEY.png  velodyne/KEY.bin  calib/KEY.txt  [label_2/KEY.txt]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
+from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.recording import NotFound
+
+LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiObject(KittiFolder):
+    """A `Recording` of a KITTI object folder.
+
+    Attributes:
+        folder: the folder of images and scans, `path` or `path`/training.
+    """
+
+    folder: Path
+    format: ClassVar[str] = "kitti_object"
+    is_sequence: ClassVar[bool] = False
+    images: ClassVar[str] = "image_2"
+    scans: ClassVar[str] = "velodyne"
+
+    @property
+    def root(self) -> Path:
+        return self.folder
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.root / "calib" / f"{key}.txt")
+
+    def time_ns(self, number: int) -> None:
+        """Unrelated frames have no time."""
+
+
+def open_kitti_object(path: Path) -> KittiObject | NotFound:
+    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none.
+
+    Raises:
+        RecordingError: the folders exist but have no frame.
+    """
+    for root in (path, path / "training"):
+        keys = KittiObject.keys_in(root)
+        if keys is not None:
+            return KittiObject(path, keys, root)
+    return NotFound(LOOKED_FOR)

@@ -1,0 +1,1 @@
+"""SUN RGB-D recordings: VoteNet's extraction, and raw scenes."""

@@ -1,0 +1,163 @@
+"""The two presets: people in a room, and the hands of a person in front of the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.synthetic.crowd import Zone, crowd_moments
+from annotator.synthetic.gestures import HandMotion, Reach, elbow_m, hand_moments
+from annotator.synthetic.hands import hand_mesh
+from annotator.synthetic.looks import HAIR_STYLES, Looks, random_looks
+from annotator.synthetic.materials import Material, Palette
+from annotator.synthetic.mesh import Blobs, Mesh, turn_z
+from annotator.synthetic.people import armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
+from annotator.synthetic.pose import Arm, Pose
+from annotator.synthetic.room import furnished_room
+from annotator.synthetic.shading import Lights
+
+PERIOD_S = 0.1
+UPPER_ARM_M, FOREARM_M = 0.31, 0.26
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """One labelled object at one moment.
+
+    Attributes:
+        track: track id within the recording, from 1.
+        label: class name.
+        mesh: the complete mesh, world frame.
+        axes: columns = axes of the object and its box in the world frame.
+    """
+
+    track: int
+    label: str
+    mesh: Mesh
+    axes: Float64[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """The moving meshes at one moment: labelled actors and unlabelled meshes."""
+
+    actors: tuple[Actor, ...]
+    rest: tuple[Mesh, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A scene from a preset and a seed.
+
+    Attributes:
+        palette: materials of all meshes.
+        still: the static mesh.
+        lights: lights of the room.
+        T_world_camera: pose of the camera, which is static, too.
+        moments: one every `PERIOD_S`, endless.
+    """
+
+    palette: Palette
+    still: Mesh
+    lights: Lights
+    T_world_camera: RigidTransform
+    moments: Iterator[Moment]
+
+
+def people_scene(random: np.random.Generator) -> Scene:
+    """Three or four people in a furnished room."""
+    palette = Palette()
+    room = furnished_room(palette, random)
+    styles = random.permutation(HAIR_STYLES)
+    looks = [random_looks(palette, random, str(style)) for style in styles[: int(random.integers(3, 5))]]
+    zone = Zone(2.45, 4.5, 0.5, 0.3, room.obstacles)
+    pose = _looking(np.array([0.0, 0.0, random.uniform(1.5, 1.8)]), pitch=-0.2, roll=random.uniform(-0.03, 0.03))
+    return Scene(palette, room.mesh, room.lights, pose, _people(zone, looks, random))
+
+
+def hands_scene(random: np.random.Generator) -> Scene:
+    """One or two gesturing hands of a person who faces the camera."""
+    palette = Palette()
+    room = furnished_room(palette, random)
+    looks = random_looks(palette, random, str(random.choice(HAIR_STYLES)))
+    skin = palette.materials[looks.skin]
+    nail = palette.add(Material(_paler(skin.colour), gloss=0.25, grain=0.02))
+    camera = np.array([0.0, 1.0, random.uniform(1.2, 1.3)])
+    pose = _looking(camera, pitch=random.uniform(-0.12, 0.0), roll=random.uniform(-0.03, 0.03))
+    lights = Lights((random.uniform(-0.9, 0.9), 0.9, 2.5), key=0.8)
+    both = random.random() < 0.6
+    return Scene(palette, room.mesh, lights, pose, _hands(looks, nail, camera, both, random))
+
+
+PRESETS: dict[str, Callable[[np.random.Generator], Scene]] = {"people": people_scene, "hands": hands_scene}
+
+
+def _people(zone: Zone, looks: list[Looks], random: np.random.Generator) -> Iterator[Moment]:
+    for walkers in crowd_moments(zone, len(looks), random, PERIOD_S):
+        actors = []
+        for track, (walker, person) in enumerate(zip(walkers, looks, strict=True), start=1):
+            axes = turn_z(walker.yaw)
+            mesh = body_mesh(person, walker.pose, track).moved(axes, np.array([*walker.place, 0.0]))
+            actors.append(Actor(track, "person", mesh, axes))
+        yield Moment(tuple(actors), ())
+
+
+def _hands(looks: Looks, nail: int, camera: np.ndarray, both: bool, random: np.random.Generator) -> Iterator[Moment]:
+    """The person stands 0.95 m in front of the camera and faces it, so their left is on the image's right, world +x."""
+    stand = np.array([0.0, camera[1] + 0.95, 0.0])
+    height = (camera[2] - 0.17, camera[2] + 0.05)
+    depth = (camera[1] + 0.48, camera[1] + 0.68)
+    sides = [1.0, -1.0] if both else [1.0]
+    # from the image's left to its right: the right hand, then the left
+    spans = {1.0: (-0.17, -0.02), -1.0: (0.02, 0.17)} if both else {1.0: (-0.16, 0.08)}
+    reaches = [Reach(spans[side], depth, height) for side in sides]
+    size = random.uniform(0.9, 1.06)
+    turned = turn_z(-np.pi / 2)
+    # shoulders are at the same height on the image for tall and short persons
+    lift = np.array([0.0, 0.0, camera[2] - 0.12 - 0.775 * looks.height_m])
+    for i, motions in enumerate(hand_moments(reaches, random, PERIOD_S)):
+        sway = Pose(twist=0.06 * np.sin(0.11 * i), lean=0.02 * np.sin(0.07 * i), head_turn=0.2 * np.sin(0.05 * i))
+        body = Blobs()
+        armless_body(body, looks, sway)
+        if not both:
+            posed_arm(body, looks, shoulder(looks, sway, 1.0), np.eye(3), Arm(), 1.0)
+        rest, actors = [body.mesh().moved(turned, stand + lift)], []
+        for track, (motion, side) in enumerate(zip(motions, sides, strict=True), start=1):
+            start = turned @ shoulder(looks, sway, -side) + stand + lift
+            forearm, axes = _arm(motion, start, looks, side)
+            rest.append(forearm)
+            mesh = hand_mesh(motion.fingers, size, looks.skin, nail, track, left=side < 0)
+            actors.append(Actor(track, "hand", mesh.moved(axes, motion.wrist_m), axes))
+        yield Moment(tuple(actors), tuple(rest))
+
+
+def _arm(motion: HandMotion, start: np.ndarray, looks: Looks, side: float) -> tuple[Mesh, np.ndarray]:
+    """The arm from the shoulder to the wrist, and the axes of the hand; `side` +1 is the right arm."""
+    wrist = motion.wrist_m
+    outward = np.array([-side, 0.0, 0.0])
+    elbow = elbow_m(start, wrist, UPPER_ARM_M, FOREARM_M, motion.swivel, outward)
+    blobs = Blobs()
+    ahead = wrist - elbow
+    ahead /= np.linalg.norm(ahead)
+    sleeved_arm(blobs, looks, start, elbow, wrist - 0.004 * ahead)
+    # the forearm's axes: x to the wrist, y towards the other arm
+    y = -outward - ahead * (ahead @ -outward)
+    y /= np.linalg.norm(y)
+    forearm = np.stack([ahead, y, np.cross(ahead, y)], axis=1)
+    mirror = np.diag([1.0, side, 1.0])
+    return blobs.mesh(), np.asarray(forearm @ mirror @ motion.bend @ mirror)
+
+
+def _looking(place: np.ndarray, pitch: float, roll: float) -> RigidTransform:
+    """A camera that looks along world y, tilted up by `pitch` and rolled by `roll`, radians."""
+    level = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+    turn = level * Rotation.from_euler("xz", [pitch, roll])
+    return RigidTransform.from_components(place, turn)
+
+
+def _paler(colour: tuple[float, float, float]) -> tuple[float, float, float]:
+    return (colour[0] * 0.7 + 0.3, colour[1] * 0.7 + 0.25, colour[2] * 0.7 + 0.25)

@@ -1,0 +1,170 @@
+"""Generated recordings on disk: an RGB-D folder for `rgbd_folder`, with the truth in a folder of its own.
+
+color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json    the data of a camera
+generated.json                                                       the parameters of the generator
+truth/boxes.json  truth/mask/KEY.png                                 the exact truth
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.synthetic.render import Stage
+from annotator.synthetic.scene import PERIOD_S, PRESETS, Scene
+from annotator.synthetic.sensor import Sensor, colour_image, depth_image
+from annotator.synthetic.truth import TrueObject, true_objects
+from annotator.types import Camera
+from annotator.types.errors import ConfigError
+
+VERSION = 1
+# The field of view of common RGB-D cameras: 525 px at a width of 640.
+FOCAL_PER_WIDTH = 525 / 640
+JPEG_QUALITY = 95
+
+Report = Callable[[int, int], None]
+
+
+class GeneratedFile(BaseModel):
+    """`generated.json`: the parameters that reproduce the recording, byte for byte, with the same version."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    version: int
+    preset: str
+    seed: int
+    frames: int
+    period_s: float
+
+
+def write_generated(
+    path: Path,
+    preset: str,
+    frames: int,
+    seed: int,
+    width: int = 640,
+    height: int = 480,
+    report: Report | None = None,
+) -> None:
+    """Writes a generated recording; the folder appears when it is complete.
+
+    Args:
+        path: the folder to create; it must not exist.
+        preset: "people" or "hands".
+        frames: number of frames, at ten per second.
+        seed: random seed of the room and the people; the same seed gives the same bytes.
+        width, height: image size, pixels.
+        report: called with (frames done, frames) after each frame.
+
+    Raises:
+        ConfigError: the path exists or cannot be created, the preset is unknown, or a number is out of range.
+    """
+    _check(preset, frames, seed, width, height)
+    unfinished = _unfinished_folder(path)
+    try:
+        _write(unfinished, preset, frames, seed, _camera(width, height), report)
+        unfinished.chmod(0o755)
+        unfinished.replace(path)
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+
+
+def _unfinished_folder(path: Path) -> Path:
+    """A temporary folder beside `path`, which is renamed to `path` at the end."""
+    try:
+        if path.exists():
+            raise ConfigError(f"{path}: already exists; choose another path, or remove it first")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be created: {error.strerror or error}; choose another path") from error
+
+
+def _check(preset: str, frames: int, seed: int, width: int, height: int) -> None:
+    if preset not in PRESETS:
+        raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
+    if frames < 1:
+        raise ConfigError(f"frames must be at least 1, not {frames}")
+    if seed < 0:
+        raise ConfigError(f"the seed must be 0 or more, not {seed}")
+    if width < 16 or height < 16:
+        raise ConfigError(f"the image must have at least 16 x 16 pixels, not {width} x {height}")
+
+
+def _camera(width: int, height: int) -> Camera:
+    focal = FOCAL_PER_WIDTH * width
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def _write(folder: Path, preset: str, frames: int, seed: int, camera: Camera, report: Report | None) -> None:
+    scene = PRESETS[preset](np.random.default_rng([VERSION, seed]))
+    for name in ("color", "depth", "truth/mask"):
+        (folder / name).mkdir(parents=True)
+    parameters = GeneratedFile(version=VERSION, preset=preset, seed=seed, frames=frames, period_s=PERIOD_S)
+    (folder / "generated.json").write_text(parameters.model_dump_json(indent=1) + "\n")
+    _write_json(folder / "camera_intrinsic.json", _intrinsics(camera))
+    up = scene.T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
+    _write_json(folder / "gravity.json", {"up": up.tolist()})
+    stage = Stage(camera, scene.T_world_camera, scene.still, scene.palette, scene.lights)
+    boxes = {}
+    for i in range(frames):
+        key = f"{i:06}"
+        random = np.random.default_rng([VERSION, seed, i])
+        boxes[key] = [_entry(item) for item in _write_frame(folder, key, stage, scene, random)]
+        if report is not None:
+            report(i + 1, frames)
+    _write_json(folder / "truth" / "boxes.json", boxes)
+
+
+def _write_frame(folder: Path, key: str, stage: Stage, scene: Scene, random: np.random.Generator) -> list[TrueObject]:
+    moment = next(scene.moments)
+    ideal = stage.render([*moment.rest, *(actor.mesh for actor in moment.actors)])
+    objects, mask = true_objects(stage.camera, scene.T_world_camera.inv(), moment.actors, ideal.track)
+    sensor = Sensor()
+    _write_image(folder / "depth" / f"{key}.png", depth_image(ideal, sensor, random))
+    _write_image(folder / "color" / f"{key}.jpg", colour_image(ideal, sensor, random)[:, :, ::-1])
+    _write_image(folder / "truth" / "mask" / f"{key}.png", mask)
+    return objects
+
+
+def _intrinsics(camera: Camera) -> dict[str, object]:
+    column_major = camera.matrix.T.ravel().tolist()
+    return {"width": camera.width_px, "height": camera.height_px, "intrinsic_matrix": column_major}
+
+
+def _entry(item: TrueObject) -> dict[str, object]:
+    box = item.box
+    return {
+        "label": item.label,
+        "center": _rounded(box.center_m),
+        "size": _rounded(box.size_m),
+        "rotation": _rounded(box.rotation),
+        "corners": _rounded(box_corners(box)),
+        "track": item.track,
+        "visible": round(item.visible, 3),
+    }
+
+
+def _rounded(values: np.ndarray) -> list[object]:
+    """Rounded to a nanometre, so that the text does not depend on the last bits."""
+    return list(np.round(values, 9).tolist())
+
+
+def _write_image(path: Path, image: np.ndarray) -> None:
+    import cv2
+
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
+    _, data = cv2.imencode(path.suffix, image, options)
+    path.write_bytes(data.tobytes())
+
+
+def _write_json(path: Path, content: object) -> None:
+    path.write_text(json.dumps(content) + "\n")

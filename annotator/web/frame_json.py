@@ -1,0 +1,223 @@
+"""The JSON of frames, labels and views, and the answers that contain it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import Any
+
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+
+from annotator.project import Project, ViewBoxes
+from annotator.project.overview import FrameRow
+from annotator.types import PseudoView, Quality
+from annotator.types.errors import StaleRevisionError
+from annotator.web.context import Context
+from annotator.web.errors import ErrorBody
+from annotator.web.schemas import (
+    Box2DOut,
+    Box3DOut,
+    CameraJson,
+    FrameJson,
+    FrameRowJson,
+    FrameStateJson,
+    HistoryJson,
+    ImageBoxesJson,
+    ImageJson,
+    LabelJson,
+    ObjectJson,
+    QualityJson,
+    ViewJson,
+)
+from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
+from annotator.workflows.workbench.review_priority import doubt
+
+
+class ModelResponse(JSONResponse):
+    """A pydantic model as JSON, serialised by pydantic without a second validation.
+
+    For a frame with a hundred boxes, FastAPI's own serialisation takes several times as long.
+    """
+
+    def render(self, content: Any) -> bytes:
+        """The model's JSON."""
+        model: BaseModel = content
+        return model.model_dump_json().encode()
+
+
+class BothVersions(BaseModel):
+    """The answer to a stale change: the error, the present state, and the changes of the request."""
+
+    error: ErrorBody
+    state: FrameStateJson
+    changes: Any
+
+
+def frame_answer(ctx: Context, name: str, frame_id: int, operator: str) -> ModelResponse:
+    """The answer with the present state of a frame; errors as in `frame_state`."""
+    return ModelResponse(frame_state(ctx, name, frame_id, operator))
+
+
+def stale_answer(
+    ctx: Context, name: str, frame_id: int, operator: str, error: StaleRevisionError, changes: Any
+) -> ModelResponse:
+    """The answer to a stale change (409) with both versions of a frame; errors as in `frame_state`."""
+    body = ErrorBody(kind=type(error).__name__, message=str(error))
+    state = frame_state(ctx, name, frame_id, operator)
+    return ModelResponse(BothVersions.model_construct(error=body, state=state, changes=changes), 409)
+
+
+def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameStateJson:
+    """The present state of a frame for one operator's page.
+
+    Raises:
+        NotFoundError: no such project or frame.
+        FrameError, RecordingError: the frame cannot be read.
+    """
+    project = ctx.project(name)
+    opened = ctx.caches.frames.open(project, frame_id, operator)
+    shown = show_frame(project, frame_id, opened)
+    frame, page = opened.frame, shown.page
+    boxes = page.image_boxes
+    undo, redo = project.history.next(operator)
+    objects, labels = opened.newest(
+        "json",
+        page.frame.revision,
+        lambda: ([_object(name, project, drawn) for drawn in shown.objects], [_label(label) for label in shown.labels]),
+    )
+    return FrameStateJson.model_construct(
+        frame=_frame(shown),
+        image=ImageJson(
+            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}",
+            width=frame.camera.width_px,
+            height=frame.camera.height_px,
+            camera=CameraJson.of(frame.camera),
+        ),
+        up=None if frame.up is None else frame.up.tolist(),
+        points=len(frame.cloud),
+        image_boxes=None
+        if boxes is None
+        else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
+        objects=objects,
+        labels=labels,
+        open_by=ctx.hub.open_by(name, frame_id, operator),
+        history=HistoryJson(undo=undo, redo=redo),
+    )
+
+
+def image_version(project: Project, shown: ShownFrame) -> str:
+    """A hash for the image's URL; it differs if another project or recording has taken the same name or id."""
+    frame = shown.page.frame
+    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
+    return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+
+def frame_row(row: FrameRow) -> FrameRowJson:
+    """One row of the list of frames; its doubt is the highest one of its proposals."""
+    doubts = [doubt(stored.quality, stored.label.score) for stored in row.proposed]
+    frame = row.frame
+    return FrameRowJson(
+        id=frame.id,
+        recording=frame.recording_id,
+        key=frame.key,
+        index=frame.index,
+        revision=frame.revision,
+        finalised=frame.finalised,
+        counts={state.value: number for state, number in row.counts.items()},
+        image_boxes=row.image_boxes,
+        doubt=max((value for value in doubts if value is not None), default=None),
+    )
+
+
+def view_url(name: str, view_id: str) -> str:
+    """The URL of a pseudo-view's image."""
+    return f"/api/projects/{name}/views/{view_id}.png"
+
+
+def drawn_view(ctx: Context, name: str, view: PseudoView) -> ViewJson:
+    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it."""
+    view_id = ctx.caches.view_images.add(view.rgb)
+    height, width = view.rgb.shape[:2]
+    return ViewJson(
+        id=view_id,
+        url=view_url(name, view_id),
+        width=width,
+        height=height,
+        axes=view.axes.tolist(),
+        metres_per_px=view.metres_per_px,
+        origin_m=view.origin_m.tolist(),
+    )
+
+
+def _frame(shown: ShownFrame) -> FrameJson:
+    frame = shown.page.frame
+    return FrameJson(
+        id=frame.id,
+        recording=frame.recording_id,
+        recording_name=shown.page.recording_name,
+        key=frame.key,
+        index=frame.index,
+        revision=frame.revision,
+        finalised=frame.finalised,
+        previous=shown.page.previous,
+        next=shown.page.next,
+    )
+
+
+def _label(shown: ShownLabel) -> LabelJson:
+    label = shown.stored.label
+    return LabelJson.model_construct(
+        uid=label.uid,
+        label=label.label,
+        box=Box3DOut.of(label.box),
+        score=label.score,
+        source=label.source,
+        state=label.state,
+        author=label.author,
+        time_ns=label.time_ns,
+        track_id=label.track_id,
+        quality=quality_json(shown.stored.quality),
+        doubt=shown.doubt,
+        outline=shown.outline.round(2).tolist(),
+        points=shown.points,
+    )
+
+
+def quality_json(quality: Quality | None) -> QualityJson | None:
+    """The JSON of a quality; a signal without a value (NaN) is null."""
+    if quality is None:
+        return None
+    return QualityJson(
+        view_disagreement=_finite(quality.view_disagreement),
+        kept_share=_finite(quality.kept_share),
+        last_change=_finite(quality.last_change),
+        image_agreement=_finite(quality.image_agreement),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
+    return ObjectJson(
+        image_box=Box2DOut.of(drawn.image_box),
+        views=[(_stored_view(name, project, view), Box2DOut.of(view.boxes[0])) for view in drawn.views],
+        uid=drawn.uid,
+    )
+
+
+def _stored_view(name: str, project: Project, view: ViewBoxes) -> ViewJson:
+    geometry = view.geometry
+    assert geometry is not None  # guaranteed by `views_by_object`
+    width, height = project.views.size(view.view_id)
+    return ViewJson(
+        id=view.view_id,
+        url=view_url(name, view.view_id),
+        width=width,
+        height=height,
+        axes=[list(row) for row in geometry.axes],
+        metres_per_px=geometry.metres_per_px,
+        origin_m=list(geometry.origin_m),
+    )

@@ -1,0 +1,260 @@
+"""Schemas of the JSON of boxes, views, labels and frames, and their conversion from and to annotator's types.
+
+Pixel coordinates are continuous, (0, 0) is the centre of the first pixel; metres are in the camera frame.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from scipy.spatial.transform import Rotation
+
+from annotator.project import Effort as StoredEffort
+from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source
+
+# Limits of numbers in requests: finite, and wide enough for any image and recording.
+Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=1e-4, le=1e4, allow_inf_nan=False)]
+Unit = Annotated[float, Field(ge=-1.001, le=1.001, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+ClassName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
+Uid = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[0-9a-zA-Z_-]+$")]
+RowId = Annotated[int, Field(ge=0, le=2**53)]
+MOST_BOXES = 1000
+
+Vector3 = tuple[Metres, Metres, Metres]
+Unit3 = tuple[Unit, Unit, Unit]
+Matrix3 = tuple[Unit3, Unit3, Unit3]
+Outline = list[list[list[float]]]
+
+
+class Schema(BaseModel):
+    """Base of all schemas; unknown fields are refused, so that a misspelt one causes an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Box2DJson(Schema):
+    """A box on an image, in a request."""
+
+    label: ClassName
+    x_min: Px
+    y_min: Px
+    x_max: Px
+    y_max: Px
+    score: Share = 1.0
+
+    @model_validator(mode="after")
+    def _has_sides(self) -> Box2DJson:
+        if self.x_max <= self.x_min or self.y_max <= self.y_min:
+            raise ValueError("x_max and y_max must be greater than x_min and y_min")
+        return self
+
+    def box(self) -> Box2D:
+        return Box2D(self.label, self.x_min, self.y_min, self.x_max, self.y_max, self.score)
+
+
+class Box3DJson(Schema):
+    """A 3D box in a request: with `rotation` (columns = box axes) or `quaternion` (w, x, y, z)."""
+
+    center: Vector3
+    size: tuple[Length, Length, Length]
+    rotation: Matrix3 | None = None
+    quaternion: tuple[Unit, Unit, Unit, Unit] | None = None
+
+    @model_validator(mode="after")
+    def _has_one_rotation(self) -> Box3DJson:
+        if (self.rotation is None) == (self.quaternion is None):
+            raise ValueError("give either rotation or quaternion")
+        if self.quaternion is not None and not 0.5 <= float(np.linalg.norm(self.quaternion)) <= 2:
+            raise ValueError("a quaternion must have length 1")
+        if self.rotation is not None:
+            matrix = np.array(self.rotation)
+            if np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
+                raise ValueError("rotation must be a rotation matrix (orthonormal, determinant +1)")
+        return self
+
+    def box(self) -> OrientedBox:
+        if self.quaternion is not None:
+            rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        else:
+            rotation = Rotation.from_matrix(np.array(self.rotation))
+        return OrientedBox.from_parts(np.array(self.center), rotation.as_matrix(), np.array(self.size))
+
+
+class Box2DOut(Schema):
+    """A box on an image, in an answer."""
+
+    label: str
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+    score: float
+
+    @classmethod
+    def of(cls, box: Box2D) -> Box2DOut:
+        return cls.model_construct(
+            label=box.label, x_min=box.x_min, y_min=box.y_min, x_max=box.x_max, y_max=box.y_max, score=box.score
+        )
+
+
+class Box3DOut(Schema):
+    """A 3D box in an answer; the columns of `rotation` are its axes."""
+
+    center: list[float]
+    size: list[float]
+    rotation: list[list[float]]
+
+    @classmethod
+    def of(cls, box: OrientedBox) -> Box3DOut:
+        pose = box.T_camera_box.as_matrix()
+        return cls.model_construct(
+            center=pose[:3, 3].tolist(), size=box.size_m.tolist(), rotation=pose[:3, :3].tolist()
+        )
+
+
+class Effort(Schema):
+    """The operator's effort since the last acknowledged change, as counted by the page."""
+
+    actions: Annotated[int, Field(ge=0, le=10_000)]
+    seconds: Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
+
+    def stored(self) -> StoredEffort:
+        return StoredEffort(self.actions, self.seconds)
+
+
+class ViewJson(Schema):
+    """A pseudo-view: point p has the pixel x = (axes[0].p - origin_m[0]) / metres_per_px, y likewise with axes[1]."""
+
+    id: str
+    url: str
+    width: int
+    height: int
+    axes: list[list[float]]
+    metres_per_px: float
+    origin_m: list[float]
+
+
+class QualityJson(Schema):
+    """The recursion's signals; null for one without a value."""
+
+    view_disagreement: float | None
+    kept_share: float | None
+    last_change: float | None
+    image_agreement: float | None
+
+
+class LabelJson(Schema):
+    """A 3D label with its outline on the image, its number of points and its doubt."""
+
+    uid: str
+    label: str
+    box: Box3DOut
+    score: float | None
+    source: Source
+    state: ReviewState
+    author: str
+    time_ns: int
+    track_id: int | None
+    quality: QualityJson | None
+    doubt: float | None
+    outline: Outline
+    points: int
+
+
+class FrameJson(Schema):
+    """A frame: its recording, key, index, neighbours and revision."""
+
+    id: int
+    recording: int
+    recording_name: str
+    key: str
+    index: int | None
+    revision: int
+    finalised: bool
+    previous: int | None
+    next: int | None
+
+
+class CameraJson(Schema):
+    """Camera intrinsics, with which the page projects a dragged box; distortion as in `cv2.projectPoints`."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+
+    @classmethod
+    def of(cls, camera: Camera) -> CameraJson:
+        return cls(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, distortion=camera.distortion)
+
+
+class ImageJson(Schema):
+    """The camera image."""
+
+    url: str
+    width: int
+    height: int
+    camera: CameraJson
+
+
+class ImageBoxesJson(Schema):
+    """The boxes on the camera image, and what they enclose."""
+
+    boxes: list[Box2DOut]
+    box_kind: BoxKind
+
+
+class ObjectJson(Schema):
+    """An object drawn in Label mode: its image box, the views with their boxes, and its label's uid once finished."""
+
+    image_box: Box2DOut
+    views: list[tuple[ViewJson, Box2DOut | None]]
+    uid: str | None
+
+
+class HistoryJson(Schema):
+    """Descriptions of the next undo and redo."""
+
+    undo: str | None
+    redo: str | None
+
+
+class FrameStateJson(Schema):
+    """All data of a frame that the page shows."""
+
+    frame: FrameJson
+    image: ImageJson
+    up: list[float] | None
+    points: int
+    image_boxes: ImageBoxesJson | None
+    objects: list[ObjectJson]
+    labels: list[LabelJson]
+    open_by: list[str]
+    history: HistoryJson
+
+
+class FrameRowJson(Schema):
+    """One row of the list of frames."""
+
+    id: int
+    recording: int
+    key: str
+    index: int | None
+    revision: int
+    finalised: bool
+    counts: dict[str, int]
+    image_boxes: int | None
+    doubt: float | None
+
+
+class FrameListJson(Schema):
+    """A part of the list of frames, and the total number."""
+
+    frames: list[FrameRowJson]
+    total: int

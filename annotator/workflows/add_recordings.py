@@ -1,0 +1,136 @@
+"""Adds recordings to a project, and moves them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from annotator.project import Project, StoredRecording
+from annotator.recordings import Recording, open_recording
+from annotator.types.errors import ConfigError, FrameError, RecordingError
+
+# If this many frames at the beginning are unreadable, the recording is refused without trying the others.
+FRAMES_TRIED = 5
+
+
+@dataclass(frozen=True)
+class Added:
+    """The result of adding one recording.
+
+    Attributes:
+        recording: as stored in the project.
+        is_new: False if the project had it already and was only updated.
+        new_frames: number of frames added.
+        missing_frames: number of known frames that are gone; their labels stay.
+    """
+
+    recording: StoredRecording
+    is_new: bool
+    new_frames: int
+    missing_frames: int
+
+
+def add_recordings(
+    project: Project, paths: Sequence[Path], *, name: str | None = None, up: Sequence[float] | None = None
+) -> list[Added]:
+    """Adds recordings to a project: all, or none if one of the paths cannot be used. Their files stay in place.
+
+    A recording that the project has already is updated with its new frames; its name and up direction stay.
+
+    Args:
+        name: name of a single recording; None = the name of its folder.
+        up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
+
+    Raises:
+        RecordingError: a path holds no recording, or none of its first frames can be read.
+        ConfigError: one name for several recordings, or another name or up direction for a known recording.
+        ProjectError: the store refuses, e.g. an `up` of length zero.
+    """
+    if name is not None and len(paths) > 1:
+        raise ConfigError(f"{len(paths)} recordings cannot all be called {name!r}; add them one by one")
+    opened = [open_recording(path) for path in paths]
+    for recording in opened:
+        _require_readable(recording)
+        _require_unchanged(_known(project, recording), name, up)
+    return [_add(project, recording, name, up) for recording in opened]
+
+
+def register_recording(
+    project: Project, recording: Recording, *, name: str | None = None, up: Sequence[float] | None = None
+) -> StoredRecording:
+    """Adds an open recording, or updates the frames of one that the project has already.
+
+    Raises:
+        ProjectError: as `add_recordings`.
+    """
+    return _add(project, recording, name, up).recording
+
+
+def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
+    """Sets the new path of a recording whose folder was moved. Stored frames are unchanged; new frames are added.
+
+    Args:
+        author: of the change.
+
+    Raises:
+        NotFoundError: no such recording.
+        RecordingError: `path` holds no recording, one of another format, or none of its first frames can be read.
+        ProjectError: frames of the recording are missing there (the message names them), or `path` is another recording
+            of the project.
+    """
+    known, moved = project.recordings.get(recording_id), open_recording(path)
+    if moved.format != known.format:
+        raise RecordingError(
+            f"{path}: is a recording of the format {moved.format}, but {known.name} is of the format {known.format}; "
+            "give the folder that was moved"
+        )
+    _require_readable(moved)
+    return project.recordings.move(recording_id, moved.path, moved.keys, author)
+
+
+def _add(project: Project, recording: Recording, name: str | None, up: Sequence[float] | None) -> Added:
+    known = _known(project, recording)
+    if known is None:
+        stored = project.recordings.add(
+            recording.path, recording.format, name or recording.name, recording.keys, recording.is_sequence, up
+        )
+        return Added(stored, True, len(recording), 0)
+    change = project.recordings.rescan(known.id, recording.keys)
+    return Added(project.recordings.get(known.id), False, len(change.added), len(change.missing))
+
+
+def _known(project: Project, recording: Recording) -> StoredRecording | None:
+    path = recording.path.resolve()
+    return next((stored for stored in project.recordings.all() if stored.path == path), None)
+
+
+def _require_unchanged(known: StoredRecording | None, name: str | None, up: Sequence[float] | None) -> None:
+    """Refuses a different name or up direction for a known recording, instead of ignoring it."""
+    if known is None:
+        return
+    if name is not None and name != known.name:
+        raise ConfigError(f"{known.path} is in the project already, as {known.name}; it cannot be called {name!r}")
+    if up is not None and not _same_direction(up, known.up):
+        raise ConfigError(
+            f"{known.path} is in the project already, with the up direction {known.up or 'that its files give'}; "
+            "labels were made with it, so it stays"
+        )
+
+
+def _same_direction(a: Sequence[float], b: Sequence[float] | None) -> bool:
+    length = float(np.linalg.norm(a))
+    return b is not None and length > 0 and np.allclose(np.asarray(a) / length, b)
+
+
+def _require_readable(recording: Recording) -> None:
+    problems = []
+    for index in range(min(FRAMES_TRIED, len(recording))):
+        try:
+            recording.frame(index)
+            return
+        except FrameError as error:
+            problems.append(str(error))
+    raise RecordingError(f"{recording.path}: none of its first {len(problems)} frames can be read: {problems[0]}")

@@ -1,0 +1,136 @@
+"""Datasets of other software: their labels are read as `annotator import` reads them, and faults are reported.
+
+Their boxes are not checked further, because their frames belong to a project.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
+from annotator.formats.json_file import read_json
+from annotator.formats.labelcloud import read_labelcloud
+from annotator.formats.labelcloud.model import CLASSES_FILE
+from annotator.formats.labelcloud.write import CLOUDS, LABELS
+from annotator.formats.nuscenes import read_nuscenes
+from annotator.formats.openlabel import read_openlabel
+from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.reading import OnFault
+from annotator.formats.yolo_dataset import DATA_YAML
+from annotator.formats.yolo_read import CLASSES, SUFFIXES, read_yolo
+from annotator.types.errors import FormatError
+
+SNIFFED_BYTES = 256
+
+Part = tuple[int, int]
+"""The numbers of frames and labels of a part of a dataset."""
+
+
+@dataclass(frozen=True)
+class OtherSoftwareDataset:
+    """A dataset whose labels are read but whose boxes are not checked.
+
+    Attributes:
+        format: the format's name to display.
+        is_recording: the folder has clouds or images beside the labels, so it may also be a recording.
+        read: reads the parts one by one, so that a fault in one does not affect the others.
+    """
+
+    path: Path
+    format: str
+    is_recording: bool
+    read: Callable[[Path, OnFault], Iterator[Part]]
+
+    def parts(self, on_fault: OnFault) -> Iterator[Part]:
+        """Yields the counts of each part.
+
+        Args:
+            on_fault: called with each fault.
+        """
+        return self.read(self.path, on_fault)
+
+
+def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
+    """Returns the dataset in a folder, without looking into subfolders; None for unknown formats."""
+    if not path.is_dir() or (path / MANIFEST).is_file():
+        return None
+    if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
+        return OtherSoftwareDataset(path, "nuScenes tables", False, _nuscenes)
+    if any(_is_openlabel(file) for file in path.glob("*.json")):
+        return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel)
+    if _is_labelcloud(path):
+        return OtherSoftwareDataset(path, "labelCloud labels", True, _labelcloud)
+    if is_coco_dataset(path):
+        return OtherSoftwareDataset(path, "COCO boxes", True, _coco)
+    if _is_yolo(path):
+        return OtherSoftwareDataset(path, "YOLO boxes", True, _yolo)
+    return None
+
+
+def _is_openlabel(file: Path) -> bool:
+    with suppress(OSError), file.open("rb") as stream:
+        return b'"openlabel"' in stream.read(SNIFFED_BYTES)
+    return False
+
+
+def _is_labelcloud(path: Path) -> bool:
+    """True for a project folder (or a part of one): JSON beside clouds, or with labelCloud's `_classes.json`."""
+    labels = path / LABELS
+    if not ((path / CLOUDS).is_dir() or (labels / CLASSES_FILE).is_file()):
+        return False
+    return any(file.name != CLASSES_FILE for file in labels.glob("*.json"))
+
+
+def _is_yolo(path: Path) -> bool:
+    """True for Ultralytics' `data.yaml`, or `classes.txt` with labels in `labels` or beside images of the same name."""
+    if (path / DATA_YAML).is_file():
+        with suppress(OSError):
+            return b"names:" in (path / DATA_YAML).read_bytes()
+    if not (path / CLASSES).is_file():
+        return False
+    if any(file.name != CLASSES for file in (path / "labels").glob("*.txt")):
+        return True
+    pictures = {file.stem for file in path.iterdir() if file.suffix.lower() in SUFFIXES}
+    return any(file.stem in pictures for file in path.glob("*.txt"))
+
+
+def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Part]:
+    yield from _part(lambda: [len(boxes) for boxes in read_nuscenes(path, on_fault).values()], on_fault)
+
+
+def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Part]:
+    """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
+    for file in sorted(path.glob("*.json")):
+        if _is_openlabel(file):
+            yield from _part(lambda file=file: [len(frame.boxes) for frame in read_openlabel(file).values()], on_fault)  # type: ignore[misc]
+            continue
+        try:
+            read_json(file)
+        except FormatError as fault:
+            on_fault(fault)
+
+
+def _labelcloud(path: Path, on_fault: OnFault) -> Iterator[Part]:
+    yield from _part(lambda: [len(frame.boxes) for frame in read_labelcloud(path, on_fault).values()], on_fault)
+
+
+def _coco(path: Path, on_fault: OnFault) -> Iterator[Part]:
+    yield from _part(
+        lambda: [len(image.boxes) for _, images in read_coco_dataset(path, on_fault) for image in images], on_fault
+    )
+
+
+def _yolo(path: Path, on_fault: OnFault) -> Iterator[Part]:
+    yield from _part(lambda: [len(picture.boxes) for picture in read_yolo(path, on_fault)], on_fault)
+
+
+def _part(boxes_of_frames: Callable[[], list[int]], on_fault: OnFault) -> Iterator[Part]:
+    try:
+        counts = boxes_of_frames()
+    except FormatError as fault:
+        on_fault(fault)
+    else:
+        yield len(counts), sum(counts)

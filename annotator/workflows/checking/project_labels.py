@@ -1,0 +1,242 @@
+"""Checks the labels of a project: warnings for the operator, never errors.
+
+- size: a side of the box differs from the median of its class (or of its track) by more than the usual factor
+  (`checking.box_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
+- empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
+- heading: a box has turned by more than 60 degrees since the frame before in a sequence (matched by track, else the
+  nearest box of its class within its own length);
+- duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
+- track: a track has two boxes in one frame, or boxes of two classes;
+- class: the project does not have the label's class.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from pydantic import BaseModel, ConfigDict
+
+from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
+from annotator.types import Label, OrientedBox, ReviewState
+from annotator.workflows.checking.box_rules import (
+    LEAST_POINTS,
+    OVERLAP_IOU,
+    TRACK_SIZE_FACTOR,
+    UsualSize,
+    few_points_message,
+    heading_jumps,
+    odd_size_message,
+    odd_sizes,
+    overlaps,
+    usual_sizes,
+)
+from annotator.workflows.checking.point_counts import PointCounts
+
+CHECKED_STATES = (*REVIEWED, ReviewState.PROPOSED)
+
+CountPoints = Callable[[StoredFrame, Sequence[OrientedBox]], Sequence[int] | None]
+"""Returns the number of points of a frame in each of some boxes; None if the frame cannot be read."""
+
+
+class Kind(StrEnum):
+    """The kind of a warning."""
+
+    SIZE = "size"
+    EMPTY = "empty"
+    HEADING = "heading"
+    DUPLICATE = "duplicate"
+    TRACK = "track"
+    CLASS = "class"
+
+
+@dataclass(frozen=True)
+class LabelWarning:
+    """One warning.
+
+    Attributes:
+        kind: kind of the warning.
+        frame: the label's frame.
+        recording: name of the frame's recording.
+        uid: the label.
+        message: text to display.
+    """
+
+    kind: Kind
+    frame: StoredFrame
+    recording: str
+    uid: str
+    message: str
+
+
+class WarningRow(BaseModel):
+    """One warning as JSON: `frame` is an id, `recording` a name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Kind
+    frame: int
+    key: str
+    recording: str
+    uid: str
+    message: str
+
+
+class CheckReport(BaseModel):
+    """All warnings.
+
+    Attributes:
+        labels: number of labels checked.
+        unreadable: frames whose points could not be counted, as `key: reason`.
+        uncounted: frames whose points were not counted because the time was used up; the next check continues.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    warnings: tuple[WarningRow, ...]
+    labels: int
+    unreadable: tuple[str, ...]
+    uncounted: int
+
+
+def check_project(project: Project, frame_id: int | None = None, budget_s: float | None = None) -> CheckReport:
+    """Checks a project as `check` does, with points counted from the recordings.
+
+    Args:
+        budget_s: time for reading frames, seconds; None = no limit.
+
+    Raises:
+        NotFoundError: no such frame.
+    """
+    counts = PointCounts(project, budget_s)
+    warnings = check(project, counts, frame_id)
+    counts.save()
+    rows = tuple(
+        WarningRow(kind=w.kind, frame=w.frame.id, key=w.frame.key, recording=w.recording, uid=w.uid, message=w.message)
+        for w in warnings
+    )
+    checked = [e for e in project.labels.select(states=CHECKED_STATES) if frame_id in (None, e.frame_id)]
+    return CheckReport(
+        warnings=rows, labels=len(checked), unreadable=tuple(counts.unreadable), uncounted=counts.unknown
+    )
+
+
+def check(project: Project, count_points: CountPoints, frame_id: int | None = None) -> list[LabelWarning]:
+    """Returns all warnings about labels that are not rejected, frame by frame.
+
+    Args:
+        frame_id: warnings of this frame only (compared with the whole project); None = of all.
+
+    Raises:
+        NotFoundError: no such frame.
+    """
+    if frame_id is not None:
+        project.frames.get(frame_id)
+    frames = {frame.id: frame for frame in project.frames.of()}
+    recordings = {recording.id: recording for recording in project.recordings.all()}
+    by_frame: dict[int, list[Label]] = defaultdict(list)
+    stored = project.labels.select(states=CHECKED_STATES)
+    for entry in stored:
+        by_frame[entry.frame_id].append(entry.label)
+    usual = usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
+    tracks = _Tracks(stored, frames)
+    classes = set(project.config.classes)
+    before = _frames_before(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
+    warnings: list[LabelWarning] = []
+    for frame in frames.values():
+        labels = by_frame.get(frame.id, [])
+        if not labels or (frame_id is not None and frame.id != frame_id):
+            continue
+        earlier = by_frame.get(before.get(frame.id, -1), [])
+        lines = [
+            *_class(labels, classes),
+            *_sizes(labels, usual, tracks, frame),
+            *_lines(Kind.HEADING, labels, heading_jumps(labels, earlier)),
+            *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
+            *tracks.odd(labels, frame),
+            *_empty(labels, count_points(frame, [label.box for label in labels])),
+        ]
+        name = recordings[frame.recording_id].name
+        warnings += [LabelWarning(kind, frame, name, uid, message) for kind, uid, message in lines]
+    return warnings
+
+
+Line = tuple[Kind, str, str]
+
+
+def _lines(kind: Kind, labels: Sequence[Label], places: Iterable[tuple[int, str]]) -> Iterator[Line]:
+    """Returns the findings of a rule about boxes, with the labels' uids."""
+    return ((kind, labels[number].uid, message) for number, message in places)
+
+
+class _Tracks:
+    """The usual size and the classes of each track."""
+
+    def __init__(self, stored: Sequence[StoredLabel], frames: Mapping[int, StoredFrame]) -> None:
+        tracked = [(e.label, self.key(e.label, frames[e.frame_id])) for e in stored if e.label.track_id is not None]
+        reviewed = ((key, label.box.size_m) for label, key in tracked if label.state in REVIEWED)
+        self.usual = usual_sizes(reviewed, TRACK_SIZE_FACTOR)
+        self._classes: dict[str, Counter[str]] = defaultdict(Counter)
+        for label, key in tracked:
+            self._classes[key][label.label] += 1
+
+    def key(self, label: Label, frame: StoredFrame) -> str:
+        """Returns a track's name within the project."""
+        return f"{frame.recording_id}/{label.track_id}"
+
+    def odd(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[Line]:
+        """Yields labels of a frame that contradict their tracks."""
+        seen: set[int] = set()
+        for label in labels:
+            if label.track_id is None:
+                continue
+            if label.track_id in seen:
+                yield Kind.TRACK, label.uid, f"track {label.track_id} has two boxes in this frame"
+            seen.add(label.track_id)
+            most = self._classes[self.key(label, frame)].most_common(1)[0][0]
+            if most != label.label:
+                yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most}, but {label.label} here"
+
+
+def _sizes(
+    labels: Sequence[Label], usual: Mapping[str, UsualSize], tracks: _Tracks, frame: StoredFrame
+) -> Iterator[Line]:
+    """Yields sizes that are odd for their class, else for their track."""
+    of_class = dict(odd_sizes(labels, usual))
+    for number, label in enumerate(labels):
+        of_track = tracks.usual.get(tracks.key(label, frame))
+        if number in of_class:
+            yield Kind.SIZE, label.uid, of_class[number]
+        elif of_track is not None and of_track.odd(label.box.size_m):
+            name = f"track {label.track_id}: {label.label}"
+            yield Kind.SIZE, label.uid, odd_size_message(name, label.box.size_m, of_track)
+
+
+def _frames_before(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
+    """Returns the id of the frame before for each frame of a sequence, by id."""
+    places = {(f.recording_id, f.index): f.id for f in frames if f.index is not None}
+    return {
+        frame_id: places[recording, index - 1]
+        for (recording, index), frame_id in places.items()
+        if recording in sequences and (recording, index - 1) in places
+    }
+
+
+def _class(labels: Sequence[Label], classes: set[str]) -> Iterator[Line]:
+    for label in labels:
+        if label.label not in classes:
+            yield Kind.CLASS, label.uid, f"the project has no class {label.label!r}"
+
+
+def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:
+    for first, second, iou in overlaps(labels, OVERLAP_IOU):
+        if labels[first].label == labels[second].label:
+            yield second, f"two boxes of {labels[first].label} overlap by {iou:.0%} (IoU)"
+
+
+def _empty(labels: Sequence[Label], points: Sequence[int] | None) -> Iterator[Line]:
+    for label, count in zip(labels, points or (), strict=False):
+        if count < LEAST_POINTS:
+            yield Kind.EMPTY, label.uid, few_points_message(label.label, count)

@@ -1,0 +1,6 @@
+"""Facts about this machine, the backends that detectors use on it, and self-tests of the backends and the GPU."""
+
+from annotator.workflows.doctor.examine import examine
+from annotator.workflows.doctor.report import Line, Report, State, as_text
+
+__all__ = ["Line", "Report", "State", "as_text", "examine"]

@@ -1,0 +1,143 @@
+"""Self-tests: compares the backends, and the GPU's computations on points, with the CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.projection import unproject_depth
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import AnnotatorError
+from annotator.workflows.doctor.report import Line, State
+
+if TYPE_CHECKING:
+    from annotator.gpu.agreement import Difference
+
+SECTION = "self-test"
+REPORT_IT = "report this, with the whole output"
+CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
+# Height and width of the test images: multiples of the network's stride, and different from those that exports are
+# traced with.
+PICTURE_PX = (96, 128)
+
+
+def generated_frame() -> Frame:
+    """Returns a frame with a rotated box, a floor and a wall, as from a depth camera with noise and missing pixels."""
+    rng = np.random.default_rng(0)
+    v, u = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    turn = Rotation.from_rotvec([0.5, 0.6, -0.4]).as_matrix()
+    along, origin = rays @ turn, np.array([0.2, 0.1, 2.0]) @ turn
+    half = np.array([0.35, 0.25, 0.2])
+    ends = np.stack([origin - half, origin + half])[:, None, None] / along
+    near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+    # y points down: the floor is a metre below the camera
+    floor = np.divide(1.0, rays[..., 1], out=np.full(u.shape, np.inf), where=rays[..., 1] > 0)
+    wall = 4.0 / (1 + 0.2 * rays[..., 0])
+    depth = np.minimum(np.where(near < far, near, np.inf), np.minimum(floor, wall))
+    depth = (depth + rng.normal(0, 0.002, depth.shape)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.03] = 0
+    shade = np.where(near < far, 200, np.where(floor < wall, 120, 60))[..., None] + rng.integers(-40, 41, (*u.shape, 3))
+    rgb = shade.astype(np.uint8)
+    xyz, pixel_index = unproject_depth(CAMERA, depth)
+    cloud = PointCloud(xyz, rgb.reshape(-1, 3)[pixel_index], pixel_index=pixel_index)
+    return Frame("0", 0, CAMERA, rgb, cloud, depth)
+
+
+def backends(_: Path) -> Iterator[Line]:
+    """Compares the raw output of each backend with that of torch on the CPU, for a network with seeded weights."""
+    from annotator.detection.backends.agreement import TOLERANCE, Agreements, BackendMissingError, openers
+    from annotator.detection.seeded_network import write_seeded_network
+
+    rgb, (rows, columns) = generated_frame().rgb, PICTURE_PX
+    pictures = np.stack([rgb[:rows, :columns], rgb[-rows:, -columns:]])
+    with TemporaryDirectory() as folder:
+        weights = Path(folder) / "network.pt"
+        try:
+            write_seeded_network(weights)
+            agreements = Agreements(weights, pictures)
+        except AnnotatorError as error:
+            yield Line(section=SECTION, name="backends", state=State.WARNING, found=f"not tested ({error})")
+            return
+        for name, opener in openers(_cuda()).items():
+            try:
+                found = agreements.of(opener)
+            except BackendMissingError as error:
+                yield Line(section=SECTION, name=name, state=State.OK, found=f"{error}; not tested")
+            except AnnotatorError as error:
+                yield Line(section=SECTION, name=name, state=State.FAILED, found=str(error), remedy=REPORT_IT)
+            else:
+                figures = {
+                    "boxes_px": found.boxes_px,
+                    "boxes_bound_px": found.boxes_bound_px,
+                    "scores": found.scores,
+                    "scores_bound": found.scores_bound,
+                }
+                told = (
+                    f"boxes {found.boxes_px:.2g} px, scores {found.scores:.2g} from torch's in single precision; "
+                    f"allowed: {found.boxes_bound_px:.2g} px, {found.scores_bound:.2g}, "
+                    f"{TOLERANCE[found.yardstick]:.0f} x the distance of torch in {found.yardstick}"
+                )
+                state = State.OK if found.holds else State.FAILED
+                remedy = "" if found.holds else f"use another --backend, and {REPORT_IT}"
+                yield Line(section=SECTION, name=name, state=state, found=told, remedy=remedy, figures=figures)
+
+
+def gpu(_: Path) -> Iterator[Line]:
+    """Compares drawing, normals and clustering on each CUDA device with the CPU."""
+    devices = _cuda()
+    if not devices:
+        yield Line(section=SECTION, name="GPU", state=State.OK, found="no CUDA device; not tested")
+    for device in devices:
+        yield from points_on(device)
+
+
+def points_on(device: str) -> Iterator[Line]:
+    """Compares the computations on points on a torch device (which may be "cpu") with those of numpy."""
+    from annotator.gpu.agreement import WORKS
+    from annotator.gpu.compute import TorchCompute
+
+    frame = generated_frame()
+    for name, work in WORKS.items():
+        try:
+            for found in work(TorchCompute(device), frame):
+                yield _difference(device, found)
+        except AnnotatorError as error:
+            yield Line(
+                section=SECTION, name=f"{device}, {name}", state=State.FAILED, found=str(error), remedy=REPORT_IT
+            )
+
+
+def _difference(device: str, found: Difference) -> Line:
+    told = (
+        f"{found.value:.2g} {found.measure} from the CPU result; allowed: {found.bound:.2g}; "
+        f"{1000 * found.device_s:.1f} ms, the processor {1000 * found.processor_s:.1f} ms"
+    )
+    return Line(
+        section=SECTION,
+        name=f"{device}, {found.work}",
+        state=State.OK if found.holds else State.FAILED,
+        found=told,
+        remedy="" if found.holds else f"run the view detector with another --backend, and {REPORT_IT}",
+        figures={
+            "value": found.value,
+            "bound": found.bound,
+            "device_s": found.device_s,
+            "processor_s": found.processor_s,
+        },
+    )
+
+
+def _cuda() -> list[str]:
+    """Returns the names of the CUDA devices; empty if torch is missing or broken, which `packages.torch` reports."""
+    from annotator.gpu.facts import cuda_devices
+
+    try:
+        return [device.name for device in cuda_devices()]
+    except (ImportError, OSError, RuntimeError, AssertionError):
+        return []

@@ -1,0 +1,1 @@
+"""Evaluates boxes against true boxes."""

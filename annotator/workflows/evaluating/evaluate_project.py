@@ -1,0 +1,207 @@
+"""Evaluates the boxes of a project with a benchmark's protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.report import Report, oriented_report, sunrgbd_report
+from annotator.evaluation.sunrgbd import evaluate_sunrgbd
+from annotator.formats.kitti.box_rows import kitti_row
+from annotator.formats.kitti.label_files import KittiLabel
+from annotator.project import REVIEWED, Project, StoredFrame
+from annotator.types import Label, ReviewState, Source
+from annotator.types.errors import ConfigError
+from annotator.workflows.evaluating.evaluate_files import (
+    DEFAULT_SCORE,
+    Options,
+    Protocol,
+    ScoredBox,
+    box_table,
+    kitti_of,
+)
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.kitti_rows import rows_of_truth, true_kitti_rows
+from annotator.workflows.recorded.reading import has_truth, load_truth
+from annotator.workflows.recorded.take_over import AUTHOR
+
+
+class Measured(StrEnum):
+    """The boxes to evaluate.
+
+    LABELS: all present boxes, except rejected ones.
+    PROPOSALS: the proposals of the last automatic pass over each frame, before any review.
+    """
+
+    LABELS = "labels"
+    PROPOSALS = "proposals"
+
+
+class Against(StrEnum):
+    """The boxes taken as true.
+
+    TRUTH: the boxes beside the recordings.
+    REVIEWED: accepted and edited labels, in frames without unreviewed proposals.
+    """
+
+    TRUTH = "truth"
+    REVIEWED = "reviewed"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The boxes to compare, and the recordings (ids; None = all)."""
+
+    measured: Measured = Measured.LABELS
+    against: Against = Against.TRUTH
+    recordings: tuple[int, ...] | None = None
+
+
+def evaluate_project(
+    project: Project, protocol: Protocol, choice: Choice | None = None, options: Options | None = None
+) -> Report:
+    """Evaluates boxes of a project.
+
+    LABELS uses frames that have labels, are finalised, or had an automatic pass. PROPOSALS uses only frames that had an
+    automatic pass. A note in the report counts labels imported from the recordings themselves, since these are compared
+    with themselves.
+
+    Args:
+        options: its frames are named `RECORDING/KEY`.
+
+    Raises:
+        ConfigError: there is nothing to compare, or labels would be compared with themselves.
+        RecordingError: a recording cannot be read.
+        FormatError: its labels are broken.
+    """
+    choice, options = choice or Choice(), options or Options()
+    if (choice.measured, choice.against) == (Measured.LABELS, Against.REVIEWED):
+        raise ConfigError("labels cannot be measured against reviewed labels, which are the same; measure proposals")
+    source = _Source(project, choice, options)
+    report = _kitti(source, options.relaxed) if protocol is Protocol.KITTI else _boxes(source, protocol)
+    return replace(report, notes=source.notes())
+
+
+def _boxes(source: _Source, protocol: Protocol) -> Report:
+    compared = list(source.compared())
+    detected, true = (box_table(side) for side in zip(*compared, strict=True)) if compared else (box_table([]),) * 2
+    if len(true) == 0:
+        raise ConfigError(f"there is no true box in the {len(compared)} frames to evaluate")
+    if protocol is Protocol.SUNRGBD:
+        return sunrgbd_report(evaluate_sunrgbd(detected, true))
+    return oriented_report(evaluate_oriented(detected, true))
+
+
+def _kitti(source: _Source, relaxed: bool) -> Report:
+    rows = [source.kitti(stored) for stored in source.frames()]
+    if not any(true for _, true in rows):
+        raise ConfigError(f"there is no true box in the {len(rows)} frames to evaluate")
+    return kitti_of([detected for detected, _ in rows], [true for _, true in rows], relaxed)
+
+
+class _Source:
+    """The frames of a project to compare, each with the boxes to evaluate and the true boxes."""
+
+    def __init__(self, project: Project, choice: Choice, options: Options) -> None:
+        self._project = project
+        self._choice = choice
+        self._names = None if options.frames is None else set(options.frames)
+        self._frames = FrameSource(project)
+        self._labels_seen = 0
+        self._unchanged = 0
+        self._require_names()
+
+    def _require_names(self) -> None:
+        """Refuses names of frames that the project does not have."""
+        if self._names is None:
+            return
+        of_id = {recording.id: recording.name for recording in self._project.recordings.all()}
+        known = {f"{of_id[frame.recording_id]}/{frame.key}" for frame in self._project.frames.of()}
+        if missing := sorted(self._names - known):
+            raise ConfigError(
+                f"project {self._project.config.name} has no frame {missing[0]} ({len(missing)} of the "
+                f"{len(self._names)} names are unknown); names are RECORDING/KEY"
+            )
+
+    def notes(self) -> tuple[str, ...]:
+        """Returns notes for the report, once all frames are compared."""
+        if self._choice.against is not Against.TRUTH or not self._unchanged:
+            return ()
+        return (
+            f"{self._unchanged} of the {self._labels_seen} labels were imported from the recordings themselves, so "
+            "they were compared with themselves; measure proposals (--measured proposals), or add recordings with "
+            "--no-labels",
+        )
+
+    def frames(self) -> Iterator[StoredFrame]:
+        """Yields the frames to compare, in order."""
+        known = {recording.id: recording.name for recording in self._project.recordings.all()}
+        chosen = self._with_truth(known) if self._choice.against is Against.TRUTH else self._choice.recordings
+        for stored in self._project.frames.of(chosen):
+            name = f"{known[stored.recording_id]}/{stored.key}"
+            if (self._names is None or name in self._names) and self._is_compared(stored):
+                yield stored
+
+    def compared(self) -> Iterator[tuple[list[ScoredBox], list[ScoredBox]]]:
+        """Yields the boxes to evaluate and the true boxes of each frame."""
+        for stored in self.frames():
+            yield self._measured(stored), self._true(stored)
+
+    def kitti(self, stored: StoredFrame) -> tuple[Sequence[KittiLabel], Sequence[KittiLabel]]:
+        """Returns the boxes to evaluate and the true boxes of one frame as KITTI's rows."""
+        frame = self._frames.read(stored)
+        measured = [kitti_row(*scored_box, frame) for scored_box in self._measured(stored)]
+        if self._choice.against is Against.REVIEWED:
+            return measured, rows_of_truth(((label, box) for label, box, _ in self._true(stored)), frame)
+        recording = self._frames.recording(stored.recording_id)
+        return measured, true_kitti_rows(recording, recording.keys.index(stored.key), frame)
+
+    def _with_truth(self, known: Mapping[int, str]) -> tuple[int, ...]:
+        """Returns the chosen recordings, which must all have truth; without a choice, all that have truth."""
+        chosen = self._choice.recordings
+        with_truth = tuple(i for i in (known if chosen is None else chosen) if has_truth(self._frames.recording(i)))
+        lacking = [known[i] for i in chosen or () if i not in with_truth]
+        if lacking or not with_truth:
+            names = ", ".join(lacking) or "no recording"
+            verb = "has no" if lacking else "has"
+            raise ConfigError(f"{names} {verb} true boxes; measure against reviewed labels (--against reviewed)")
+        return with_truth
+
+    def _is_compared(self, stored: StoredFrame) -> bool:
+        labels = self._project.labels.of_frame(stored.id)
+        worked_on = bool(labels) or stored.finalised
+        if self._choice.against is Against.TRUTH and stored.index is None:
+            return False
+        if self._choice.against is Against.REVIEWED and not (
+            worked_on and all(label.state is not ReviewState.PROPOSED for label in labels)
+        ):
+            return False
+        if self._choice.measured is Measured.LABELS and worked_on:
+            return True
+        return self._project.proposals.latest(stored.id) is not None
+
+    def _measured(self, stored: StoredFrame) -> list[ScoredBox]:
+        if self._choice.measured is Measured.LABELS:
+            labels = [label for label in self._labels(stored) if label.state is not ReviewState.REJECTED]
+            self._labels_seen += len(labels)
+            self._unchanged += sum(label.source is Source.IMPORTED and label.author == AUTHOR for label in labels)
+            return [_scored_box(label) for label in labels]
+        latest = self._project.proposals.latest(stored.id)
+        proposals = [entry.proposal for entry in latest.objects] if latest is not None else []
+        return [(proposal.label, proposal.box, proposal.score) for proposal in proposals]
+
+    def _true(self, stored: StoredFrame) -> list[ScoredBox]:
+        if self._choice.against is Against.REVIEWED:
+            return [_scored_box(label) for label in self._labels(stored) if label.state in REVIEWED]
+        recording = self._frames.recording(stored.recording_id)
+        truths = load_truth(recording, recording.keys.index(stored.key), self._frames.read(stored))
+        return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
+
+    def _labels(self, stored: StoredFrame) -> tuple[Label, ...]:
+        return self._project.labels.of_frame(stored.id)
+
+
+def _scored_box(label: Label) -> ScoredBox:
+    return label.label, label.box, DEFAULT_SCORE if label.score is None else label.score

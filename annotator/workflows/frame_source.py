@@ -1,0 +1,115 @@
+"""Reads the frames of a project from its recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from annotator.files import why_missing
+from annotator.project.config import BoxRotation
+from annotator.project.frames import StoredFrame
+from annotator.project.project import Project
+from annotator.project.recordings import StoredRecording
+from annotator.rcv.config import Orientation
+from annotator.recordings import Recording, open_recording
+from annotator.types import Frame
+from annotator.types.errors import FrameError, RecordingError
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedRecording:
+    """An open recording of a project; frames are not cached.
+
+    Attributes:
+        recording: the recording.
+        up: unit vector against gravity in the camera frame, if the project sets one.
+        indices: index in the recording, by key.
+    """
+
+    recording: Recording
+    up: tuple[float, float, float] | None
+    indices: dict[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "indices", {key: index for index, key in enumerate(self.recording.keys)})
+
+    def read(self, key: str) -> Frame:
+        """Reads a frame, with the project's up direction if it sets one.
+
+        Raises:
+            FrameError: the frame cannot be read, or is no longer there.
+        """
+        if key not in self.indices:
+            raise FrameError(
+                Path(self.recording.path), f"frame {key} is no longer there", "restore it, or add the folder again"
+            )
+        frame = self.recording.frame(self.indices[key])
+        return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
+
+
+def open_stored(path: Path, name: str, project: str, up: tuple[float, float, float] | None) -> OpenedRecording:
+    """Opens a recording of a project.
+
+    Args:
+        path: its folder or file.
+        name: its name in the project.
+        project: the project's name.
+        up: as in `OpenedRecording`.
+
+    Raises:
+        RecordingError: it is missing or cannot be read.
+    """
+    missing = why_missing(path)
+    if missing is not None:
+        raise RecordingError(
+            f"{path}: {missing}; restore {name}, or give its new path: "
+            f"annotator project move {project} {name} PATH, or Locate on the start page"
+        )
+    return OpenedRecording(open_recording(path), up)
+
+
+class FrameSource:
+    """Reads frames of a project. Each recording is opened once; frames are not cached."""
+
+    def __init__(self, project: Project) -> None:
+        self._project = project
+        self._stored: dict[int, StoredRecording] = {}
+        self._opened: dict[int, OpenedRecording] = {}
+
+    def stored(self, recording_id: int) -> StoredRecording:
+        """Returns a recording as stored in the project."""
+        if recording_id not in self._stored:
+            self._stored[recording_id] = self._project.recordings.get(recording_id)
+        return self._stored[recording_id]
+
+    def recording(self, recording_id: int) -> Recording:
+        """Returns an open recording.
+
+        Raises:
+            RecordingError: it is missing or cannot be read.
+        """
+        return self._open(recording_id).recording
+
+    def read(self, frame: StoredFrame) -> Frame:
+        """Reads a frame, with the project's up direction if it sets one.
+
+        Raises:
+            FrameError: the frame cannot be read, or is no longer there.
+            RecordingError: the recording is missing or cannot be read.
+        """
+        return self._open(frame.recording_id).read(frame.key)
+
+    def _open(self, recording_id: int) -> OpenedRecording:
+        if recording_id not in self._opened:
+            stored = self.stored(recording_id)
+            self._opened[recording_id] = open_stored(stored.path, stored.name, self._project.path.name, stored.up)
+        return self._opened[recording_id]
+
+
+def orientation_for(rotation: BoxRotation, frame: Frame) -> Orientation:
+    """Returns the rotations that boxes of a frame may have; AUTO is upright if the up direction is known."""
+    if rotation is BoxRotation.AUTO:
+        return Orientation.FREE if frame.up is None else Orientation.UPRIGHT
+    return Orientation(rotation.value)

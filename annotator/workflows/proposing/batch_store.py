@@ -1,0 +1,137 @@
+"""Reads the frames of a batch from the store, stores their results, and counts them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from annotator.project.frames import StoredFrame
+from annotator.project.jobs import Run
+from annotator.project.project import Project
+from annotator.project.proposals import RunShare
+from annotator.project.writing import WriteContext
+from annotator.rcv.finish import FrameProposals
+from annotator.types import Source
+from annotator.types.errors import FinalisedFrameError, StaleRevisionError
+from annotator.workflows.proposing.engines.runner import failure
+from annotator.workflows.proposing.engines.tasks import FrameAnswer, RecordingSpec
+from annotator.workflows.tracks.previous_boxes import followed_tracks
+
+AUTHOR = "rcv"
+# Frames per query of the store.
+PAGE_FRAMES = 200
+# Attempts to write a frame that is changed concurrently.
+WRITE_ATTEMPTS = 5
+# Maximum number of failures listed in a summary; the store has all of them.
+MAX_LISTED = 1000
+
+
+@dataclass
+class AnnotateSummary:
+    """Counts of a batch.
+
+    Attributes:
+        frames: frames to do.
+        skipped: frames left out: done before with the same detectors and settings, or finalised.
+        done: frames whose proposals are stored.
+        proposals: number of all proposals.
+        without: frames without any proposal.
+        failed: key and reason of the first failed frames.
+        more_failed: number of further failed frames.
+        seconds: duration of the batch.
+        backends: of the image and the view detector, e.g. ("openvino", "openvino").
+    """
+
+    frames: int = 0
+    skipped: int = 0
+    done: int = 0
+    proposals: int = 0
+    without: int = 0
+    failed: list[tuple[str, str]] = field(default_factory=list)
+    more_failed: int = 0
+    seconds: float = 0.0
+    backends: tuple[str, ...] = ()
+
+    @property
+    def failures(self) -> int:
+        """Number of failed frames."""
+        return len(self.failed) + self.more_failed
+
+
+@dataclass(eq=False)
+class Batch:
+    """A batch and its access to the store.
+
+    Attributes:
+        frames: number of frames to do.
+    """
+
+    project: Project
+    run: Run
+    frames: int
+    recordings: Sequence[int] | None
+    summary: AnnotateSummary
+    specs: dict[int, RecordingSpec] = field(default_factory=dict)
+
+    def pending(self) -> Iterator[StoredFrame]:
+        """Yields the frames to do, page by page; those finalised since they were counted are skipped."""
+        last: StoredFrame | None = None
+        left = self.frames
+        while left > 0:
+            limit = min(left, PAGE_FRAMES)
+            page = self.project.jobs.pending(self.run.key, self.recordings, after=last, limit=limit)
+            yield from page
+            left -= len(page)
+            if len(page) < limit:
+                break
+            last = page[-1]
+        self.summary.frames -= left
+        self.summary.skipped += left
+
+    def spec(self, recording_id: int) -> RecordingSpec:
+        """Returns a recording as a worker needs it."""
+        if recording_id not in self.specs:
+            stored = self.project.recordings.get(recording_id)
+            self.specs[recording_id] = RecordingSpec(stored.path, stored.name, self.project.path.name, stored.up)
+        return self.specs[recording_id]
+
+    def store(self, frame: StoredFrame, answer: FrameAnswer) -> None:
+        """Stores the result or the failure of a frame."""
+        if answer.result is None:
+            self._fail(frame, answer)
+            return
+        try:
+            self._replace(frame.id, answer.result, RunShare(self.run.id, answer.seconds))
+        except FinalisedFrameError:  # finalised since the batch began
+            self.summary.skipped += 1
+            self.summary.frames -= 1
+            return
+        except Exception as error:
+            self._fail(frame, failure(error, answer.seconds))
+            return
+        self.summary.done += 1
+        self.summary.proposals += len(answer.result.proposals)
+        self.summary.without += not answer.result.proposals
+
+    def _replace(self, frame_id: int, result: FrameProposals, share: RunShare) -> None:
+        for attempt in range(1, WRITE_ATTEMPTS + 1):
+            frame, proposals = self.project.frames.get(frame_id), result.proposals
+            context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
+            tracks = followed_tracks(self.project, frame, proposals)
+            try:
+                self.project.proposals.replace(
+                    frame_id, proposals, context, lost=result.lost, run=share, track_ids=tracks
+                )
+                return
+            except StaleRevisionError:
+                # An operator has changed the frame. Proposals replace only unreviewed ones, so trying again is safe.
+                if attempt == WRITE_ATTEMPTS:
+                    raise
+
+    def _fail(self, frame: StoredFrame, answer: FrameAnswer) -> None:
+        reason = answer.reason or "unknown reason"
+        self.project.jobs.record_failure(self.run.id, frame.id, reason, answer.seconds)
+        if len(self.summary.failed) < MAX_LISTED:
+            self.summary.failed.append((frame.key, reason))
+        else:
+            self.summary.more_failed += 1

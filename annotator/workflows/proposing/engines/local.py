@@ -1,0 +1,141 @@
+"""The engine of worker processes on this machine, each with its own detectors and share of the cores."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, Start
+from annotator.workflows.proposing.engines.pool import WorkerPool
+from annotator.workflows.proposing.engines.sources import DetectorSource
+from annotator.workflows.proposing.engines.storage import Storage
+from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+
+# Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.
+PROGRAM = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from annotator.workflows.proposing.engines.worker import main; sys.exit(main())"
+)
+# Read by the libraries when they are loaded. Without them, each worker would use all cores.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+NVIDIA_DEVICES = "nvidia[0-9]*"
+
+
+class LocalWorker:
+    """A worker process. It ends by itself when this process ends, even by a crash."""
+
+    def __init__(self, number: int, report: Report, start: Start, gpu: str | None = None) -> None:
+        """
+        Args:
+            number: the worker's number in its events.
+            report: receives the events.
+            start: the first message.
+            gpu: its GPU, as named in `CUDA_VISIBLE_DEVICES`; None = all.
+        """
+        self.number, self._report = number, report
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-c", PROGRAM],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **environment(start.threads), **({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})},
+            # an interrupt at the terminal must reach the driver only, which then ends its workers
+            process_group=0 if os.name != "nt" else None,
+        )
+        self._write(sys.path)
+        self._write(start)
+        threading.Thread(target=self._listen, name=f"worker {number}", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        """The process's id."""
+        return self._process.pid
+
+    def send(self, task: Task) -> None:
+        """Sends a task; does nothing if the worker is dead."""
+        self._write(task)
+
+    def end(self) -> None:
+        """Kills the worker."""
+        with suppress(ProcessLookupError):
+            self._process.kill()
+        self._process.wait()
+
+    def _write(self, value: object) -> None:
+        assert self._process.stdin is not None
+        # the listening thread reports the worker's death
+        with suppress(BrokenPipeError, ValueError):
+            pickle.dump(value, self._process.stdin)
+            self._process.stdin.flush()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None and self._process.stdin is not None
+        with self._process.stdout as stream:
+            while True:
+                try:
+                    message = pickle.load(stream)
+                except (EOFError, pickle.UnpicklingError):  # also in the middle of an answer
+                    break
+                match message:
+                    case Identity():
+                        self._report(Ready(self.number, message))
+                    case Answer():
+                        self._report(Done(self.number, message))
+                    case Fault():
+                        self._report(Refused(self.number, message.reason, message.is_fault))
+        code = self._process.wait()
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        self._report(Died(self.number, exit_reason(code)))
+
+
+def exit_reason(code: int) -> str:
+    """Describes the exit code of a process."""
+    if code == -signal.SIGKILL:
+        return "killed, perhaps for lack of memory"
+    return f"by signal {-code}" if code < 0 else f"with exit code {code}"
+
+
+def environment(threads: int | None) -> dict[str, str]:
+    """Returns the environment variables that limit a process to a number of threads; None = no limit."""
+    return {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))
+
+
+def local_engine(
+    source: DetectorSource, workers: int, threads: int | None, storage: Storage, gpus: tuple[str, ...] = ()
+) -> WorkerPool:
+    """Makes an engine of worker processes on this machine.
+
+    Args:
+        source: of each worker's detectors.
+        workers: number of workers.
+        threads: processor threads of each worker; None = all cores.
+        storage: where recordings are read.
+        gpus: names of the machine's GPUs, assigned to the workers in turn.
+    """
+    start = Start(source, threads, storage)
+    return WorkerPool(
+        lambda number, report: LocalWorker(number, report, start, gpus[number % len(gpus)] if gpus else None), workers
+    )
+
+
+def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
+    """Returns the GPUs that detectors can use, as named in `CUDA_VISIBLE_DEVICES`.
+
+    Torch takes seconds to import, so it is imported only if the system has an NVIDIA device.
+    """
+    if not any(devices.glob(NVIDIA_DEVICES)):
+        return ()
+    from annotator.detection.ultralytics_api import api
+
+    count = int(api().torch.cuda.device_count())
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    names = [str(number) for number in range(count)] if visible is None else [n.strip() for n in visible.split(",")]
+    return tuple(names[:count])

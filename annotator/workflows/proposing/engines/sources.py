@@ -1,0 +1,154 @@
+"""Picklable descriptions of detectors, which workers load."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from annotator.detection.config import Backend
+from annotator.detection.trained import MODEL_NAME
+from annotator.files import write_atomic
+from annotator.project.project import Project
+from annotator.types import BoxKind, DetectorKind
+from annotator.types.errors import DetectionError
+from annotator.workflows.detectors import Detectors, active_model, load_detector
+from annotator.workflows.proposing.engines.storage import scratch_folder
+
+
+@runtime_checkable
+class DetectorSource(Protocol):
+    """A picklable description of a pair of detectors."""
+
+    def load(self, threads: int | None) -> Detectors:
+        """Loads the detectors, each with a number of processor threads (None = all cores).
+
+        Raises:
+            AnnotatorError: they cannot be loaded.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class GivenDetectors:
+    """Loaded detectors; pickling copies them."""
+
+    detectors: Detectors
+
+    def load(self, threads: int | None) -> Detectors:
+        """Returns the detectors."""
+        return self.detectors
+
+
+@dataclass(frozen=True)
+class TrainedDetectors:
+    """The weights files of a project's detectors.
+
+    Attributes:
+        image, view: weights files, in the folders of their trainings.
+        box_kind: what the boxes of the view detector measure.
+        backend: as for `load_detector`.
+    """
+
+    image: Path
+    view: Path
+    box_kind: BoxKind
+    backend: Backend = "auto"
+
+    def load(self, threads: int | None) -> Detectors:
+        """Loads the detectors.
+
+        Raises:
+            DetectionError, FormatError: as `load_detector`.
+        """
+        return Detectors(
+            load_detector(self.image, self.backend, threads=threads),
+            load_detector(self.view, self.backend, threads=threads),
+            self.box_kind,
+        )
+
+
+def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDetectors:
+    """Describes the project's active detectors without loading them.
+
+    Raises:
+        DetectionError: one of them has not been trained yet.
+    """
+    image, view = active_model(project, DetectorKind.IMAGE), active_model(project, DetectorKind.VIEW)
+    return TrainedDetectors(image.path, view.path, view.box_kind, backend)
+
+
+@dataclass(frozen=True)
+class _Files:
+    """The weights of a training and the file beside them, by name and content."""
+
+    weights: str
+    contents: tuple[tuple[str, bytes], ...]
+
+    @classmethod
+    def of(cls, weights: Path) -> _Files:
+        try:
+            return cls(
+                weights.name, tuple((name, (weights.parent / name).read_bytes()) for name in (weights.name, MODEL_NAME))
+            )
+        except OSError as error:
+            raise DetectionError(
+                f"{error.filename}: cannot be read ({error.strerror}); train the detector again"
+            ) from error
+
+    def unpacked(self, folder: Path) -> Path:
+        """Writes the files into a folder below `folder` named by their hash, and returns the weights file.
+
+        Files that exist are kept, so exports made beside them are reused. Missing files are written again: systems
+        delete old temporary files. Several processes may call this at the same time.
+
+        Raises:
+            DetectionError: they cannot be written.
+        """
+        digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for _, content in self.contents))
+        target = folder / digest.hexdigest()[:24]
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            for name, content in self.contents:
+                if not (target / name).is_file():
+                    write_atomic(target / name, content)
+        except OSError as error:
+            raise DetectionError(
+                f"{target}: cannot be written ({error.strerror}); free some space, or set TMPDIR to another folder"
+            ) from error
+        return target / self.weights
+
+
+@dataclass(frozen=True)
+class PackedDetectors:
+    """Trained detectors with the content of their files, for machines without access to the project's folder.
+
+    Attributes:
+        image, view: files of the two trainings.
+        box_kind, backend: as in `TrainedDetectors`.
+    """
+
+    image: _Files
+    view: _Files
+    box_kind: BoxKind
+    backend: Backend
+
+    @classmethod
+    def of(cls, trained: TrainedDetectors) -> PackedDetectors:
+        """Reads the weights.
+
+        Raises:
+            DetectionError: they cannot be read.
+        """
+        return cls(_Files.of(trained.image), _Files.of(trained.view), trained.box_kind, trained.backend)
+
+    def load(self, threads: int | None) -> Detectors:
+        """Writes the files into the machine's temporary folder, where they stay, and loads the detectors.
+
+        Raises:
+            DetectionError, FormatError: as `load_detector`.
+        """
+        folder = scratch_folder() / "detectors"
+        files = TrainedDetectors(self.image.unpacked(folder), self.view.unpacked(folder), self.box_kind, self.backend)
+        return files.load(threads)

@@ -1,0 +1,197 @@
+"""Reads the true boxes and masks beside a recording, for all formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator.formats.boxes_json import read_boxes
+from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
+from annotator.formats.kitti.tracklets import read_tracklets
+from annotator.formats.masks import read_mask
+from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
+from annotator.recordings import Recording
+from annotator.recordings.kitti.raw_drive import KittiRaw
+from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.types import Frame, Truth
+from annotator.types.errors import FormatError, RecordingError
+
+# Generated recordings have their truth in a separate folder.
+TRUTH_FOLDER = "truth"
+# In each raw scene of SUN RGB-D.
+SCENE_LABELS = "annotation3Dfinal/index.json"
+
+
+def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
+    """Returns the labelled objects of a frame in file order; empty if it is labelled as having none.
+
+    Args:
+        recording: the recording with its labels.
+        index: of the frame in the recording.
+        frame: the frame, which has the transform from the labels' coordinates.
+
+    Raises:
+        RecordingError: the recording has no labels at all.
+        FormatError: its labels are broken, or a box is out of range after the transform to the camera frame.
+    """
+    file = label_file(recording, recording.keys[index])
+    if file is None:
+        raise RecordingError(f"{recording.path}: has no true boxes; looked for {_looked_for(recording)}")
+    key = recording.keys[index]
+    try:
+        if isinstance(recording, KittiRaw):
+            return _from_tracklets(file, recording, key)
+        return _READERS[recording.format](file, key, frame)
+    except ValueError as error:
+        # a box is out of range after the transform to the camera frame
+        raise FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration") from error
+
+
+def has_truth(recording: Recording) -> bool:
+    """Returns True if there are labels beside the recording, at least of some frames."""
+    return label_file(recording, recording.keys[0]) is not None
+
+
+def one_file_a_frame(recording: Recording) -> bool:
+    """Returns True if each frame has its own label file, so that a broken file affects only its frame."""
+    if isinstance(recording, SunRgbdScenes):
+        return True
+    return any((recording.root / name).is_dir() for name in _PLACES.get(recording.format, ()))
+
+
+def has_masks(recording: Recording) -> bool:
+    """Returns True if there are masks beside the recording, and its points are linked to pixels."""
+    return recording.format in _MASKED and mask_folder(recording) is not None
+
+
+def mask_folder(recording: Recording) -> Path | None:
+    """Returns the folder of a recording's masks, or None."""
+    folders = (recording.root / TRUTH_FOLDER / "mask", recording.root / "mask")
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def label_file(recording: Recording, key: str) -> Path | None:
+    """Returns the path of the file for a frame's labels, or None if the recording has no labels.
+
+    The file may be missing: a KITTI object label folder may lack the files of some frames.
+    """
+    if isinstance(recording, SunRgbdScenes):
+        labels = recording.scene(key) / SCENE_LABELS
+        labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
+        return labels if labelled else None
+    for name in _PLACES.get(recording.format, ()):
+        place = recording.root / name
+        if place.is_file():
+            return place
+        if place.is_dir():
+            return place / f"{key}.txt"
+    return None
+
+
+def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | None:
+    """Returns the object number of each pixel, from 1 in the order of `load_truth`, 0 = none; None without masks.
+
+    Raises:
+        FormatError: the recording has masks, but this one is missing, broken, or of another size.
+    """
+    folder = mask_folder(recording)
+    if folder is None:
+        return None
+    path = folder / f"{frame.key}.png"
+    mask = read_mask(path)
+    if mask.shape != frame.rgb.shape[:2]:
+        raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
+    return mask
+
+
+def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return list(_boxes(path, *file_version(path)).get(key, ()))
+
+
+def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return read_object_labels(path, frame.T_camera_label)
+
+
+def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
+    T = frame.T_camera_label
+    truths = _tracks(path, *file_version(path)).get(frame_number(path, key), ())
+    return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in truths]
+
+
+def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
+    """Reads tracklets, which are in LiDAR coordinates, unlike all other KITTI labels."""
+    T = recording.calibration(key).T_camera_lidar
+    truths = _tracklets(path, *file_version(path)).get(frame_number(path, key), ())
+    return [replace(truth, box=truth.box.transformed(T)) for truth in truths]
+
+
+def frame_number(path: Path, key: str) -> int:
+    """Returns the number of a frame in the label file of a whole recording.
+
+    Raises:
+        FormatError: the key is not a number.
+    """
+    if not key.isdecimal():
+        raise FormatError(
+            path, f"numbers its frames, but the key {key!r} is not a number; name the images by their frame numbers"
+        )
+    return int(key)
+
+
+def _from_extracted(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return read_extracted_labels(path, frame.T_camera_label)
+
+
+def _from_scene(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return read_scene_labels(path, frame.T_camera_label)
+
+
+def file_version(path: Path) -> tuple[int, int]:
+    """Returns the modification time (ns) and size of a file, which identify its content in caches."""
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=4)
+def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
+    """Reads the whole file; cached, so that it is not parsed again for every frame."""
+    return read_boxes(path)
+
+
+@lru_cache(maxsize=4)
+def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
+    """As `_boxes` for tracking labels, in label coordinates, since the transform may differ between frames."""
+    return read_tracking_labels(path, None)
+
+
+@lru_cache(maxsize=4)
+def _tracklets(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
+    """As `_boxes` for the tracklets of a raw drive, in LiDAR coordinates."""
+    return read_tracklets(path)
+
+
+def _looked_for(recording: Recording) -> str:
+    return " or ".join(_PLACES.get(recording.format, ())) or f"labels of the format {recording.format}"
+
+
+_PLACES = {
+    "rgbd_folder": (f"{TRUTH_FOLDER}/boxes.json", "boxes.json"),
+    "kitti_object": ("label_2",),
+    "kitti_tracking": ("label_02.txt",),
+    "kitti_raw": ("tracklet_labels.xml",),
+    "sunrgbd_extracted": ("label",),
+    "sunrgbd_scenes": (SCENE_LABELS,),
+}
+_MASKED = frozenset({"rgbd_folder"})
+_READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
+    "rgbd_folder": _from_boxes_json,
+    "kitti_object": _from_label_2,
+    "kitti_tracking": _from_label_02,
+    "sunrgbd_extracted": _from_extracted,
+    "sunrgbd_scenes": _from_scene,
+}

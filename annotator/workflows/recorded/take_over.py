@@ -1,0 +1,79 @@
+"""Imports the 3D labels beside a recording into its project."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from annotator.project import NewLabel, Project
+from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing.boxes_3d import create_where_none
+from annotator.workflows.recorded.reading import has_truth, load_truth, one_file_a_frame
+
+# Boxes imported from other datasets have the author "import".
+AUTHOR = "recording"
+
+
+@dataclass
+class OwnLabels:
+    """Counts of the imported labels.
+
+    Attributes:
+        labels: imported labels, by class.
+        other_classes: labels left out because the project does not have their class, by class.
+        unreadable: frames that could not be read, or whose labels could not, as `key: reason`.
+    """
+
+    labels: Counter[str] = field(default_factory=Counter)
+    other_classes: Counter[str] = field(default_factory=Counter)
+    unreadable: list[str] = field(default_factory=list)
+
+
+def brings_labels(project: Project, recording_id: int) -> bool:
+    """Returns True if there are true boxes beside the recording.
+
+    Raises:
+        NotFoundError: no such recording.
+        RecordingError: it cannot be read.
+    """
+    return has_truth(FrameSource(project).recording(recording_id))
+
+
+def import_own_labels(
+    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
+) -> OwnLabels:
+    """Imports the true boxes beside a recording, for every frame without labels.
+
+    Unreadable frames, and frames whose own label file is broken, are left out and reported. Frames that are labelled or
+    finalised during the import are left alone.
+
+    Args:
+        progress: called with (frames done, frames).
+
+    Raises:
+        FormatError: the label file is broken and holds the labels of all frames.
+    """
+    source, counts = FrameSource(project), OwnLabels()
+    recording = source.recording(recording_id)
+    if not has_truth(recording):
+        return counts
+    skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
+    classes = set(project.config.classes)
+    indices = {key: index for index, key in enumerate(recording.keys)}
+    frames = [frame for frame in project.frames.of([recording_id]) if frame.key in indices]
+    for number, stored in enumerate(frames, 1):
+        if not stored.finalised and not project.labels.of_frame(stored.id):
+            try:
+                truths = load_truth(recording, indices[stored.key], source.read(stored))
+            except skipped_errors as error:
+                counts.unreadable.append(f"{stored.key}: {error}")
+                truths = []
+            counts.other_classes.update(t.label for t in truths if t.label not in classes)
+            new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
+            if new and create_where_none(project, stored.id, new, AUTHOR):
+                counts.labels.update(label.label for label in new)
+        if progress is not None:
+            progress(number, len(frames))
+    return counts

@@ -1,0 +1,129 @@
+"""The recursion's settings in a project, by precedence: command line, settings file, `project.json`, defaults."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+
+from pydantic import BaseModel, JsonValue, RootModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from annotator.detection.trained import read_trained
+from annotator.formats.json_file import read_model
+from annotator.project import Project
+from annotator.project.config import CONFIG_FILE
+from annotator.rcv.config import RcvConfig
+from annotator.types import DetectorKind
+from annotator.types.errors import ConfigError, FormatError
+
+Settings = Mapping[str, JsonValue]
+"""Some of `RcvConfig`'s fields; groups are nested objects."""
+
+# Fields that cannot be set, and where their values come from.
+DERIVED = {
+    "orientation": "follows from the rotation: settings.rotation of the project, or --rotation",
+    "box_kind": "follows from the boxes that the pseudo-view detector was trained on",
+}
+
+
+class _File(RootModel[dict[str, JsonValue]]):
+    """The content of a settings file before its fields are checked."""
+
+
+def rcv_config(
+    project: Project, file: Path | None = None, options: Settings | None = None, *, view_px: int | None = None
+) -> RcvConfig:
+    """Returns the settings for the recursion and for drawing its pseudo-views in a project.
+
+    Args:
+        file: JSON with some of the fields; overrides `settings.rcv` of `project.json`.
+        options: from the command line; override both.
+        view_px: size of pseudo-views if no setting gives one, pixels; None = the size that the project's view detector
+            was trained at, or the default without a detector.
+
+    Raises:
+        ConfigError: an unknown field or a value out of range; the message names the file and the field.
+        FormatError: the file cannot be read, or is not a JSON object.
+    """
+    # each source is checked on its own, so that the error names the place to correct
+    stored = _checked(project.config.settings.rcv, f"{project.path / CONFIG_FILE}: settings.rcv.")
+    from_file = {} if file is None else _checked(read_model(file, _File).root, f"{file}: ")
+    from_options = _checked(options or {}, "command line: ")
+    config = _validated(_merged(_merged(stored, from_file), from_options))
+    if "size_px" in config.view.model_fields_set:
+        return config
+    size_px = view_px or _trained_px(project) or config.view.size_px
+    return config.model_copy(update={"view": config.view.model_copy(update={"size_px": size_px})})
+
+
+def checked_config(settings: Settings) -> RcvConfig:
+    """The default settings with these values replaced.
+
+    Raises:
+        ConfigError: an unknown field or a value out of its range; the message names the field.
+    """
+    return _validated(_checked(settings, "settings."))
+
+
+def _trained_px(project: Project) -> int | None:
+    """Returns the image size of the project's pseudo-view detector; None without a readable one.
+
+    An unreadable detector is reported when it is loaded.
+    """
+    model = project.models.active(DetectorKind.VIEW)
+    if model is None:
+        return None
+    try:
+        return read_trained(model.path.parent).image_size_px
+    except FormatError:
+        return None
+
+
+def editable(config: RcvConfig) -> str:
+    """Returns all settings as the text of a settings file."""
+    return json.dumps(config.model_dump(mode="json", exclude=set(DERIVED)), indent=2)
+
+
+def _checked(settings: Settings, place: str) -> Settings:
+    for name, reason in DERIVED.items():
+        if name in settings:
+            raise ConfigError(f"{place}{name}: cannot be set: it {reason}")
+    try:
+        _validated(settings)
+    except ValidationError as error:
+        raise ConfigError(place + _message(error.errors()[0])) from error
+    return settings
+
+
+def _validated(settings: Settings) -> RcvConfig:
+    # strict JSON rules: enums are strings, and a number in quotes is an error
+    return RcvConfig.model_validate_json(json.dumps(settings), strict=True)
+
+
+def _message(problem: ErrorDetails) -> str:
+    where = ".".join(map(str, problem["loc"]))
+    if problem["type"] != "extra_forbidden":
+        return f"{where}: {problem['msg'].replace('Input should be', 'must be')}, not {problem['input']!r}"
+    known = list(_fields(problem["loc"][:-1]))
+    near = get_close_matches(str(problem["loc"][-1]), known, 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"the settings are {', '.join(known)}"
+    return f"{where}: there is no such setting; {hint} (`annotator annotate PROJECT --show-config` prints all)"
+
+
+def _fields(group: tuple[int | str, ...]) -> list[str]:
+    model: type[BaseModel] = RcvConfig
+    for name in group:
+        nested = model.model_fields[str(name)].annotation
+        assert isinstance(nested, type)  # only groups have unknown fields
+        model = nested
+    return [name for name in model.model_fields if name not in DERIVED]
+
+
+def _merged(under: Settings, over: Settings) -> dict[str, JsonValue]:
+    merged = dict(under)
+    for name, value in over.items():
+        below = merged.get(name)
+        merged[name] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged

@@ -1,0 +1,37 @@
+"""Fits boxes carried over from another frame to the points of the new frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import Project, StoredFrame
+from annotator.types import BoxKind, Detector, OrientedBox
+from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.refit import refit
+
+# 3D IoU of the fitted with the given box below which the fit is rejected: it has found another object, or a part.
+MIN_IOU = 0.4
+
+FitBox = Callable[[StoredFrame, OrientedBox, str], OrientedBox]
+"""(frame, box, class) -> the box fitted to the frame's points, or the given box if the fit is rejected."""
+
+
+def box_fitter(
+    project: Project, open_frame: Callable[[StoredFrame], OpenFrame], detector: Detector | None, kind: BoxKind
+) -> FitBox:
+    """Returns a function that fits boxes with `refit`.
+
+    Args:
+        open_frame: returns a frame; its errors are passed on.
+        detector: for pseudo-views; without one the sides move to the points inside.
+        kind: what the detector's boxes measure.
+    """
+
+    def fit(frame: StoredFrame, box: OrientedBox, label: str) -> OrientedBox:
+        opened = open_frame(frame)
+        fitted = refit(opened, box, label, frame_config(project, opened.frame, kind), detector).box
+        return fitted if iou_3d(fitted, box) >= MIN_IOU else box
+
+    return fit

@@ -1,0 +1,95 @@
+"""Adds proposals to a frame without changing its reviewed labels."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from annotator.geometry.iou import iou_3d_matrix
+from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project.event_types import LabelDeleted, LabelProposed, Payload
+from annotator.project.overview import read_page
+from annotator.project.proposals import SAME_OBJECT_IOU, covered_by
+from annotator.project.records import BoxRecord, ProposalRecord
+from annotator.types import Label, OrientedBox, Proposal, ReviewState
+
+
+@dataclass(frozen=True, eq=False)
+class NewProposal:
+    """A box to propose.
+
+    Attributes:
+        label: class name.
+        box: in the camera frame.
+        track_id: of its object, if known.
+        proposal: with its trace, if the recursion found the box.
+    """
+
+    label: str
+    box: OrientedBox
+    track_id: int | None = None
+    proposal: Proposal | None = None
+
+
+def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewProposal]) -> list[Payload]:
+    """Returns the events that propose boxes in a frame; empty if there is nothing to propose.
+
+    A box is left out if a reviewed or rejected label covers it (3D IoU 0.5 or more), or if its track has a reviewed box
+    in the frame. Unreviewed proposals of the same objects are replaced.
+
+    Args:
+        frame: the frame before the change.
+    """
+    labels = read_page(project, frame.id).labels
+    decided = [stored.label for stored in labels if stored.label.state is not ReviewState.PROPOSED]
+    covers = covered_by(boxes, decided)
+    new = [box for box, cover in zip(boxes, covers, strict=True) if cover is None and not _is_reviewed(box, decided)]
+    if not new:
+        return []
+    replaced = [LabelDeleted(uid=stored.label.uid) for stored in labels if _is_replaced(stored, new)]
+    return [
+        *replaced,
+        *(
+            LabelProposed(
+                uid=uuid.uuid4().hex,
+                label=each.label,
+                box=BoxRecord.of(each.box),
+                track_id=each.track_id,
+                proposal=None if each.proposal is None else ProposalRecord.of(each.proposal),
+            )
+            for each in new
+        ),
+    ]
+
+
+def part_of(frame: StoredFrame, payloads: Sequence[Payload], author: str, effort: Effort | None = None) -> FramePart:
+    """Returns the part of an action that concerns one frame, based on the frame's revision."""
+    return FramePart(frame.id, payloads, WriteContext(frame.revision, author, effort=effort))
+
+
+def next_track_id(project: Project, recording_id: int) -> int:
+    """Returns the lowest track id above all of a recording's, from 1."""
+    known = [stored.label.track_id for stored in project.labels.select(recordings=[recording_id])]
+    return max([0, *(number for number in known if number is not None)]) + 1
+
+
+def _is_reviewed(box: NewProposal, decided: Sequence[Label]) -> bool:
+    track = box.track_id
+    return track is not None and any(label.track_id == track and label.state in REVIEWED for label in decided)
+
+
+def _is_replaced(stored: StoredLabel, new: Sequence[NewProposal]) -> bool:
+    """Returns True for an unreviewed proposal of a new box's object, unless an operator gave it another track."""
+    label = stored.label
+    if label.state is not ReviewState.PROPOSED:
+        return False
+    has_given_track = label.track_id is not None and not stored.track_linked
+    if any(each.track_id is not None and each.track_id == label.track_id for each in new):
+        return True
+    same_class = [each.box for each in new if each.label == label.label]
+    if has_given_track or not same_class:
+        return False
+    return float(np.max(iou_3d_matrix([label.box], same_class))) >= SAME_OBJECT_IOU

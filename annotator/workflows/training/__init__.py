@@ -1,0 +1,1 @@
+"""Trains a project's detectors, and reports on trained ones."""

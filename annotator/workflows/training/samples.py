@@ -1,0 +1,228 @@
+"""Training samples for a project's detectors.
+
+The image detector learns from the boxes on camera images, and from 3D labels projected onto them. The pseudo-view
+detector learns from the boxes drawn on pseudo-views, and from generated views along random axes of every object whose
+3D extent is known: from an accepted, edited or imported 3D box, or from the points inside an operator's drags.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from annotator.detection.dataset import TrainingSample
+from annotator.geometry.oriented_box import aligned_box, contains
+from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.operator import LABELLED_STEPS, cut_out
+from annotator.rcv.recursion import held_direction
+from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
+from annotator.types import BoxKind, DetectorKind, Frame, Label, ReviewState
+from annotator.types.errors import DetectionError, FrameError
+from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.views.outlines import outlines, undrawn
+from annotator.workflows.views.pairs import front_and_side, views_by_object
+from annotator.workflows.views.places import spans_m
+
+DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
+
+Skip = Callable[[StoredFrame, FrameError], None]
+"""Called with a labelled frame that cannot be read and is left out."""
+
+
+class SampleConfig(BaseModel):
+    """How many pseudo-views are generated for training."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
+    most_draws: int = Field(20, ge=1, description="maximum number of generated view pairs per object")
+    seed: int = Field(0, ge=0, description="seed of the random axes and crops")
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """The labels of a project that its detectors learn from.
+
+    Attributes:
+        images: labelled camera images, by frame.
+        views: labelled pseudo-views.
+        labels: reviewed 3D labels, by frame.
+        kind: what the view detector's boxes will measure.
+        left_out: number of labelled views of the other kind, which contradict these.
+        open: unreviewed proposals, by frame, which may or may not be objects.
+    """
+
+    images: dict[int, ImageBoxes]
+    views: tuple[ViewBoxes, ...]
+    labels: dict[int, tuple[Label, ...]]
+    kind: BoxKind
+    left_out: int
+    open: dict[int, tuple[Label, ...]] = field(default_factory=dict)
+
+    @property
+    def unreviewed_images(self) -> int:
+        """Camera images left out because they have unreviewed proposals and no drawn box."""
+        return sum(frame in self.open for frame in self.labels.keys() - self.images.keys())
+
+    @property
+    def image_kind(self) -> BoxKind:
+        """The box kind of most labelled camera images."""
+        kinds = Counter(boxes.box_kind for boxes in self.images.values())
+        return kinds.most_common(1)[0][0] if kinds else BoxKind.BOX
+
+
+def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)) -> Material:
+    """Returns the labels that the project's detectors can learn from now.
+
+    Args:
+        roles: the detectors to be trained.
+
+    Raises:
+        DetectionError: one of them has nothing to learn from; the message says what to do.
+    """
+    images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
+    views = project.boxes.on_views()
+    reviewed = _by_frame(project.labels.select(states=REVIEWED))
+    drawn = {DetectorKind.IMAGE: (images, "camera images"), DetectorKind.VIEW: (views, "pseudo-views")}
+    missing = [name for role, (boxes, name) in drawn.items() if role in roles and not boxes]
+    if missing and not reviewed:
+        raise DetectionError(
+            f"project {project.config.name} has no boxes on {' or '.join(missing)} to learn from; draw some, import "
+            "them with `annotator import`, let `annotator simulate` draw them from a recording's truth, or add a "
+            "recording with 3D labels"
+        )
+    kinds = Counter(view.box_kind for view in views for _ in view.boxes)
+    kinds[BoxKind.BOX] += 4 * sum(map(len, reviewed.values()))
+    kind = BoxKind.BOX if kinds[BoxKind.BOX] >= kinds[BoxKind.SILHOUETTE] else BoxKind.SILHOUETTE
+    same = tuple(view for view in views if view.box_kind is kind or not view.boxes)
+    unreviewed = _by_frame(project.labels.select(states=[ReviewState.PROPOSED]))
+    material = Material(images, same, reviewed, kind, len(views) - len(same), unreviewed)
+    if DetectorKind.IMAGE in roles and not images and material.unreviewed_images == len(reviewed):
+        raise DetectionError(
+            f"project {project.config.name} has no camera image to learn from: every frame with reviewed boxes also "
+            "has unreviewed proposals, which would be taught as background; review all proposals of a frame"
+        )
+    return material
+
+
+def _by_frame(stored_labels: Iterable[StoredLabel]) -> dict[int, tuple[Label, ...]]:
+    frames: dict[int, list[Label]] = defaultdict(list)
+    for stored in stored_labels:
+        frames[stored.frame_id].append(stored.label)
+    return {frame: tuple(labels) for frame, labels in frames.items()}
+
+
+def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[TrainingSample]:
+    """Yields camera images with their drawn boxes and the outlines of 3D labels without a drawn box.
+
+    Frames with unreviewed proposals and no drawn box are left out, since the objects would count as background.
+    """
+    known = material.labels.keys() - material.open.keys()
+    for stored, frame in _frames(project, sorted({*material.images, *known}), skip):
+        drawn = material.images.get(stored.id)
+        labels = material.labels.get(stored.id, ())
+        if drawn is not None:
+            more = undrawn(frame.camera, labels, drawn.boxes)
+            boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
+            yield TrainingSample(frame.rgb, boxes, _group(stored), DRAWN, uids)
+        else:
+            shown = outlines(frame.camera, labels)
+            yield TrainingSample(frame.rgb, tuple(shown.values()), _group(stored), PROJECTED, tuple(shown))
+
+
+def view_samples(
+    project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
+) -> Iterator[TrainingSample]:
+    """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
+    groups = {stored.id: _group(stored) for stored in project.frames.of()}
+    for view in material.views:
+        group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
+        look_px = 0 if view.geometry is None else view.geometry.look_px
+        rgb = project.views.load(view.view_id)
+        yield TrainingSample(rgb, view.boxes, group, DRAWN, _drawn_uids(view), look_px)
+    drags = drawn_objects(material)
+    total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
+    if total == 0:
+        return
+    draws = int(np.clip(round(config.views / (2 * total)), 1, config.most_draws))
+    for stored, frame in _frames(project, sorted({*material.labels, *drags}), skip):
+        labels = material.labels.get(stored.id, ())
+        cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
+        known = [TaughtObject(label.label, label.box) for label in labels]
+        known += [cut for cut in cuts if cut is not None and not _is_labelled(frame, cut, labels)]
+        rng = np.random.default_rng([config.seed, stored.id])
+        orientation = orientation_for(project.config.settings.rotation, frame)
+        settings = rcv.model_copy(update={"orientation": orientation})
+        up = held_direction(frame.up, settings)
+        doubtful = [label.box for label in material.open.get(stored.id, ())]
+        for taught in teach_views(frame, known, material.kind, draws, settings, up, rng, doubtful):
+            uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
+            drawn = taught.view
+            yield TrainingSample(drawn.rgb, taught.boxes, _group(stored), TAUGHT, uids, drawn.look_px)
+
+
+def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
+    """Returns the views of each fully drawn object by frame, if the box kind is silhouette; else nothing.
+
+    The drags cut the object's points out of the cloud, which give its silhouette from any direction. Boxes around the
+    whole object include unseen parts, so other directions require its 3D box.
+    """
+    finished: dict[int, list[tuple[ViewBoxes, ...]]] = defaultdict(list)
+    if material.kind is not BoxKind.SILHOUETTE:
+        return finished
+    for (frame_id, _), steps in views_by_object(material.views).items():
+        pairs = [front_and_side(steps[step]) for step in range(LABELLED_STEPS)]
+        views = tuple(view for pair in pairs if pair is not None for view in pair)
+        if None not in pairs and all(len(view.boxes) == 1 for view in views):
+            finished[frame_id].append(views)
+    return finished
+
+
+def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | None:
+    """Returns the object that the drags on its views cut out; None if it has too few points.
+
+    Args:
+        views: with one box each, and known geometry.
+    """
+    placed = [(view, view.geometry) for view in views if view.geometry is not None]
+    image_box = placed[0][1].image_box
+    assert image_box is not None  # views_by_object leaves out views without one
+    spans = [((np.array(g.axes), spans_m(view)), g.metres_per_px / 2) for view, g in placed]
+    mask = cut_out(frame, image_box, spans)
+    if mask.sum() < MIN_POINTS:
+        return None
+    last = max(placed, key=lambda pair: pair[0].step or 0)[1]
+    return TaughtObject(views[0].boxes[0].label, aligned_box(frame.cloud.xyz_m[mask], np.array(last.axes).T), mask)
+
+
+def _is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bool:
+    """Returns True if the object also has a reviewed 3D box, which would give it two boxes on each view."""
+    xyz_m = frame.cloud.xyz_m[cut.points]
+    return any(label.label == cut.label and contains(label.box, xyz_m).mean() >= 0.5 for label in labels)
+
+
+def _drawn_uids(drawn: ImageBoxes | ViewBoxes) -> tuple[str, ...]:
+    """Returns ids of drawn boxes, made from the event that set them and their index, since they have no uid."""
+    return tuple(f"event {drawn.event_id}, box {index}" for index in range(len(drawn.boxes)))
+
+
+def _group(stored: StoredFrame) -> str:
+    return f"{stored.recording_id}/{stored.key}"
+
+
+def _frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> Iterator[tuple[StoredFrame, Frame]]:
+    """Yields frames, one in memory at a time; passes those that cannot be read to `skip`."""
+    source = FrameSource(project)
+    for frame_id in frame_ids:
+        stored = project.frames.get(frame_id)
+        try:
+            frame = source.read(stored)
+        except FrameError as error:
+            skip(stored, error)
+            continue
+        yield stored, frame

@@ -1,0 +1,1 @@
+"""Pseudo-views as image files, and relations between the stored ones."""

@@ -1,0 +1,44 @@
+"""2D outlines of 3D labels on a camera image, and which of them have no drawn box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
+from annotator.rcv.cross_view import box_iou
+from annotator.types import Box2D, Camera, Label
+
+# 2D IoU from which a drawn box and an outline of the same class belong to the same object. Low, because the drawn box
+# of a half hidden object is much smaller than its outline.
+SAME_IOU = 0.2
+
+
+def outlines(camera: Camera, labels: Sequence[Label], min_side_px: float = MIN_SIDE_PX) -> dict[str, Box2D]:
+    """Returns the image box of each label by uid; labels outside the image are left out.
+
+    Args:
+        min_side_px: boxes with a shorter side are left out.
+    """
+    pairs = [(label.uid, box_on_image(camera, label.box, label.label, min_side_px)) for label in labels]
+    return {uid: box for uid, box in pairs if box is not None}
+
+
+def undrawn(
+    camera: Camera, labels: Sequence[Label], drawn: Sequence[Box2D], min_side_px: float = MIN_SIDE_PX
+) -> dict[str, Box2D]:
+    """Returns the outlines by uid of the labels without a drawn box, after matching drawn boxes one to one.
+
+    Args:
+        min_side_px: as for `outlines`.
+    """
+    boxes = outlines(camera, labels, min_side_px)
+    if not boxes or not drawn:
+        return boxes
+    uids = list(boxes)
+    overlap = np.array([[box_iou(box, boxes[uid]) * (box.label == boxes[uid].label) for box in drawn] for uid in uids])
+    rows, columns = linear_sum_assignment(overlap, maximize=True)
+    matched = {uids[row] for row, column in zip(rows, columns, strict=True) if overlap[row, column] >= SAME_IOU}
+    return {uid: box for uid, box in boxes.items() if uid not in matched}

@@ -1,0 +1,1 @@
+"""The workbench page: open frames, drawing, review and corrections."""

@@ -1,0 +1,189 @@
+"""A cache of open frames, with read-ahead of the neighbours of the frame on screen."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+
+from annotator.project import Project, StoredFrame
+from annotator.project.overview import neighbours
+from annotator.types import Frame
+from annotator.types.errors import AnnotatorError, FrameError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.workbench.open_frame import OpenFrame
+
+LOG = logging.getLogger("annotator.web")
+
+# Enough for a few operators, each with the current, the previous and the next frame.
+MAX_FRAMES = 8
+# Delay before reading ahead, so that the requests of the current frame go first, seconds.
+PAUSE_S = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class _ReadAhead:
+    """The frame an operator has open, and when its neighbours may be read (`time.monotonic`)."""
+
+    project: Project
+    stored: StoredFrame
+    due_s: float
+
+    @property
+    def key(self) -> tuple[Project, int]:
+        return self.project, self.stored.id
+
+
+class FrameCache:
+    """Caches the most recently used frames and reads the neighbours of open frames ahead. Thread-safe."""
+
+    def __init__(self, max_frames: int = MAX_FRAMES) -> None:
+        self._max_frames = max_frames
+        self._lock = threading.Lock()
+        self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
+        self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
+        self._executor = ThreadPoolExecutor(1, "read-ahead")
+        # by operator, the newest request only; it does not keep its frame in the cache
+        self._waiting: dict[str, _ReadAhead] = {}
+        self._is_reading_ahead = False
+        self._closed = threading.Event()
+
+    def read(self, project: Project, frame_id: int) -> Frame:
+        """Returns a frame.
+
+        Raises:
+            NotFoundError: no such frame.
+            FrameError, RecordingError: it cannot be read.
+        """
+        return self.open(project, frame_id).frame
+
+    def open(self, project: Project, frame_id: int, operator: str = "") -> OpenFrame:
+        """Returns a frame with its cached results, and schedules reading ahead. Raises as `read`.
+
+        Args:
+            operator: who opens it; replaces the operator's earlier read-ahead.
+        """
+        stored = project.frames.get(frame_id)
+        opened = self._open(project, stored)
+        self._read_ahead(_ReadAhead(project, stored, time.monotonic() + PAUSE_S), operator)
+        return opened
+
+    def forget(self, project: Project) -> None:
+        """Drops all frames of a project, e.g. after its recordings have changed."""
+        with self._lock:
+            self._sources.pop(project, None)
+            for key in [key for key in self._frames if key[0] is project]:
+                del self._frames[key]
+
+    def close(self) -> None:
+        """Stops reading ahead."""
+        self._closed.set()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _cached(self, key: tuple[Project, int]) -> OpenFrame | None:
+        with self._lock:
+            if key in self._frames:
+                self._frames.move_to_end(key)
+            return self._frames.get(key)
+
+    def _open(self, project: Project, stored: StoredFrame) -> OpenFrame:
+        key = (project, stored.id)
+        opened = self._cached(key)
+        if opened is not None:
+            return opened
+        lock, source = self._source(project)
+        # one frame of a project at a time: a thread that waited here may find its frame in the cache
+        with lock:
+            opened = self._cached(key)
+            if opened is not None:
+                return opened
+            opened = OpenFrame(self._read(project, source, stored))
+            # stored before the lock is released, so that the next thread does not read the frame again
+            with self._lock:
+                self._frames[key] = opened
+                while len(self._frames) > self._max_frames:
+                    self._frames.popitem(last=False)
+        return opened
+
+    def _read(self, project: Project, source: FrameSource, stored: StoredFrame) -> Frame:
+        try:
+            return source.read(stored)
+        except FrameError:
+            # the recording may have grown since it was opened, so it is opened again; a broken frame fails again
+            with self._lock:
+                lock, _ = self._sources[project]
+                self._sources[project] = (lock, FrameSource(project))
+                source = self._sources[project][1]
+            return source.read(stored)
+
+    def _source(self, project: Project) -> tuple[threading.Lock, FrameSource]:
+        with self._lock:
+            if project not in self._sources:
+                self._sources[project] = (threading.Lock(), FrameSource(project))
+            return self._sources[project]
+
+    def _read_ahead(self, request: _ReadAhead, operator: str) -> None:
+        with self._lock:
+            waiting = self._waiting.get(operator)
+            if waiting is None or waiting.key != request.key:
+                self._waiting[operator] = request
+            if self._is_reading_ahead:
+                return
+            # the executor refuses jobs after `close`
+            with suppress(RuntimeError):
+                self._executor.submit(self._prepare_all)
+                self._is_reading_ahead = True
+
+    def _prepare_all(self) -> None:
+        """Prepares one frame after the other, each once its operator has kept it open for `PAUSE_S`."""
+        while not self._closed.is_set():
+            with self._lock:
+                if not self._waiting:
+                    self._is_reading_ahead = False
+                    return
+                operator, request = min(self._waiting.items(), key=lambda entry: entry[1].due_s)
+                pause_s = request.due_s - time.monotonic()
+                if pause_s <= 0:
+                    del self._waiting[operator]
+            if pause_s > 0:
+                self._closed.wait(pause_s)
+            else:
+                self._prepare(request, operator)
+
+    def _is_current(self, request: _ReadAhead, operator: str) -> bool:
+        """Returns False once the operator has opened another frame."""
+        with self._lock:
+            newest = self._waiting.get(operator, request)
+        return newest.key == request.key and not self._closed.is_set()
+
+    def _prepare(self, request: _ReadAhead, operator: str) -> None:
+        """Computes the results the page asks for next: of this frame, then of the next and the previous one."""
+        project, opened = request.project, self._cached(request.key)
+        if opened is None or opened.is_prepared:
+            return
+        # set first: a frame with a broken neighbour is not prepared again and again
+        opened.is_prepared = True
+        try:
+            _ = opened.jpeg, opened.index, opened.with_normals
+            previous_id, next_id = neighbours(project, request.stored)
+            for neighbour_id in (next_id, previous_id):
+                if not self._is_current(request, operator):
+                    opened.is_prepared = False
+                    return
+                if neighbour_id is not None and self._cached((project, neighbour_id)) is None:
+                    self._prepare_neighbour(project, neighbour_id)
+        except AnnotatorError as error:
+            # the error is shown when the frame itself is opened
+            LOG.debug("neighbours of frame %s: %s", request.stored.key, error)
+        except Exception:
+            LOG.exception("reading the neighbours of frame %s ahead failed", request.stored.key)
+
+    def _prepare_neighbour(self, project: Project, frame_id: int) -> None:
+        opened = self._open(project, project.frames.get(frame_id))
+        _ = opened.jpeg, opened.index
+        for label in project.labels.of_frame(frame_id):
+            opened.points_in(label.box)

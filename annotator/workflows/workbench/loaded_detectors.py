@@ -1,0 +1,138 @@
+"""The active detectors of projects, loaded in the background and used by one thread at a time."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotYetError
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from annotator.project import Project, StoredModel
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
+from annotator.types.errors import AnnotatorError
+from annotator.workflows.detectors import load_detector
+
+LOG = logging.getLogger("annotator.detectors")
+
+
+@dataclass(frozen=True, eq=False)
+class ReadyDetector:
+    """A detector that runs one call at a time, and what its boxes measure."""
+
+    detector: Detector
+    box_kind: BoxKind
+    lock: threading.Lock
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The classes it detects."""
+        return self.detector.labels
+
+    @property
+    def fingerprint(self) -> str:
+        """As `Detector.fingerprint`."""
+        return self.detector.fingerprint
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        """As `Detector.detect`."""
+        with self.lock:
+            return self.detector.detect(images)
+
+
+@dataclass(frozen=True, eq=False)
+class Readiness:
+    """The state of a role's detector.
+
+    Attributes:
+        state: none = there is no active model.
+        detector: set if ready.
+        problem: why it failed, as shown to the operator.
+    """
+
+    state: Literal["none", "loading", "ready", "failed"]
+    detector: ReadyDetector | None = None
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class _Blank:
+    """An empty image for a detector's first call, which is slow."""
+
+    rgb: np.ndarray
+
+
+class ReadyDetectors:
+    """Loads detectors in the background and keeps them. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._use = threading.Lock()
+        self._loader = ThreadPoolExecutor(1, "detectors")
+        self._warmed: set[Path] = set()
+        self._loading: dict[tuple[Path, DetectorKind], tuple[str, Future[ReadyDetector]]] = {}
+
+    def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
+        """Returns the active detector of a role, or None: no active model, loading failed, or not loaded yet.
+
+        Args:
+            wait_s: how long to wait while it loads, seconds; None = until it is loaded.
+        """
+        return self.look(project, role, wait_s).detector
+
+    def look(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> Readiness:
+        """As `get`, with the state and the reason of a failure.
+
+        A failure does not raise, since labels can be drawn without a detector. It stays until another model is active.
+        """
+        model = project.models.active(role)
+        if model is None:
+            return Readiness("none")
+        try:
+            return Readiness("ready", self._future(project, model).result(wait_s))
+        except NotYetError:
+            return Readiness("loading")
+        except AnnotatorError as error:
+            return Readiness("failed", problem=str(error))
+        except Exception:
+            return Readiness("failed", problem="internal error, see the server's log")
+
+    def warm(self, project: Project) -> None:
+        """Starts loading the project's detectors; later calls for the same project do nothing."""
+        with self._lock:
+            if project.path in self._warmed:
+                return
+            self._warmed.add(project.path)
+        for role in DetectorKind:
+            self.get(project, role, wait_s=0.0)
+
+    def close(self) -> None:
+        """Stops loading."""
+        self._loader.shutdown(wait=False, cancel_futures=True)
+
+    def _future(self, project: Project, model: StoredModel) -> Future[ReadyDetector]:
+        key = (project.path, model.role)
+        with self._lock:
+            known = self._loading.get(key)
+            # another model, or the same one trained again
+            if known is None or known[0] != model.fingerprint:
+                known = (model.fingerprint, self._loader.submit(self._load, model))
+                self._loading[key] = known
+            return known[1]
+
+    def _load(self, model: StoredModel) -> ReadyDetector:
+        try:
+            ready = ReadyDetector(load_detector(model.path), model.box_kind, self._use)
+            ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
+        except AnnotatorError as error:
+            LOG.warning("the %s detector %s cannot be loaded: %s", model.role.value, model.path, error)
+            raise
+        except Exception:
+            LOG.exception("the %s detector %s cannot be loaded", model.role.value, model.path)
+            raise
+        return ready

@@ -1,0 +1,124 @@
+"""An open frame with its cached results: JPEG, point index, normals, views and detections."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from jaxtyping import Bool
+
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.normals import normals_from_depth
+from annotator.geometry.point_index import PointIndex
+from annotator.project.overview import FramePage
+from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
+from annotator.types.errors import AnnotatorError
+
+JPEG_QUALITY = 92
+# Cached frustums, views and detections of one frame: enough to go back and forth between a few objects.
+MAX_RESULTS = 40
+
+T = TypeVar("T")
+Views = tuple[PseudoView, PseudoView]
+
+
+class OpenFrame:
+    """An open frame. Thread-safe.
+
+    Attributes:
+        frame: the frame.
+        is_prepared: its results were computed ahead, and its neighbours read ahead.
+        page: the stored state as read last; None before the first read.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        self.is_prepared = False
+        self.page: FramePage | None = None
+        self._counts: dict[bytes, int] = {}
+        self._lock = threading.Lock()
+        self._results: OrderedDict[Hashable, Any] = OrderedDict()
+        self._newest: dict[str, tuple[int, Any]] = {}
+
+    @cached_property
+    def jpeg(self) -> bytes:
+        """The image as a JPEG file."""
+        import cv2
+
+        bgr = np.ascontiguousarray(self.frame.rgb[..., ::-1])
+        written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if not written:
+            raise AnnotatorError(f"frame {self.frame.key}: the image cannot be written as JPEG")
+        return content.tobytes()
+
+    @cached_property
+    def index(self) -> PointIndex:
+        """The cloud, indexed for queries of single boxes."""
+        return PointIndex.of(self.frame.cloud.xyz_m)
+
+    @cached_property
+    def with_normals(self) -> Frame:
+        """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
+        frame, cloud = self.frame, self.frame.cloud
+        if cloud.normals is not None or frame.depth_m is None or cloud.pixel_index is None:
+            return frame
+        grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
+        return replace(frame, cloud=replace(cloud, normals=grid[cloud.pixel_index]))
+
+    def points_in(self, box: OrientedBox) -> int:
+        """Returns the number of points in a box; counted once for each box."""
+        key = box.T_camera_box.as_matrix().tobytes() + box.size_m.tobytes()
+        count = self._counts.get(key)
+        if count is None:
+            count = self._counts[key] = self.index.count(box)
+        return count
+
+    def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:
+        """Returns the mask of the points inside the frustum of a box on the image."""
+        mask: np.ndarray = self._once(
+            ("frustum", box.xyxy), lambda: in_frustum(self.frame.camera, self.frame.cloud.xyz_m, box)
+        )
+        return mask
+
+    def views(self, key: Hashable, draw: Callable[[Frame], Views | None]) -> Views | None:
+        """Returns the views of a step, drawn once per `key`, which must hold all that they depend on."""
+        views: Views | None = self._once(("views", key), lambda: draw(self.with_normals))
+        return views
+
+    def detections(self, views: Views, detector: Detector) -> list[list[Box2D]]:
+        """Returns a detector's boxes on the views of a step; detected once."""
+        boxes: list[list[Box2D]] = self._once(
+            ("detections", id(views[0]), detector.fingerprint), lambda: (views, detector.detect(views))
+        )[1]
+        return boxes
+
+    def image_detections(self, detector: Detector) -> list[Box2D]:
+        """Returns a detector's boxes on the image; detected once."""
+        boxes: list[Box2D] = self._once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
+        return boxes
+
+    def newest(self, name: str, revision: int, compute: Callable[[], T]) -> T:
+        """Returns a result that depends on the revision of the frame's labels; only the newest is kept."""
+        cached = self._newest.get(name)
+        if cached is None or cached[0] != revision:
+            cached = self._newest[name] = (revision, compute())
+        result: T = cached[1]
+        return result
+
+    def _once(self, key: Hashable, compute: Callable[[], Any]) -> Any:
+        with self._lock:
+            if key in self._results:
+                self._results.move_to_end(key)
+                return self._results[key]
+        # without the lock: two threads may compute the same result, and the later one is kept
+        result = compute()
+        with self._lock:
+            self._results[key] = result
+            while len(self._results) > MAX_RESULTS:
+                self._results.popitem(last=False)
+        return result

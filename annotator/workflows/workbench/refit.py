@@ -1,0 +1,198 @@
+"""Fits a 3D box, either to a box drawn on the image or starting from an existing 3D box.
+
+An existing box is refitted by Recursive Cross-View on the points in and around it, starting from its axes. Without a
+detector for its class, the sides move to the points inside and the rotation stays.
+
+The rotation stays because the tightest rotation is worse: a sensor sees one side of an object only. Measured on
+generated recordings with boxes perturbed by about 10 degrees and 5 % of their size, mean IoU to the true box:
+
+    before -> tightest box around the points | sides moved along the box's axes
+    people 0.68 -> 0.66 | 0.70
+    hands  0.68 -> 0.50 | 0.66
+    with a detector that is 1 % off: people 0.71 -> 0.97, hands 0.69 -> 0.92
+
+Axes keep their names (x, y, z), so the heading stays as the operator set it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.geometry.edges import visible_edges
+from annotator.geometry.oriented_box import aligned_box
+from annotator.geometry.outline import box_on_image
+from annotator.rcv.axes import match_axes
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.propose import propose_from_boxes
+from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
+from annotator.types import Box2D, Detector, OrientedBox, PointCloud, Proposal, Quality, StepTrace, StopReason
+from annotator.workflows.workbench.open_frame import OpenFrame
+
+RCV, POINTS = "rcv", "points"
+# The points inside the box enlarged by this factor are the cloud of the recursion.
+SEARCH_FACTOR = 1.3
+# The recursion starts as if this many steps had led to the given box.
+STEPS_BEFORE = 2
+UNSEEN = "the detector does not see the object in this box"
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A refitted box.
+
+    Attributes:
+        box: the new box, or the given one if the fit failed.
+        outline: (k, 2, 2) its visible edges on the image, pixels.
+        quality: the recursion's signals, if it was used.
+        method: "rcv" or "points".
+        note: why the recursion was not used, for the operator; or None.
+    """
+
+    box: OrientedBox
+    outline: Float64[np.ndarray, "k 2 2"]
+    quality: Quality | None
+    method: str
+    note: str | None
+
+
+def refit(
+    opened: OpenFrame,
+    box: OrientedBox,
+    label: str,
+    config: RcvConfig,
+    detector: Detector | None,
+    problem: str | None = None,
+) -> Refit:
+    """Refits an existing box.
+
+    Args:
+        label: the box's class.
+        config: with the orientation for the frame and the box kind of the detector.
+        detector: for pseudo-views, or None.
+        problem: why the detector could not be loaded, if it could not.
+    """
+    reason = _why_no_detector(detector, label, problem)
+    if reason is not None or detector is None:
+        return _from_points(opened, box, config, reason or "")
+    state = _recurse(opened, box, label, config, detector)
+    if state is None or state.box is None:
+        return _from_points(opened, box, config, UNSEEN)
+    return _result(opened, renamed(state.box, box), state.quality, RCV, None)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBox:
+    """The 3D box of an object in a box drawn on the image.
+
+    Attributes:
+        box: None if the object was not found.
+        outline: (k, 2, 2) its visible edges on the image, pixels.
+        points: number of points in the box.
+        score, quality: of the recursion; None if the object was not found.
+        note: why the object was not found, or None.
+    """
+
+    box: OrientedBox | None
+    outline: Float64[np.ndarray, "k 2 2"]
+    points: int
+    score: float | None
+    quality: Quality | None
+    note: str | None
+
+
+def find_box(
+    opened: OpenFrame, image_box: Box2D, config: RcvConfig, detector: Detector | None, problem: str | None = None
+) -> FoundBox:
+    """Finds the 3D box of an object in a box drawn on the image, by Recursive Cross-View.
+
+    Args:
+        image_box: has the object's class.
+        config: with the orientation for the frame and the box kind of the detector.
+        detector: for pseudo-views, or None.
+        problem: why the detector could not be loaded, if it could not.
+    """
+    reason = _why_no_detector(detector, image_box.label, problem)
+    if reason is not None or detector is None:
+        return _not_found(reason or "")
+    # an object lost during the recursion has no box
+    strict = config.model_copy(update={"coarse_box": False})
+    # a drawn box is certain
+    drawn = replace(image_box, score=1.0)
+    (result,) = propose_from_boxes([opened.with_normals], [[drawn]], detector, strict)
+    if not result.proposals:
+        too_few = opened.frustum(image_box).sum() < config.min_points
+        return _not_found(f"fewer than {config.min_points} points lie in this box" if too_few else UNSEEN)
+    best = max(result.proposals, key=_agreement)
+    outline = visible_edges(opened.frame.camera, [best.box])[0]
+    return FoundBox(best.box, outline, opened.points_in(best.box), best.score, best.quality, None)
+
+
+def _agreement(proposal: Proposal) -> float:
+    return proposal.score * (proposal.quality.image_agreement or 0.0)
+
+
+def _not_found(reason: str) -> FoundBox:
+    return FoundBox(None, np.zeros((0, 2, 2)), 0, None, None, reason)
+
+
+def _why_no_detector(detector: Detector | None, label: str, problem: str | None) -> str | None:
+    """Returns why no detector can be used for this class, or None."""
+    if detector is None:
+        return "there is no pseudo-view detector yet" if problem is None else f"no pseudo-view detector: {problem}"
+    return None if label in detector.labels else f"the pseudo-view detector has not learned {label}"
+
+
+def renamed(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
+    """Returns the same box with its axes permuted and flipped to be as near as possible to those of another box."""
+    rows = match_axes(box.rotation.T, reference.rotation.T)
+    permutation = np.abs(np.rint(rows @ box.rotation))
+    return OrientedBox.from_parts(box.center_m, rows.T, permutation @ box.size_m)
+
+
+def _recurse(
+    opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector
+) -> ObjectState | None:
+    inside = opened.index.inside(OrientedBox(box.T_camera_box, box.size_m * SEARCH_FACTOR))
+    cloud = opened.with_normals.cloud.select(np.sort(inside))
+    if len(cloud) < config.min_points:
+        return None
+    state = _state_of(opened, box, label, cloud, config)
+    steps = max(config.max_steps, STEPS_BEFORE + 1)
+    refining = config.consensus.model_copy(update={"refine_steps": steps - STEPS_BEFORE})
+    limited = config.model_copy(update={"max_steps": steps, "consensus": refining})
+    while state.stop is StopReason.CONTINUES:
+        plan = plan_step(state, limited)
+        state = absorb_step(state, plan, _only(label, detector.detect(plan.views)), limited)[0]
+    return None if state.stop in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else state
+
+
+def _only(label: str, detections: Sequence[Sequence[Box2D]]) -> list[list[Box2D]]:
+    return [[box for box in boxes if box.label == label] for boxes in detections]
+
+
+def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud, config: RcvConfig) -> ObjectState:
+    """Returns the state of a recursion that has led to the given box."""
+    camera = opened.frame.camera
+    image_box = box_on_image(camera, box, label) or Box2D(
+        label, -0.5, -0.5, camera.width_px - 0.5, camera.height_px - 0.5
+    )
+    step = StepTrace("given", (), (), box_trace(box), len(cloud), len(cloud), StopReason.CONTINUES)
+    up = held_direction(opened.frame.up, config)
+    return ObjectState(0, image_box, cloud, up, box.rotation.T, box, steps=(step,) * STEPS_BEFORE)
+
+
+def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
+    xyz_m = opened.frame.cloud.xyz_m[opened.index.inside(box)]
+    if len(xyz_m) < config.min_points:
+        note = f"{reason}, and the box stays as it was: it holds too few points ({len(xyz_m)})"
+        return _result(opened, box, None, POINTS, note)
+    note = f"{reason}: the sides were moved to the {len(xyz_m)} points inside, the rotation is unchanged"
+    return _result(opened, aligned_box(xyz_m, box.rotation), None, POINTS, note)
+
+
+def _result(opened: OpenFrame, box: OrientedBox, quality: Quality | None, method: str, note: str | None) -> Refit:
+    return Refit(box, visible_edges(opened.frame.camera, [box])[0], quality, method, note)

@@ -1,0 +1,65 @@
+"""Recomputes the 3D boxes of finished objects after the frame's box kind has changed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from annotator.project.event_types import ImageBoxesSet, LabelEdited
+from annotator.project.overview import FramePage
+from annotator.project.records import BoxRecord
+from annotator.rcv.config import RcvConfig
+from annotator.types import BoxKind, OrientedBox
+from annotator.workflows.views.follow_image_boxes import changes_kind
+from annotator.workflows.workbench.drawing_steps import MAX_BOXES, label_steps
+from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
+from annotator.workflows.workbench.open_frame import OpenFrame
+
+# Tolerance for boxes of the same drags: metres, and entries of the rotation matrix.
+SAME_BOX = 1e-9
+
+
+def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
+    """Returns the edits of those labels whose drags now give another box. Labels corrected since are left alone.
+
+    Args:
+        page: the frame before the change.
+        opened: the same frame.
+        config: with the orientation for the frame.
+        on_image: the new boxes on the image, and what they measure.
+    """
+    if page.image_boxes is None or not changes_kind(page, on_image):
+        return []
+    labels = {stored.label.uid: stored.label for stored in page.labels}
+    edits = []
+    for item in shown_objects(page):
+        if item.uid is None or item.image_box not in on_image.boxes:
+            continue
+        label = labels[item.uid]
+        before, now = (_measured(opened, item, config, kind) for kind in (page.image_boxes.box_kind, on_image.box_kind))
+        if before is None or now is None or not same_box(before, label.box) or same_box(now, label.box):
+            continue
+        edits.append(
+            LabelEdited(
+                uid=label.uid,
+                label=label.label,
+                box=BoxRecord.of(now),
+                track_id=label.track_id,
+                image_box=item.image_box,
+            )
+        )
+    return edits
+
+
+def _measured(opened: OpenFrame, item: ShownObject, config: RcvConfig, kind: BoxKind) -> OrientedBox | None:
+    """Returns the box that an object's drags give; None if drags are missing."""
+    if len(item.views) != MAX_BOXES or any(len(view.boxes) != 1 for view in item.views):
+        return None
+    return label_steps(opened, item.image_box, [view.boxes[0] for view in item.views], config, kind).box
+
+
+def same_box(a: OrientedBox, b: OrientedBox) -> bool:
+    """Returns True if two boxes have the same centre, axes and size."""
+    return bool(
+        np.allclose(a.T_camera_box.as_matrix(), b.T_camera_box.as_matrix(), atol=SAME_BOX)
+        and np.allclose(a.size_m, b.size_m, atol=SAME_BOX)
+    )

@@ -1,0 +1,50 @@
+"""The doubt of a proposal: one number that the review queue is sorted by.
+
+    doubt = 1 - (1 - d1) (1 - d2) (1 - d3) (1 - d4) (1 - d5)
+
+Each d comes from one signal and grows linearly from 0 (good) to `MAX_DOUBT`, reached at the signal's bad value:
+
+    the disagreement of the views                                `BAD_DISAGREEMENT`
+    the share of the last step's points that the box lost        `BAD_LOST_SHARE`
+    the change of the box in the last step                       `BAD_CHANGE`
+    the disagreement with the box on the image                   `BAD_IMAGE`
+    1 - score                                                    `BAD_SCORE`
+
+So one bad signal is enough to bring a proposal forward, and several add up. Signals without a value are left out.
+
+Rank correlation (Spearman) of the doubt with 1 - IoU to truth over 27 proposals on a generated recording, detectors
+1 and 8 % off: 0.66 (boxes 0.79, silhouettes 0.50). Of the single signals, the last change (0.69) and the image (0.39)
+correlate most; the lost share hardly correlates, so its bad value is high.
+"""
+
+from __future__ import annotations
+
+import math
+
+from annotator.types import Quality
+
+MAX_DOUBT = 0.7
+# Bad values: share of the box's size, share of points, 1 - IoU (twice), 1 - score.
+BAD_DISAGREEMENT = 0.25
+BAD_LOST_SHARE = 0.9
+BAD_CHANGE = 0.3
+BAD_IMAGE = 0.6
+BAD_SCORE = 1.0
+
+
+def doubt(quality: Quality | None, score: float | None) -> float | None:
+    """Returns the doubt in 0..1, or None for a box that does not come from an automatic pass."""
+    if quality is None:
+        return None
+    signals = (
+        (quality.view_disagreement, BAD_DISAGREEMENT),
+        (1.0 - quality.kept_share, BAD_LOST_SHARE),
+        (quality.last_change, BAD_CHANGE),
+        (1.0 - (1.0 if quality.image_agreement is None else quality.image_agreement), BAD_IMAGE),
+        (1.0 - (1.0 if score is None else score), BAD_SCORE),
+    )
+    trust = 1.0
+    for value, bad in signals:
+        if not math.isnan(value):
+            trust *= 1.0 - MAX_DOUBT * min(max(value / bad, 0.0), 1.0)
+    return 1.0 - trust

@@ -1,0 +1,170 @@
+"""The review queue: proposals to review, or frames to label for training, in order of priority."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import defaultdict, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import zip_longest
+
+from annotator.project import REVIEWED, LabelSignals, Project, StoredFrame
+from annotator.types import ReviewState
+from annotator.workflows.workbench.review_priority import doubt
+
+
+class Order(StrEnum):
+    """The order of the queue.
+
+    WORST: most doubtful proposal first.
+    TIME: frame by frame.
+    CLASS: class by class, most doubtful first within each.
+    TRACK: track by track within each recording; proposals without a track last, frame by frame.
+    TEACH: frames whose labels help training most: frames with doubtful proposals first, then frames without labels and
+        proposals (those farthest from labelled ones first), then frames whose proposals are all certain.
+    """
+
+    WORST = "worst"
+    TIME = "time"
+    CLASS = "class"
+    TRACK = "track"
+    TEACH = "teach"
+
+
+@dataclass(frozen=True)
+class QueueItem:
+    """A proposal to review, or a frame to label.
+
+    Attributes:
+        frame: the frame.
+        uid: of the proposal, or None for a whole frame.
+        label: the proposal's class, or None.
+        doubt: in 0..1, or None if unknown.
+        track_id: of the proposal, if it has one.
+    """
+
+    frame: StoredFrame
+    uid: str | None
+    label: str | None
+    doubt: float | None
+    track_id: int | None = None
+
+
+def queue(
+    project: Project, order: Order, recording: int | None = None, label: str | None = None
+) -> tuple[QueueItem, ...]:
+    """Returns the queue. Finalised frames and frames that are no longer in their recording are left out.
+
+    Args:
+        recording: only this recording.
+        label: only proposals of this class; ignored by TEACH.
+
+    Raises:
+        NotFoundError: no such recording.
+    """
+    if recording is not None:
+        project.recordings.get(recording)
+    chosen = None if recording is None else [recording]
+    present = [frame for frame in project.frames.of(chosen) if frame.index is not None]
+    frames = {frame.id: frame for frame in present if not frame.finalised}
+    if order is Order.TEACH:
+        return tuple(_to_teach(project, frames, present, chosen))
+    classes = None if label is None else [label]
+    proposals = project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen, classes=classes)
+    items = [_item(frames[signals.frame_id], signals) for signals in proposals if signals.frame_id in frames]
+    if order is Order.WORST:
+        items.sort(key=_least_doubt)
+    elif order is Order.CLASS:
+        items.sort(key=lambda item: (item.label or "", _least_doubt(item)))
+    elif order is Order.TRACK:
+        # a stable sort: the frames stay in order within a track
+        items.sort(key=lambda item: (item.frame.recording_id, item.track_id is None, item.track_id or 0))
+    return tuple(items)
+
+
+def _item(frame: StoredFrame, signals: LabelSignals) -> QueueItem:
+    return QueueItem(frame, signals.uid, signals.label, doubt(signals.quality, signals.score), signals.track_id)
+
+
+def _least_doubt(item: QueueItem) -> float:
+    return -(item.doubt or 0.0)
+
+
+def _to_teach(
+    project: Project, frames: Mapping[int, StoredFrame], present: Sequence[StoredFrame], chosen: list[int] | None
+) -> list[QueueItem]:
+    known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED, recordings=chosen)
+    worst: dict[int, float] = {}
+    for signals in project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen):
+        value = doubt(signals.quality, signals.score) or 0.0
+        worst[signals.frame_id] = max(worst.get(signals.frame_id, 0.0), value)
+    untouched = [frame for frame in frames.values() if frame.id not in known and frame.id not in worst]
+    seen = [frame for frame in present if frame.id in known]
+    ordered = [QueueItem(frame, None, None, None) for frame in _spread(untouched, seen)]
+    doubtful = sorted((frame_id for frame_id in worst if frame_id in frames), key=lambda frame_id: -worst[frame_id])
+    proposed = [QueueItem(frames[frame_id], None, None, worst[frame_id]) for frame_id in doubtful]
+    # doubtful proposals help training most, frames without proposals less, certain proposals least
+    sure = sum(worst[item.frame.id] < 0.5 for item in proposed)
+    return [*proposed[: len(proposed) - sure], *ordered, *proposed[len(proposed) - sure :]]
+
+
+def _spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:
+    """Orders frames so that each comes from the widest remaining gap of its recording, since neighbours look alike.
+
+    The recordings take turns.
+    """
+    labelled: dict[int, list[int]] = defaultdict(list)
+    for frame in seen:
+        labelled[frame.recording_id].append(frame.index or 0)
+    by_recording: dict[int, list[StoredFrame]] = defaultdict(list)
+    for frame in frames:
+        by_recording[frame.recording_id].append(frame)
+    orders = [
+        _widest_first(sorted(group, key=lambda frame: frame.index or 0), sorted(labelled[recording]))
+        for recording, group in by_recording.items()
+    ]
+    return [frame for turn in zip_longest(*orders) for frame in turn if frame is not None]
+
+
+def _widest_first(frames: Sequence[StoredFrame], labelled: Sequence[int]) -> list[StoredFrame]:
+    """Orders the frames of one recording.
+
+    Args:
+        frames: in the order of the recording.
+        labelled: indices of its labelled frames, ascending.
+    """
+    halving = _halving(0, len(frames) - 1)
+    if labelled:
+        # a stable sort: frames at equal distance stay in halving order
+        halving.sort(key=lambda number: -_octave(_distance(frames[number].index or 0, labelled)))
+    # without labelled frames, the queue starts at the first frame
+    return [frames[number] for number in halving]
+
+
+def _distance(index: int, labelled: Sequence[int]) -> int:
+    """Returns the distance to the nearest labelled frame; `labelled` is ascending and not empty."""
+    behind = bisect_left(labelled, index)
+    return min(abs(index - other) for other in labelled[max(behind - 1, 0) : behind + 1])
+
+
+def _octave(distance: int) -> int:
+    """Returns the distance's power of two: distances that differ little count as equal."""
+    return distance.bit_length()
+
+
+def _halving(first: int, last: int) -> list[int]:
+    """Returns all integers of a range: both ends, the middle, the middles of the remaining gaps, and so on."""
+    if last < first:
+        return []
+    order, gaps = [first], deque([(first, last)])
+    if last > first:
+        order.append(last)
+    while gaps:
+        low, high = gaps.popleft()
+        if high - low < 2:
+            continue
+        middle = (low + high) // 2
+        order.append(middle)
+        gaps.extend([(low, middle), (middle, high)])
+    return order

@@ -1,0 +1,207 @@
+"""Stores the boxes an operator has drawn for an object, as one action."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from annotator.project import Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
+from annotator.project.efforts import draft_id
+from annotator.project.event_types import (
+    ImageBoxesSet,
+    LabelCreated,
+    LabelEdited,
+    Payload,
+    ViewBoxesSet,
+)
+from annotator.project.overview import FramePage, read_page
+from annotator.project.records import BoxRecord
+from annotator.types import Box2D, BoxKind
+from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers
+from annotator.workflows.views.places import geometry_of
+from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, Labelling, label_config, label_steps
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.remeasure import remeasured, same_box
+
+
+@dataclass(frozen=True)
+class ObjectDrawn:
+    """An object with the boxes drawn so far.
+
+    Attributes:
+        image_box: on the camera image.
+        boxes: on its views, as for `label_steps`.
+        uid: of the object's label, or None while it has none.
+    """
+
+    image_box: Box2D
+    boxes: Boxes
+    uid: str | None = None
+
+
+@dataclass(frozen=True)
+class Saved:
+    """The receipt (None if nothing changed), and the uid of the object's label, if it has one."""
+
+    receipt: Receipt | None
+    uid: str | None
+
+
+def save_object(
+    project: Project,
+    frame_id: int,
+    opened: OpenFrame,
+    image_boxes: Sequence[Box2D],
+    kind: BoxKind,
+    drawn: ObjectDrawn | None,
+    context: WriteContext,
+) -> Saved:
+    """Stores the boxes on the image and on an object's views and, once all four are drawn, its 3D label: all or none.
+
+    Boxes on views are removed if their image box is gone or a changed earlier box has replaced the view: such views
+    are no longer a step of any object.
+
+    Args:
+        image_boxes: all boxes of the image, the object's included.
+        kind: what the boxes measure.
+
+    Raises:
+        StaleRevisionError: the frame was changed in the meantime.
+        NotFoundError: no such frame or label.
+        ConfigError: the object's image box is not in `image_boxes`, or it has more than four boxes.
+        ProjectError: unknown class.
+    """
+    page = read_page(project, frame_id)
+    if page.frame.revision != context.revision:
+        where = f"frame {page.frame.key} of recording {page.recording_name}"
+        raise StaleRevisionError(where, context.revision, page.frame.revision)
+    if drawn is not None and drawn.image_box not in image_boxes:
+        raise ConfigError("the object's image_box is not among image_boxes; send all boxes of the image")
+    on_image = ImageBoxesSet(boxes=tuple(image_boxes), box_kind=kind)
+    payloads: list[Payload] = []
+    if page.image_boxes is None or (page.image_boxes.boxes, page.image_boxes.box_kind) != (on_image.boxes, kind):
+        payloads.append(on_image)
+    uid = None
+    view_boxes: list[ViewBoxesSet] = []
+    if drawn is not None:
+        config = label_config(project, opened.frame)
+        labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
+        view_boxes = _view_boxes(project, page, drawn, kind, labelling)
+        label = _label_change(page, drawn, labelling, view_boxes)
+        uid = _linked(page, drawn) if label is None else label.uid
+        payloads += _new_views(page, view_boxes) + ([] if label is None else [label])
+    redrawn = None if drawn is None else drawn.image_box
+    payloads += view_followers(page, on_image, redrawn=redrawn, kept={entry.view for entry in view_boxes})
+    if changes_kind(page, on_image):
+        others = remeasured(page, opened, label_config(project, opened.frame), on_image)
+        payloads += [entry for entry in others if entry.uid != uid]
+    if not payloads:
+        return Saved(None, uid)
+    target = context.effort_target or _effort_target(page, image_boxes, drawn, uid)
+    return Saved(project.log.append(frame_id, payloads, replace(context, effort_target=target)), uid)
+
+
+def suggested_image_boxes(
+    opened: OpenFrame, detector: ReadyDetector, min_score: float, classes: Sequence[str]
+) -> list[Box2D]:
+    """Returns the image detector's boxes of the given classes on a frame, best first."""
+    boxes = opened.image_detections(detector)
+    return [box for box in boxes if box.score >= min_score and box.label in classes]
+
+
+def _view_boxes(
+    project: Project, page: FramePage, drawn: ObjectDrawn, kind: BoxKind, labelling: Labelling
+) -> list[ViewBoxesSet]:
+    """Returns the boxes of an object on its views.
+
+    A view generated from 3D boxes has boxes of other objects, too: the object's box comes first, the others stay.
+    """
+    known = {view.view_id: view.boxes[1:] for view in page.view_boxes if view.box_kind is kind}
+    events = []
+    for place, (view, box) in enumerate(zip(labelling.views, drawn.boxes, strict=False)):
+        if box is None:
+            continue
+        view_id = project.views.store(view.rgb)
+        boxes, geometry = (box, *known.get(view_id, ())), geometry_of(view, drawn.image_box)
+        events.append(
+            ViewBoxesSet(view=view_id, boxes=boxes, box_kind=kind, step=place // VIEWS_PER_STEP, geometry=geometry)
+        )
+    return events
+
+
+def _new_views(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> list[Payload]:
+    known = {view.view_id: view for view in page.view_boxes}
+    return [entry for entry in view_boxes if not _is_stored(known.get(entry.view), entry)]
+
+
+def _is_stored(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
+    return view is not None and (view.boxes, view.box_kind, view.step, view.geometry) == (
+        entry.boxes,
+        entry.box_kind,
+        entry.step,
+        entry.geometry,
+    )
+
+
+def _label_change(
+    page: FramePage, drawn: ObjectDrawn, labelling: Labelling, view_boxes: Sequence[ViewBoxesSet]
+) -> LabelCreated | LabelEdited | None:
+    """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
+
+    A label is created once all four boxes are drawn. An existing label gets a new 3D box only if the drags have changed
+    and are complete: its present box may be a correction. Otherwise only its class and image box are updated.
+    """
+    is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
+    measured = labelling.box if is_complete else None
+    name, uid = drawn.image_box.label, _linked(page, drawn)
+    if uid is not None:
+        present = _label(page, uid)
+        box = present.label.box if measured is None or _are_drawn(page, view_boxes) else measured
+        if present.image_box == drawn.image_box and present.label.label == name and same_box(present.label.box, box):
+            return None
+        track = present.label.track_id
+        return LabelEdited(uid=uid, label=name, box=BoxRecord.of(box), track_id=track, image_box=drawn.image_box)
+    if measured is None:
+        return None
+    new = uuid.uuid4().hex
+    return LabelCreated(uid=new, label=name, box=BoxRecord.of(measured), origin=Origin.DRAWN, image_box=drawn.image_box)
+
+
+def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:
+    """Returns True if the same boxes are stored on the same views, classes aside."""
+    known = {view.view_id: view for view in page.view_boxes}
+    return all(
+        (view := known.get(entry.view)) is not None
+        and view.box_kind is entry.box_kind
+        and [box.xyxy for box in view.boxes] == [box.xyxy for box in entry.boxes]
+        for entry in view_boxes
+    )
+
+
+def _linked(page: FramePage, drawn: ObjectDrawn) -> str | None:
+    if drawn.uid is not None:
+        return _label(page, drawn.uid).label.uid
+    return next((stored.label.uid for stored in page.labels if stored.image_box == drawn.image_box), None)
+
+
+def _label(page: FramePage, uid: str) -> StoredLabel:
+    stored_label = next((stored for stored in page.labels if stored.label.uid == uid), None)
+    if stored_label is None:
+        raise NotFoundError(f"frame {page.frame.key} has no label {uid}; reload the frame")
+    return stored_label
+
+
+def _effort_target(
+    page: FramePage, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, uid: str | None
+) -> str | None:
+    """Returns the id that the effort is recorded for: the label's, else that of the unfinished object, else that of the
+    only new box on the image."""
+    if drawn is not None:
+        finished = uid is not None and any(stored.label.uid == uid for stored in page.labels)
+        return uid if finished else draft_id(page.frame.id, drawn.image_box)
+    before = () if page.image_boxes is None else page.image_boxes.boxes
+    new = [box for box in image_boxes if box not in before]
+    return draft_id(page.frame.id, new[0]) if len(new) == 1 else None

@@ -1,0 +1,418 @@
+// Types that several modules of the page share. The server's JSON is in the namespace Api: see server_types.py.
+
+// -- geometry. px are continuous and the centre of the first pixel is (0, 0); metres are in the camera frame.
+
+/** [x, y] */
+type Point = number[];
+/** [x, y, z] */
+type Vector = number[];
+/** Three rows of three. */
+type Matrix = number[][];
+type Line = Point[];
+type Size = { width: number; height: number };
+type Rect = { x_min: number; y_min: number; x_max: number; y_max: number };
+type Box2D = Rect & { label: string; score?: number };
+/** The columns of `rotation` are the box's x (length), y (width) and z (height) axes. */
+type Box3D = Api.Box3DOut;
+/** A point p is at px x = (axes[0].p - origin_m[0]) / metres_per_px; y likewise with axes[1]. */
+type Plane = Pick<Api.ViewJson, "axes" | "metres_per_px" | "origin_m">;
+type Camera = Api.CameraJson & Size;
+/** In degrees in forms, in radians elsewhere. */
+type Angles = { yaw: number; pitch: number; roll: number };
+
+// -- elements
+
+type AttributeValue = string | number | boolean | null | undefined | ((event: never) => unknown);
+type Listeners = { [K in keyof HTMLElementEventMap as `on${K}`]?: (event: HTMLElementEventMap[K]) => unknown };
+interface Attributes extends Listeners {
+  [name: string]: AttributeValue;
+}
+type Child = Node | string | null | undefined | false;
+
+// -- what all modes share
+
+type FrameState = Api.FrameStateJson;
+type Route = { project: string | null; mode: string; frame: number | null; query: URLSearchParams };
+type Direction = "next" | "previous";
+
+interface StateValues {
+  operator: string | null;
+  version: string;
+  route: Route;
+  project: Api.ProjectInfo | null;
+  /** The open frame. */
+  frame: FrameState | null;
+  /** Frame id -> names of the operators who have it open. */
+  presence: Record<string, string[]>;
+  /** The newest first. */
+  jobs: Api.Job[];
+  connected: boolean;
+}
+
+interface StateMethods {
+  set(changes: Partial<StateValues>): void;
+  on<K extends keyof StateValues>(name: K, fn: (value: StateValues[K]) => unknown): () => void;
+}
+
+type State = StateValues & StateMethods;
+
+/** The messages of the server and of the socket itself, by type. */
+interface Messages {
+  frame: { frame: number; revision: number };
+  presence: { frames: Record<string, string[]> };
+  job: { job: Api.Job };
+  viewport: ViewportMessage;
+  /** Whether the socket is open. */
+  connection: boolean;
+  /** Messages may have been missed. */
+  reconnected: null;
+}
+
+type ViewportMessage = { workbench: string } & (
+  | { event: "connected"; connected: boolean }
+  | ({ event: "select" } & ViewportEvents["select"])
+  | ({ event: "box" } & ViewportEvents["box"])
+);
+
+interface ViewportEvents {
+  /** The gizmo moves a box; the last message of a drag is `final`. */
+  box: { uid: string; box: Box3D; final: boolean };
+  select: { uid: string };
+  shown: Api.SceneAnswer;
+  state: ViewportState;
+}
+
+type ViewportState = "opening" | "ready" | "lost" | "unsupported";
+
+type Client = ReturnType<typeof import("../../web_assets/js/api.js").createApi>;
+type RequestOptions = { signal?: AbortSignal };
+type EffortCounter = ReturnType<typeof import("../../web_assets/js/effort.js").createEffort>;
+type Events = ReturnType<typeof import("../../web_assets/js/events.js").createEvents>;
+type Keys = ReturnType<typeof import("../../web_assets/js/keys.js").createKeys>;
+type KeyHandler = (event: KeyboardEvent, key: string) => unknown;
+type Frames = ReturnType<typeof import("../../web_assets/js/frame_state.js").createFrameState>;
+type Viewport = ReturnType<typeof import("../../web_assets/js/viewport.js").createViewport>;
+type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJobLine>;
+
+/** A box that was drawn in Review, to be completed in Label. */
+type Given = { project: string; frame: number; image_box: Box2D };
+
+/** The object that every mode gets; js/main.js makes it. */
+interface App {
+  api: Client;
+  effort: EffortCounter;
+  events: Events;
+  frames: Frames;
+  keys: Keys;
+  state: State;
+  viewport: Viewport | null;
+  given: Given | null;
+  toast: typeof import("../../web_assets/js/toasts.js").toast;
+  /** Goes to an address from router.makeHash; `given` is for the mode that the address names. */
+  go(hash: string, given?: Given | null): void;
+  /** The path of a resource of the open project: app.path("frames", 3). */
+  path(...parts: (string | number)[]): string;
+  /** Reads the project's summary again, into state.project. */
+  refreshProject(): Promise<void>;
+  /** Reads a frame into state.frame, and reports to the other pages that it is open here. */
+  loadFrame(id: number): Promise<FrameState>;
+  /** Saves everything. False if something cannot be saved and the operator stays with it. */
+  mayLeave(): Promise<boolean>;
+  /** Sets the address back to the frame that is shown. */
+  stay(frame: number): void;
+  undo(): Promise<void>;
+  redo(): Promise<void>;
+}
+
+/** The same with an open project, as in all modes except the start page. */
+interface ModeApp extends App {
+  state: State & { project: Api.ProjectInfo; route: Route & { project: string } };
+  viewport: Viewport;
+}
+
+/** Unsaved work, which would be lost. */
+type Unsaved = { text: string; retry: () => unknown; discard: () => void };
+
+/** A mounted mode. */
+interface Mounted {
+  unmount(): void;
+  /** Called instead of a new mount if only the frame or the query of the address has changed. */
+  route?(route: Route): void;
+  /** Resolves when all changes that are being saved are saved, or have failed. */
+  flush?(): Promise<unknown>;
+  unsaved?(): Unsaved | null;
+}
+
+type ErrorBody = { error?: Api.ErrorBody; state?: FrameState; frame?: number };
+type StaleError = Error & { body: { state: FrameState } };
+
+interface Mode {
+  mount(root: HTMLElement, app: ModeApp): Mounted;
+}
+
+/** A version of a frame that could not be saved: lines of text, and the boxes drawn over the other version. */
+type Mine = { text: string[]; boxes: Rect[]; outlines: Line[][] };
+
+// -- the 2D editor
+
+/** `suggested` is dashed until the operator accepts it; `caption` replaces the label. */
+type EditorBox = Box2D & {
+  suggested?: boolean;
+  readonly?: boolean;
+  faint?: boolean;
+  caption?: string;
+  color?: string;
+};
+
+/** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner. */
+type Overlay = {
+  id?: string;
+  segments: Line[];
+  color: string;
+  dash?: boolean;
+  strong?: boolean;
+  width?: number;
+  tag?: string;
+};
+
+type Handles = { edges: boolean; corners: boolean; rotate: boolean };
+type EditKind = "draw" | "move" | "resize" | "nudge" | "delete" | "accept";
+type Editor = ReturnType<typeof import("../../web_assets/js/editor2d/editor.js").createEditor>;
+type View = ReturnType<typeof import("../../web_assets/js/editor2d/view.js").createView>;
+
+interface EditorOptions {
+  /** Accessible name. */
+  label?: string;
+  classes?: string[];
+  /** By default the class's colour. */
+  color?: (box: EditorBox) => string;
+  /** Class of a drawn box, by default the first one. */
+  newLabel?: () => string | null;
+  /** Only the selected box can be resized: a drag that begins on the edge of another box draws a new one. */
+  selectFirst?: boolean;
+  /** There is only one box; drawing replaces it. */
+  single?: boolean;
+  /** True by default; a function is called each time. */
+  canDraw?: boolean | (() => boolean);
+  canMove?: boolean;
+  canDelete?: boolean;
+  /** Boxes end at the picture's border; true by default. */
+  clip?: boolean;
+  /** Called after each finished change; `actions` is the number of key presses or drags. */
+  onChange?: (boxes: EditorBox[], why: EditKind, index: number, actions: number) => unknown;
+  /** Called while dragging, before the change is finished. */
+  onDrag?: (boxes: EditorBox[], index: number) => unknown;
+  /** Called with the index of the selected box; -1: none. */
+  onSelect?: (index: number) => unknown;
+  /** Called by the rotation handle; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
+  onRotate?: (angleRad: number, isFinal: boolean) => unknown;
+  /** Called by a click within the outline of an overlay with an id, but in no box. */
+  onOverlay?: (id: string) => unknown;
+}
+
+/** The part of an editor that its gestures use. */
+interface EditorInside {
+  root: HTMLElement;
+  view: View;
+  picture: Size;
+  /** Of the window, CSS pixels; `border` is its outer width. */
+  size: Size & { border: number };
+  options: EditorOptions;
+  readonly boxes: EditorBox[];
+  readonly selected: number;
+  readonly overlays: Overlay[];
+  readonly handles: Handles;
+  redraw(): void;
+  flush(): void;
+  isReadonly(): boolean;
+  canDraw(): boolean;
+  limits(): Rect;
+  newBox(): { label: string };
+  select(index: number): void;
+  setCross(point: Point | null, px?: Point): void;
+  restore(before: { boxes: EditorBox[]; selected: number }): void;
+  replace(list: EditorBox[], index: number): void;
+  put(index: number, box: EditorBox): void;
+  commit(why: EditKind, index: number): void;
+  turn(angleRad: number, isFinal: boolean): void;
+  accept(index: number): void;
+}
+
+/** The thing under a pointer; the sides are -1, 0 or 1. */
+type Hit = { kind: "rotate" | "resize" | "move" | "draw" | "nothing"; index: number; sideX?: number; sideY?: number };
+
+/** From pointer down to pointer up; px are of the picture, the point is in the window. */
+type Gesture = {
+  move: (px: Point, point: Point) => void;
+  finish: (px: Point, point: Point) => void;
+  cancel: () => void;
+};
+
+// -- Label
+
+type ViewBox = Box2D | null;
+
+/**
+ * An object of a frame: its box on the image, and up to four boxes on its views (front and side of step 1, then of
+ * step 2). `stored` is the image box that was last sent to the server, or null. `loose` is the view of an incomplete
+ * step with its box: whether it is the front or the side is unknown until the step's views are loaded.
+ */
+type Item = {
+  image_box: Box2D;
+  uid: string | null;
+  boxes: ViewBox[];
+  views: (Api.ViewJson | null)[];
+  loose: [Api.ViewJson, ViewBox] | null;
+  stored: Box2D | null;
+};
+
+/** The object that is being drawn. `edits` counts what the operator did on each view. */
+type Draft = {
+  item: Item;
+  /** Its frame's id. */
+  frame: number;
+  steps: { views: Api.ViewJson[] }[];
+  suggestions: ViewBox[];
+  edits: number[];
+  /** Outline on the image of the 3D box so far. */
+  outline: Line[] | null;
+  /** The reason why there are no further views. */
+  stop: string | null;
+  isLoading: boolean;
+  detector: Api.StepsOut["detector"];
+  /** The reason why the detector could not be loaded. */
+  problem: string | null;
+};
+
+/** A dashed box on the image. */
+type Guess = { item: Item; image_box: Box2D; caption: string };
+
+/** The state that the files of Label mode share. */
+interface Work {
+  items: Item[];
+  /** The current object, and which of its steps is shown. */
+  draft: Draft | null;
+  step: number;
+  /** Class of the next box. */
+  label: string;
+  /** The object that is selected on the image. */
+  selected: Item | null;
+  /** Objects that were replaced by the others' version, but are still shown. */
+  notSaved: Item[];
+  /** The boxes that the image detector found. */
+  found: Box2D[];
+  frameShown: number | null;
+  /** Resolves when the current object's views are on the screen. */
+  loaded: Promise<void>;
+  /** Identifies the views that are being loaded, or null. */
+  coming: object | null;
+  point_size: number;
+  readonly isReadonly: boolean;
+  /** What the boxes enclose. */
+  readonly kind: Api.BoxKind;
+}
+
+/** A change of a frame. Its body is made when it is sent, from the frame's state at that time. */
+type FrameChange = {
+  path: string[];
+  body: (state: FrameState) => object;
+  /** The operator's version, for the question in stale.js. */
+  mine: (state: FrameState) => Mine;
+  done?: (answer: { uid?: string | null }) => void;
+  /** The change is not sent before this resolves. */
+  after?: Promise<unknown>;
+  item?: Item;
+};
+
+/** A change that can only be made when it is its turn; null: nothing is left to save. */
+type LaterChange = { item: Item; make: () => Promise<FrameChange | null> };
+type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange | null };
+
+type AskSteps = (draft: Draft, boxes: ViewBox[], suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
+
+type Order = ReturnType<typeof import("../../web_assets/js/label/order.js").createOrder>;
+type OrderName = "teach" | "time";
+type Saver = ReturnType<typeof import("../../web_assets/js/label/saver.js").createSaver>;
+type StepLoader = ReturnType<typeof import("../../web_assets/js/label/draft.js").createStepLoader>;
+type Suggester = ReturnType<typeof import("../../web_assets/js/label/suggestions.js").createSuggester>;
+type Prefetch = ReturnType<typeof import("../../web_assets/js/label/prefetch.js").createPrefetch>;
+type ViewsPane = ReturnType<typeof import("../../web_assets/js/label/views_pane.js").createViewsPane>;
+type Objects = ReturnType<typeof import("../../web_assets/js/label/objects.js").createObjects>;
+type Panel = typeof import("../../web_assets/js/label/side_panel.js");
+
+// -- Review
+
+/** A label as Review shows it: stored, or new (`isNew`), which is not stored until it is accepted. */
+type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns"> & {
+  source: string;
+  author: string | null;
+  isNew?: boolean;
+};
+
+/** The values of a label that an operator may change. */
+type Wanted = { label: string; track_id: number | null; box: Box3D };
+
+type Desk = ReturnType<typeof import("../../web_assets/js/review/desk.js").createDesk>;
+type DeskEvent = "frame" | "selection" | "draft" | "saving";
+/** One of `Api.ChangesIn`. */
+type Change = {
+  kind: Exclude<Api.ChangesIn["changes"][number]["kind"], "image_boxes">;
+  uid?: string;
+  label?: string;
+  box?: Box3D;
+  track_id?: number | null;
+  image_box?: (Rect & { label: string }) | null;
+};
+/** A label that the operator is changing: `sending` are the values being sent, `sent` is whether that succeeds. */
+type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolean>; problem: string | null };
+/** A label that is not stored yet; `actions` is its effort. */
+type NewLabel = {
+  label: PageLabel;
+  image_box: Rect & { label: string };
+  actions: number;
+  problem: string | null;
+  sending: Promise<boolean> | null;
+};
+type QueueItem = Api.ItemJson & { uid: string };
+type Queue = ReturnType<typeof import("../../web_assets/js/review/queue.js").createQueue>;
+/** A box of a frame, or without a uid the frame itself. */
+type Target = { frame: number; uid: string | null };
+
+// -- charts
+
+type Layout = { xaxis?: object; yaxis?: object; [name: string]: unknown };
+type Chart = { traces: object[]; layout: Layout };
+/** The part of the library that js/charts.js uses. */
+type Plotly = {
+  react(host: HTMLElement, traces: object[], layout: Layout, config: object): Promise<unknown>;
+  purge(host: HTMLElement): void;
+};
+interface Window {
+  Plotly?: Plotly;
+}
+
+// -- the 3D view
+
+/** A box that is not stored. */
+type PreviewBox = { uid: string | null; box: Box3D };
+/** `Api.SceneRequest`, with boxes as the page has them. */
+type Scene3D = Omit<Api.SceneRequest, "preview" | "added"> & { preview?: PreviewBox | null; added?: PreviewBox[] };
+
+// -- other modes
+
+/** The result of an export job. */
+type ExportResult = {
+  format?: string;
+  bytes?: number;
+  splits?: Record<string, number>;
+  /** What the format cannot store. */
+  lost?: string[];
+  unreadable?: string[];
+  notes?: string[];
+};
+/** The button beside a recording; its test id ends with the folder's name. */
+type Picker = {
+  text: string;
+  testid: string;
+  onPick: (entry: Api.FolderEntry, button: HTMLButtonElement) => unknown;
+};

@@ -1,0 +1,252 @@
+"""Arrays from outside: what is clear is converted, what is ambiguous is refused with a message that says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import annotator
+from annotator.types.errors import AnnotatorError, ArgumentError
+
+H, W = 24, 32
+K = np.array([[30.0, 0.0, 15.5], [0.0, 30.0, 11.5], [0.0, 0.0, 1.0]])
+RGB = np.random.default_rng(0).integers(0, 256, (H, W, 3), np.uint8)
+DEPTH = np.full((H, W), 2.0, np.float32)
+# x forward, y left, z up, as most LiDARs have it
+T_CAMERA_LIDAR = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def rgbd(rgb: Any = RGB, depth: Any = DEPTH, intrinsics: Any = K, **more: Any) -> annotator.Frame:
+    return annotator.frame_from_rgbd(rgb, depth, intrinsics, **more)
+
+
+def lidar_points() -> np.ndarray:
+    """All around, as a turning LiDAR sees it."""
+    rng = np.random.default_rng(1)
+    angle, height = rng.uniform(-np.pi, np.pi, 4000), rng.uniform(-1, 1, 4000)
+    return np.stack([10 * np.cos(angle), 10 * np.sin(angle), height], axis=1)
+
+
+def cloud(
+    points: Any = None, T: Any = T_CAMERA_LIDAR, intrinsics: Any = K, rgb: Any = RGB, **more: Any
+) -> annotator.Frame:
+    return annotator.frame_from_points(rgb, lidar_points() if points is None else points, intrinsics, T, **more)
+
+
+def refused(call: Callable[[], object], *words: str) -> None:
+    """The error is for users, is a ValueError too, and says all of these."""
+    with pytest.raises(ArgumentError) as caught:
+        call()
+    assert isinstance(caught.value, AnnotatorError) and isinstance(caught.value, ValueError)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_frame_has_the_points_that_its_depth_says() -> None:
+    frame = rgbd(key="a", up=(0, -2, 0))
+    assert (frame.key, len(frame.cloud), frame.camera.fx) == ("a", H * W, 30.0)
+    assert frame.up is not None and frame.up.tolist() == [0, -1, 0]
+    corner = [(0 - 15.5) / 30 * 2, (0 - 11.5) / 30 * 2, 2]
+    np.testing.assert_allclose(frame.cloud.xyz_m[0], corner, atol=1e-6)
+    assert frame.cloud.rgb is not None and (frame.cloud.rgb[0] == RGB[0, 0]).all()
+
+
+@pytest.mark.parametrize(
+    "given",
+    [RGB / 255.0, (RGB / 255.0).astype(np.float32), np.dstack([RGB, RGB[..., :1]]), RGB.tolist()],
+    ids=["floats", "float32", "RGBA", "nested lists of integers"],
+)
+def test_images_that_are_clear_are_converted(given: Any) -> None:
+    if isinstance(given, list):
+        refused(lambda: rgbd(given), "int64", "uint8")  # 0..1 or 0..255 cannot be told apart by their type
+        return
+    assert (rgbd(given).rgb == RGB).all()
+
+
+def test_a_grey_image_is_repeated() -> None:
+    for given in (RGB[..., 0], RGB[..., :1]):
+        assert (rgbd(given).rgb == RGB[..., :1]).all()
+
+
+@pytest.mark.parametrize(
+    ("rgb", "words"),
+    [
+        (RGB.astype(np.float64), ["0..1", "astype"]),
+        (RGB / 255.0 - 0.5, ["floats from"]),
+        (RGB.astype(np.uint16), ["uint16", "uint8"]),
+        (RGB > 128, ["bool"]),
+        (np.moveaxis(RGB, -1, 0), ["channels come last", "moveaxis"]),
+        (RGB[..., :2], ["(H, W, 3)"]),
+        (RGB[None], ["(H, W, 3)"]),
+        (np.where(RGB[0, 0] == RGB, np.nan, RGB / 255.0), ["NaN"]),
+    ],
+    ids=["floats to 255", "centred", "16 bits", "bool", "channels first", "two channels", "a batch", "NaN"],
+)
+def test_images_that_are_not_clear_are_refused(rgb: np.ndarray, words: list[str]) -> None:
+    refused(lambda: rgbd(rgb), *words)
+
+
+def test_integer_depth_is_millimetres_and_float_depth_is_metres() -> None:
+    expected = rgbd().cloud.xyz_m
+    for depth in (np.full((H, W), 2000, np.uint16), np.full((H, W), 2000, np.int32), np.full((H, W, 1), 2000)):
+        assert (rgbd(depth=depth).cloud.xyz_m == expected).all()
+    assert (rgbd(depth=np.full((H, W), 2), depth_scale=1.0).cloud.xyz_m == expected).all()
+    assert (rgbd(depth=np.full((H, W), 10000, np.uint16), depth_scale=5000.0).cloud.xyz_m == expected).all()
+    assert (rgbd(depth=np.full((H, W), 2000.0), depth_scale=1000.0).cloud.xyz_m == expected).all()
+
+
+def test_depth_that_a_sensor_did_not_measure_is_none() -> None:
+    depth = DEPTH.copy()
+    depth[0, :4] = [0, np.nan, np.inf, -np.inf]
+    frame = rgbd(depth=depth)
+    assert len(frame.cloud) == H * W - 4
+    assert frame.depth_m is not None and (frame.depth_m[0, :4] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("depth", "more", "words"),
+    [
+        (DEPTH * 1000, {}, ["2000", "metres", "depth_scale=1000"]),
+        (DEPTH.astype(np.int64), {}, ["integers up to 2", "depth_scale"]),
+        (DEPTH[:-1], {}, ["(23, 32)", "(24, 32)", "register"]),
+        (DEPTH.T, {}, ["register"]),
+        (np.zeros_like(DEPTH), {}, ["no pixel has a depth"]),
+        (np.full_like(DEPTH, np.nan), {}, ["no pixel has a depth"]),
+        (-DEPTH, {}, ["negative", "z points away"]),
+        (DEPTH > 1, {}, ["bool"]),
+        (DEPTH, {"depth_scale": 0.0}, ["positive"]),
+        (DEPTH, {"depth_scale": np.nan}, ["positive"]),
+    ],
+)
+def test_depth_that_is_not_clear_is_refused(depth: np.ndarray, more: dict[str, Any], words: list[str]) -> None:
+    refused(lambda: rgbd(depth=depth, **more), *words)
+
+
+@pytest.mark.parametrize("make", [rgbd, cloud], ids=["rgbd", "points"])
+def test_intrinsics_are_a_matrix_four_numbers_or_a_camera(make: Callable[..., annotator.Frame]) -> None:
+    camera = annotator.Camera(W, H, 30.0, 30.0, 15.5, 11.5)
+    for given in (K, K.tolist(), (30, 30, 15.5, 11.5), camera):
+        assert make(intrinsics=given).camera == camera or make(intrinsics=given).camera.matrix.tolist() == K.tolist()
+    assert make(distortion=(0.1, 0.0, 0.0, 0.0)).camera.distortion == (0.1, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("make", [rgbd, cloud], ids=["rgbd", "points"])
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (K.T, ["transposed", "K.T"]),
+        (np.diag([30.0, 30, 2]), ["last row", "0 0 1"]),
+        (np.hstack([K, np.zeros((3, 1))]), ["projection matrix"]),
+        (K + np.array([[0, 3, 0], [0, 0, 0], [0, 0, 0]]), ["skew"]),
+        ((30, 30, 15.5), ["(fx, fy, cx, cy)"]),
+        ((15.5, 11.5, 300, 300), ["principal point", "resolution"]),
+        ((0.9, 1.2, 0.5, 0.5), ["pixels", "shares"]),
+        ((-30, 30, 15.5, 11.5), ["focal"]),
+        ((np.nan, 30, 15.5, 11.5), ["NaN"]),
+        ("K", ["numbers"]),
+        (annotator.Camera(64, 48, 60.0, 60.0, 31.5, 23.5), ["64 x 48", "32 x 24"]),
+    ],
+)
+def test_intrinsics_of_no_such_camera_are_refused(
+    make: Callable[..., annotator.Frame], given: Any, words: list[str]
+) -> None:
+    refused(lambda: make(intrinsics=given), *words)
+
+
+def test_distortion_has_as_many_coefficients_as_opencv_takes() -> None:
+    refused(lambda: rgbd(distortion=(0.1, 0.2)), "coefficients")
+    refused(
+        lambda: rgbd(intrinsics=annotator.Camera(W, H, 30.0, 30.0, 15.5, 11.5), distortion=(0.1, 0.0, 0.0, 0.0)),
+        "twice",
+    )
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (0, np.nan, 0), (0, -1), "up"])
+def test_up_is_a_direction(up: Any) -> None:
+    with pytest.raises(ValueError):
+        rgbd(up=up)
+
+
+def test_points_come_into_the_camera_and_take_the_colour_of_their_pixel() -> None:
+    points = np.array([[2.0, 0, 0], [2, 0.1, 0], [-2, 0, 0], [np.nan, 0, 0], [0.05, 0, 0], [2, 9, 0]])
+    frame = cloud(points, reflectance=np.linspace(0, 1, 6))
+    np.testing.assert_allclose(frame.cloud.xyz_m, [[0, 0, 2], [-0.1, 0, 2]], atol=1e-6)
+    assert frame.cloud.rgb is not None and frame.cloud.reflectance is not None
+    assert frame.cloud.rgb.tolist() == [RGB[12, 16].tolist(), RGB[12, 14].tolist()]
+    np.testing.assert_allclose(frame.cloud.reflectance, [0, 0.2], atol=1e-6)
+
+
+def test_a_transform_is_a_matrix_or_a_rigid_transform_and_none_is_the_identity() -> None:
+    expected = cloud().cloud.xyz_m
+    assert len(expected) > 100
+    T = RigidTransform.from_matrix(T_CAMERA_LIDAR)
+    assert (cloud(T=T).cloud.xyz_m == expected).all()
+    assert (cloud(T.apply(lidar_points()), T=None).cloud.xyz_m == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("T", "words"),
+    [
+        (np.diag([1.0, -1, 1, 1]) @ T_CAMERA_LIDAR, ["is a reflection", "-1"]),
+        (np.diag([2.0, 2, 2, 1]) @ T_CAMERA_LIDAR, ["scales"]),
+        (T_CAMERA_LIDAR[:3], ["(4, 4)"]),
+        (np.eye(3), ["(4, 4)"]),
+        (np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]), ["transposed"]),
+        (np.full((4, 4), np.nan), ["finite"]),
+        ("identity", ["numbers"]),
+        (RigidTransform.from_rotation(Rotation.identity(2)), ["not a stack"]),
+    ],
+)
+def test_a_transform_that_is_not_rigid_is_refused(T: Any, words: list[str]) -> None:
+    refused(lambda: cloud(T=T), "T_camera_points", *words)
+
+
+def test_points_that_the_camera_does_not_see_are_refused_with_the_likely_reason() -> None:
+    behind = np.array([[0.0, 0, -2], [0, 0.1, -2], [0.1, 0, -3]])
+    refused(lambda: cloud(behind, T=None), "0 of 3 points lie on the image", "0 are in front")
+    # the LiDAR's own frame is not the camera's
+    ahead = lidar_points()[:, :] * [1, 1, 0.1]
+    refused(lambda: cloud(ahead[ahead[:, 0] > 5], T=None), "check T_camera_points", "z up")
+    inverted = np.linalg.inv(T_CAMERA_LIDAR)
+    refused(lambda: cloud(ahead[ahead[:, 0] > 5], T=inverted), "inverted", "p_camera = T @ p_points")
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (lidar_points().T, ["xyz.T"]),
+        (np.hstack([lidar_points(), np.ones((4000, 1))]), ["xyz[:, :3]", "reflectance"]),
+        (lidar_points().reshape(40, 100, 3), ["reshape"]),
+        (np.zeros(3), ["(N, 3)"]),
+        (np.full((5, 3), np.nan), ["no finite point"]),
+        (np.zeros((0, 3)), ["no finite point"]),
+        (lidar_points() * 1000, ["millimetres"]),
+        ("points", ["numbers"]),
+    ],
+)
+def test_points_that_are_not_clear_are_refused(points: Any, words: list[str]) -> None:
+    refused(lambda: cloud(points), *words)
+
+
+def test_reflectance_is_one_share_a_point() -> None:
+    refused(lambda: cloud(reflectance=np.ones(7)), "(4000,)")
+    refused(lambda: cloud(reflectance=np.full(4000, 255.0)), "0..1")
+    refused(lambda: cloud(reflectance=np.full(4000, np.nan)), "0..1")
+
+
+def test_a_recording_that_is_taken_apart_and_put_together_is_the_same(generated: Path) -> None:
+    frame = annotator.open_recording(generated / "people").frame(0)
+    assert frame.depth_m is not None
+    again = rgbd(frame.rgb, frame.depth_m, frame.camera.matrix, up=frame.up)
+    assert (again.cloud.xyz_m == frame.cloud.xyz_m).all() and (again.rgb == frame.rgb).all()
+    millimetres = np.rint(frame.depth_m * 1000).astype(np.uint16)
+    camera = frame.camera
+    other = annotator.frame_from_rgbd(frame.rgb / 255.0, millimetres, (camera.fx, camera.fy, camera.cx, camera.cy))
+    assert np.abs(other.cloud.xyz_m - frame.cloud.xyz_m).max() < 2e-3
+    points = annotator.frame_from_points(frame.rgb, frame.cloud.xyz_m, camera)
+    assert len(points.cloud) == len(frame.cloud)

@@ -1,0 +1,238 @@
+"""KITTI rows and folders as they are written: the conventions by hand, and what is written reads back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.frame_class_names import six_digit_ids
+from annotator.formats.kitti.box_rows import kitti_row, rounded_box, upright_row
+from annotator.formats.kitti.label_files import KittiLabel, dump_label_line, label_box, parse_label_line
+from annotator.formats.kitti.label_folders import read_kitti_labels
+from annotator.formats.kitti.object_folder import calibration_text, write_kitti
+from annotator.formats.losses import Losses, Lost
+from annotator.geometry.occlusion import Sight
+from annotator.geometry.projection import pixel_rays
+from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types.errors import FormatError
+
+CAMERA = Camera(200, 100, 100.0, 100.0, 99.5, 49.5)
+# Axes of boxes that stand, in the camera frame: length to the right, forward, to the left, towards the camera.
+RIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+TURNS = [Rotation.from_euler("y", angle).as_matrix() @ RIGHT for angle in (0.0, -math.pi / 2, -math.pi, math.pi / 2)]
+
+
+def frame(key: str = "a", T: RigidTransform | None = None, wall_m: float = 20.0, **more: object) -> Frame:
+    plane = pixel_rays(CAMERA).reshape(-1, 2)
+    xyz = np.column_stack([plane, np.ones(len(plane))]).astype(np.float32) * np.float32(wall_m)
+    cloud = PointCloud(xyz, reflectance=np.full(len(xyz), 0.25, np.float32))
+    return Frame(key, 0, CAMERA, np.zeros((100, 200, 3), np.uint8), cloud, T_camera_label=T, **more)  # type: ignore[arg-type]
+
+
+def label(box: OrientedBox, name: str = "car", **more: object) -> Label:
+    given: dict[str, object] = {"score": None, "source": Source.MANUAL, "state": ReviewState.ACCEPTED, **more}
+    return Label("u", name, box, author="me", time_ns=0, **given)  # type: ignore[arg-type]
+
+
+def box(x: float, z: float, R: np.ndarray = RIGHT, size: Sequence[float] = (1.0, 1.0, 1.0)) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x, 0.0, z]), R, np.array(size))
+
+
+# The near face of a cube of 1 m at 5 m reaches 10 px to all sides. Beside it: the left edge is that of the far face,
+# 99.5 + 100 * 4.48 / 6; the right one would be at 99.5 + 100 * 5.48 / 5 = 209.1, of 34.9 px 10.1 are outside.
+GOLDEN = [
+    (box(0.0, 5.5), "car 0.00 0 0.00 89.50 39.50 109.50 59.50 1.00 1.00 1.00 0.00 0.50 5.50 0.00"),
+    (box(4.98, 5.5), "car 0.29 0 -0.74 174.17 39.50 199.00 59.50 1.00 1.00 1.00 4.98 0.50 5.50 0.00"),
+]
+
+
+@pytest.mark.parametrize(("given", "row"), GOLDEN)
+def test_rows_by_hand(given: OrientedBox, row: str) -> None:
+    here = frame()
+    made = dump_label_line(kitti_row("car", given, None, here, Sight(here.cloud.xyz_m)))
+    assert made == row
+
+
+@pytest.mark.parametrize(("R", "rotation_y"), list(zip(TURNS, ("0.00", "-1.57", "3.14", "1.57"), strict=True)))
+def test_headings_and_the_order_of_sizes(R: np.ndarray, rotation_y: str) -> None:
+    fields = dump_label_line(kitti_row("car", box(0.0, 9.0, R, (4.0, 2.0, 1.5)), None, frame())).split()
+    assert fields[8:11] == ["1.50", "2.00", "4.00"]
+    assert fields[14].removeprefix("-" if rotation_y == "3.14" else "+") == rotation_y
+
+
+@pytest.mark.parametrize(("wall_m", "occluded"), [(20.0, 0), (3.0, 2)])
+def test_occlusion_is_measured(wall_m: float, occluded: int) -> None:
+    here = frame(wall_m=wall_m)
+    assert kitti_row("car", box(0.0, 6.0), None, here, Sight(here.cloud.xyz_m)).occluded == occluded
+    assert kitti_row("car", box(0.0, 6.0), None, here, Sight(here.cloud.xyz_m[:0])).occluded == 3
+
+
+BARE = Frame("a", 0, CAMERA, np.zeros((100, 200, 3), np.uint8), PointCloud(np.zeros((1, 3), np.float32)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.tuples(*[st.floats(-60, 60)] * 2, st.floats(0.5, 90)),
+    st.tuples(*[st.floats(0.02, 20)] * 3),
+    st.floats(-math.pi, math.pi),
+    st.tuples(*[st.floats(-1, 1)] * 3),
+)
+def test_rows_read_back_and_do_not_drift(
+    center: tuple[float, ...], size: tuple[float, ...], angle: float, shift: tuple[float, ...]
+) -> None:
+    """The first row is the box within half of its last digits, and each later one is the first."""
+    R = Rotation.from_euler("y", angle).as_matrix() @ RIGHT
+    here = replace(BARE, T_camera_label=RigidTransform.from_translation(shift))
+    given = OrientedBox.from_parts(np.array(center), R, np.array(size))
+    now, first = rounded_box(given), ""
+    np.testing.assert_allclose(now.center_m, given.center_m, atol=0.0101)
+    np.testing.assert_allclose(now.size_m, given.size_m, atol=0.00501)
+    turned = Rotation.from_matrix(now.rotation.T @ given.rotation)
+    assert turned.magnitude() <= 0.00501
+    for _ in range(2):
+        row = upright_row("car", rounded_box(now), None, here)
+        text = dump_label_line(row)
+        assert first in ("", text)
+        first = text
+        read = parse_label_line(text)
+        assert dump_label_line(read) == text
+        now = label_box(read)
+
+
+@settings(deadline=None)
+@given(st.builds(KittiLabel, st.just("Van"), *[st.floats(-99, 999)], st.integers(-1, 3), *[st.floats(-99, 999)] * 12))
+def test_any_row_reads_back_within_its_decimals(row: KittiLabel) -> None:
+    read = parse_label_line(dump_label_line(row))
+    for name, value in vars(row).items():
+        expected = pytest.approx(value, abs=0.00501) if isinstance(value, float) else value
+        assert getattr(read, name) == expected
+
+
+def test_a_tilted_camera_and_what_else_a_folder_does_not_hold(tmp_path: Path) -> None:
+    leaning = OrientedBox.from_parts(
+        np.array([0.0, 0, 6]), Rotation.from_euler("z", 10, degrees=True).as_matrix() @ RIGHT, np.array([2.0, 1, 1])
+    )
+    labels = [
+        label(leaning, "traffic light", score=0.5, track_id=3),
+        label(box(0.0, 6.0), "DontCare", state=ReviewState.EDITED),
+        label(box(0.0, -6.0)),
+        label(box(90.0, 6.0)),
+    ]
+    lens = Camera(200, 100, 100.0, 100.0, 99.5, 49.5, (0.01, 0.0, 0.0, 0.0))
+    here = frame("7", up=np.array([0.0, -0.8, -0.6]), timestamp_ns=1)
+    here = replace(here, camera=lens)
+    losses, classes = Losses(), ("traffic light", "car", "DontCare")
+    places = [("room", "7"), ("room", "8")]
+    items = [DatasetItem("room", here, labels, "val"), DatasetItem("room", frame("8"), [], "test")]
+    counts = write_kitti(tmp_path / "out", items, six_digit_ids(places), classes, losses)
+    assert counts == {"traffic light": 1, "DontCare": 1}
+    lost = {loss.kind: loss.count for loss in losses.report()}
+    once = (Lost.TILT, Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.TIME, Lost.GRAVITY)
+    assert lost == {**dict.fromkeys(once, 1), Lost.OUTSIDE: 2, Lost.NAME: 2}
+    sets = {file.stem: file.read_text() for file in (tmp_path / "out" / "ImageSets").iterdir()}
+    assert sets == {"val": "000000\n", "test": "000001\n", "trainval": "000000\n"}
+    assert (tmp_path / "out" / "training" / "label_2" / "000001.txt").read_text() == ""
+    assert (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:] == ["000000,room,7,val", "000001,room,8,test"]
+    for path in (tmp_path / "out", tmp_path / "out" / "training" / "label_2"):
+        found = read_kitti_labels(path)
+        assert {name: [t.label for t in truths] for name, truths in found.items()} == {
+            "room/7": ["traffic light", "DontCare"],
+            "room/8": [],
+        }
+
+
+def test_the_calibration_by_hand() -> None:
+    text = calibration_text(CAMERA, RigidTransform.from_translation([0.5, 0.0, 0.01]))
+    rows = {
+        name: [float(x) for x in values.split()] for name, _, values in (t.partition(":") for t in text.splitlines())
+    }
+    assert list(rows) == ["P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"]
+    assert rows["P2"] == pytest.approx([100, 0, 99.5, 50.995, 0, 100, 49.5, 0.495, 0, 0, 1, 0.01])
+    # a point 5 m ahead, 1 m to the left and 2 m up is at x = -1, y = -2, z = 5
+    Tr = np.array(rows["Tr_velo_to_cam"]).reshape(3, 4)
+    np.testing.assert_array_equal(Tr @ [5, 1, 2, 1], [-1, -2, 5])
+
+
+def test_only_an_older_export_is_replaced(tmp_path: Path) -> None:
+    out, losses = tmp_path / "out", Losses()
+
+    def write(keys: Sequence[str], overwrite: bool) -> None:
+        ids = six_digit_ids([("room", key) for key in keys])
+        items = [DatasetItem("room", frame(key), [label(box(0.0, 5.5))]) for key in keys]
+        write_kitti(out, items, ids, ("car",), losses, overwrite=overwrite)
+
+    (out / "training" / "label_2").mkdir(parents=True)
+    (out / "frames.csv").write_text("id,raw_drive\n000000,2011\n")
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        write(["000004"], True)
+    (out / "frames.csv").write_text("id,recording,key,split\n")
+    write(["000004"], True)
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        write(["000004"], False)
+    write(["000004", "000009"], True)
+    # six digits are kept
+    assert (out / "ImageSets" / "train.txt").read_text() == "000004\n000009\n"
+    with pytest.raises(FormatError, match="no frame to export"):
+        write_kitti(tmp_path / "none", [], {}, ("car",), losses)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+ROW = "Car 0.00 0 0.10 10.00 20.00 30.00 40.00 1.50 1.60 4.00 1.00 1.60 20.00 0.20\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (ROW + "Car 0 0\n", r"000001\.txt:2: a label row has 15 fields"),
+        (ROW.replace("4.00 1.00", "-4 1.00"), r"000001\.txt:1: height width length must be positive"),
+        (ROW.replace("20.00 0.20", "nan 0.20"), r"000001\.txt:1: 'nan' is not a finite number"),
+    ],
+)
+def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, problem: str) -> None:
+    folder = tmp_path / "label_2"
+    folder.mkdir()
+    (folder / "000000.txt").write_text(ROW)
+    (folder / "000001.txt").write_text(text)
+    with pytest.raises(FormatError, match=problem):
+        read_kitti_labels(tmp_path)
+    (folder / "000001.txt").write_text("")
+    (tmp_path / "frames.csv").write_text("id,raw_drive\n000000,2011\n")  # KITTI subsets have such a file, too
+    assert {name: len(truths) for name, truths in read_kitti_labels(folder).items()} == {"000000": 1, "000001": 0}
+    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n")
+    with pytest.raises(FormatError, match="does not list the frame 000001"):
+        read_kitti_labels(folder)
+    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,7,\n")
+    with pytest.raises(FormatError, match="the ids 000000 and 000001 both name room/7"):
+        read_kitti_labels(folder)
+    (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,8,\n")
+    (tmp_path / "classes.txt").write_text("traffic_light\n")
+    with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be a word"):
+        read_kitti_labels(folder)
+
+
+def test_areas_nobody_labelled_stay_as_they_are() -> None:
+    text = "DontCare -1 -1 -10 753.33 164.32 798.00 186.74 -1 -1 -1 -1000 -1000 -1000 -10"
+    assert dump_label_line(parse_label_line(text)) == text
+
+
+def test_a_tracking_file(tmp_path: Path) -> None:
+    file = tmp_path / "label_02.txt"
+    file.write_text(
+        f"0 5 {ROW}0 -1 DontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10\n3 5 {ROW}4 -1 DontCare" + " -1" * 14
+    )
+    for path in (tmp_path, file):
+        found = read_kitti_labels(path)
+        assert {name: [t.track_id for t in truths] for name, truths in found.items()} == {
+            "000000": [5],
+            "000003": [5],
+            "000004": [],
+        }

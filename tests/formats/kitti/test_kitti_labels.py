@@ -1,0 +1,141 @@
+"""KITTI label rows against numbers computed by the devkit's conventions, and rows that are wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.kitti.label_files import (
+    heading_rotation,
+    label_box,
+    parse_label_line,
+    read_object_labels,
+    read_tracking_labels,
+)
+from annotator.geometry.oriented_box import box_corners
+from annotator.types.errors import FormatError
+
+CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
+DONT_CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
+
+
+def as_point_set(points: np.ndarray) -> np.ndarray:
+    return points[np.lexsort(np.round(points, 4).T)]
+
+
+def test_a_row_gives_every_field_its_place():
+    row = parse_label_line(CAR)
+    assert (row.label, row.truncated, row.occluded, row.alpha) == ("Car", 0.25, 2, -1.55)
+    assert row.image_box.xyxy == (548.00, 171.33, 572.40, 194.42)
+    assert (row.height, row.width, row.length) == (1.48, 1.56, 3.62)
+    assert (row.x, row.y, row.z, row.rotation_y, row.score) == (-2.72, 0.82, 48.22, -1.62, None)
+
+
+def test_a_result_row_has_a_score():
+    assert parse_label_line(CAR + " 0.75").image_box.score == 0.75
+
+
+@pytest.mark.shared
+def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path):
+    labels = json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]
+    assert len(labels) == 15
+    for i, golden in enumerate(labels):
+        P2 = np.array(golden["P2"]).reshape(3, 4)
+        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+        path = tmp_path / f"{i:06}.txt"
+        path.write_text(golden["label"] + "\n")
+        (truth,) = read_object_labels(path, RigidTransform.from_translation(shift))
+        expected = np.array(golden["expected"]["corners_rect"])
+        got = box_corners(truth.box) - shift
+        np.testing.assert_allclose(as_point_set(got), as_point_set(expected), atol=1e-6)
+        # the devkit's first four are the bottom, and 0 and 1 are in front
+        bottom, front = expected[:4].mean(axis=0), expected[[0, 1, 4, 5]].mean(axis=0)
+        center = truth.box.center_m - shift
+        np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
+        np.testing.assert_allclose(center + truth.box.rotation[:, 0] * truth.box.size_m[0] / 2, front, atol=1e-6)
+
+
+@pytest.mark.shared
+def test_the_projected_corners_are_the_goldens(shared: Path):
+    for golden in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
+        if golden["expected"].get("corner_behind_camera"):
+            continue
+        P2 = np.array(golden["P2"]).reshape(3, 4)
+        box = label_box(parse_label_line(golden["label"]))
+        uvw = np.c_[box_corners(box), np.ones(8)] @ P2.T
+        uv = uvw[:, :2] / uvw[:, 2:]
+        np.testing.assert_allclose(as_point_set(uv), as_point_set(np.array(golden["expected"]["corner_uv"])), atol=1e-4)
+
+
+@settings(deadline=None)
+@given(st.floats(-np.pi, np.pi))
+def test_headings_turn_about_the_vertical(rotation_y: float):
+    R = heading_rotation(rotation_y)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1)
+    np.testing.assert_array_equal(R[:, 2], [0, -1, 0])
+    assert np.arctan2(-R[2, 0], R[0, 0]) == pytest.approx(rotation_y, abs=1e-12)
+
+
+def test_dont_care_rows_and_blank_lines_are_left_out(tmp_path: Path):
+    path = tmp_path / "a.txt"
+    path.write_text(f"{DONT_CARE}\n\n{CAR}\n")
+    assert [truth.label for truth in read_object_labels(path, None)] == ["Car"]
+    path.write_text("")
+    assert read_object_labels(path, None) == []
+
+
+def test_tracking_rows_keep_frame_and_track(tmp_path: Path):
+    path = tmp_path / "label_02.txt"
+    path.write_text(f"0 -1 {DONT_CARE}\n0 7 {CAR}\n3 7 {CAR}\n3 8 {CAR}\n")
+    frames = read_tracking_labels(path, None)
+    assert {frame: [truth.track_id for truth in truths] for frame, truths in frames.items()} == {0: [7], 3: [7, 8]}
+
+
+@pytest.mark.shared
+def test_real_label_files_have_the_objects_their_readme_counts(shared: Path):
+    folder = shared / "data" / "kitti" / "training" / "label_2"
+    labels = [truth.label for path in sorted(folder.glob("*.txt")) for truth in read_object_labels(path, None)]
+    assert {name: labels.count(name) for name in set(labels)} == {"Car": 44, "Pedestrian": 17, "Cyclist": 10, "Van": 2}
+    tracked = read_tracking_labels(shared / "data" / "kitti_drive_0005" / "label_02.txt", None)
+    labels = [truth.label for truths in tracked.values() for truth in truths]
+    assert {name: labels.count(name) for name in set(labels)} == {"Van": 35, "Cyclist": 20, "Pedestrian": 6}
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        pytest.param("Car 0 0 1.5", "has 15 fields", id="too-few-fields"),
+        pytest.param(CAR + " 0.5 0.5", "has 15 fields", id="too-many-fields"),
+        pytest.param(CAR.replace("48.22", "far"), "'far' is not a number", id="no-number"),
+        pytest.param(CAR.replace("48.22", "nan"), "'nan' is not a finite number", id="nan"),
+        pytest.param(CAR.replace(" 2 ", " 1.5 "), "'1.5' is not a whole number", id="occluded-fraction"),
+        pytest.param(CAR.replace("1.56", "0"), "must be positive", id="no-width"),
+    ],
+)
+def test_a_bad_row_is_named_by_file_and_line(tmp_path: Path, row: str, complaint: str):
+    path = tmp_path / "000001.txt"
+    path.write_text(f"{CAR}\n{row}\n")
+    with pytest.raises(FormatError, match=complaint) as caught:
+        read_object_labels(path, None)
+    assert str(caught.value).startswith(f"{path}:2: ")
+
+
+@pytest.mark.parametrize("row", [CAR, f"0 {CAR}", f"0.5 1 {CAR}", f"x 1 {CAR}", f"0 {10**30} {CAR}", f"-1e16 0 {CAR}"])
+def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
+    path = tmp_path / "label_02.txt"
+    path.write_text(f"0 1 {CAR}\n{row}\n")
+    with pytest.raises(FormatError) as caught:
+        read_tracking_labels(path, None)
+    assert str(caught.value).startswith(f"{path}:2: ")
+
+
+def test_a_missing_label_file_is_no_empty_list(tmp_path: Path):
+    with pytest.raises(FormatError, match=r"000009\.txt"):
+        read_object_labels(tmp_path / "000009.txt", None)

@@ -1,0 +1,345 @@
+"""Files of points: what others write is read, and no header makes us believe in points that are not there."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import resource
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.recordings.clouds import numpy_file
+from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, PARSERS, read_cloud
+from annotator.recordings.clouds.lzf import lzf_decompress
+from annotator.types.errors import FrameError
+
+XYZ = np.random.default_rng(0).normal(0, 20, (500, 3)).astype(np.float32)
+RGB = np.random.default_rng(1).integers(0, 256, (500, 3)).astype(np.uint8)
+SHARE = np.random.default_rng(2).random(500).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("a.ply", {"write_ascii": True}),
+        ("a.ply", {}),
+        ("a.pcd", {"write_ascii": True}),
+        ("a.pcd", {}),
+        ("a.pcd", {"compressed": True}),
+    ],
+)
+@pytest.mark.parametrize("has_colors", [True, False])
+def test_what_open3d_writes(tmp_path: Path, name: str, options: dict[str, bool], has_colors: bool):
+    import open3d as o3d
+
+    # a surface, so that the compression finds something to repeat
+    xyz = np.round(XYZ, 1).astype(np.float64)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz))
+    if has_colors:
+        cloud.colors = o3d.utility.Vector3dVector(RGB / 255.0)
+    path = tmp_path / name
+    assert o3d.io.write_point_cloud(str(path), cloud, **options)
+    read = read_cloud(path)
+    np.testing.assert_allclose(read.xyz_m, xyz, atol=1e-5)
+    if has_colors:
+        np.testing.assert_array_equal(read.rgb, RGB)
+    else:
+        assert read.rgb is None
+    assert read.reflectance is None
+
+
+def ply(order: str, extra: str = "", before: bytes = b"") -> bytes:
+    mark = {"binary_big_endian": ">", "binary_little_endian": "<"}[order]
+    rows = np.zeros(len(XYZ), [("x", mark + "f8"), ("y", mark + "f8"), ("z", mark + "f8"), ("i", mark + "u2")])
+    rows["x"], rows["y"], rows["z"], rows["i"] = *XYZ.T, np.rint(SHARE * 65535)
+    head = f"ply\nformat {order} 1.0\ncomment made by Åsa\n{extra}element vertex {len(XYZ)}\nproperty double x\n"
+    head += "property double y\nproperty double z\nproperty ushort Intensity\nelement face 1\n"
+    head += "property list uchar int vertex_indices\nend_header\n"
+    return head.encode() + before + rows.tobytes() + b"\x03" + bytes(12)
+
+
+@pytest.mark.parametrize("order", ["binary_big_endian", "binary_little_endian"])
+def test_ply_of_either_byte_order_with_other_elements(tmp_path: Path, order: str):
+    path = tmp_path / "a.PLY"
+    path.write_bytes(ply(order, "element sensor 2\nproperty int8 id\nproperty float32 time\n", bytes(10)))
+    read = read_cloud(path)
+    np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
+    np.testing.assert_allclose(read.reflectance, SHARE, atol=1e-5)
+
+
+def test_text_ply_with_bytes_and_an_element_before(tmp_path: Path):
+    path = tmp_path / "a.ply"
+    path.write_text(
+        "ply\r\nformat ascii 1.0\r\nelement other 1\r\nproperty int a\r\nelement vertex 2\r\nproperty float x\r\n"
+        "property float y\r\nproperty float z\r\nproperty uchar red\r\nproperty uchar green\r\nproperty uchar blue\r\n"
+        "end_header\r\n7\r\n1 2 3 0 1 1\r\nnan 5 6 1 0 0\r\n",
+        newline="",
+    )
+    read = read_cloud(path)
+    np.testing.assert_array_equal(read.xyz_m, [[1, 2, 3]])
+    np.testing.assert_array_equal(read.rgb, [[0, 1, 1]])
+
+
+def pcd(data: str, body: bytes, points: int = len(XYZ), fields: str = "") -> bytes:
+    names = fields or "FIELDS x y z _ intensity _\nSIZE 4 4 4 1 1 2\nTYPE F F F U U I\nCOUNT 1 1 1 3 1 2\n"
+    return (
+        f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n{names}WIDTH {points}\nHEIGHT 1\n"
+        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n"
+    ).encode() + body
+
+
+def pcd_rows() -> np.ndarray:
+    rows = np.zeros(len(XYZ), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "u1", 3), ("i", "u1"), ("__", "<i2", 2)])
+    rows["x"], rows["y"], rows["z"], rows["i"] = *XYZ.T, np.rint(SHARE * 255)
+    return rows
+
+
+def literal(data: bytes) -> bytes:
+    """LZF that compresses nothing."""
+    return b"".join(bytes([len(part) - 1]) + part for part in (data[at : at + 32] for at in range(0, len(data), 32)))
+
+
+def compressed(data: bytes, promised: int | None = None) -> bytes:
+    packed = literal(data)
+    return struct.pack("<II", len(packed), len(data) if promised is None else promised) + packed
+
+
+@pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
+def test_pcd_with_padding_and_intensity(tmp_path: Path, data: str):
+    rows = pcd_rows()
+    lines = (f"{r['x']:.9g} {r['y']:.9g} {r['z']:.9g} 0 0 0 {r['i']} 0 0" for r in rows)
+    columns = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names)
+    body = {
+        "ascii": "\n".join(lines).encode(),
+        "binary": rows.tobytes(),
+        "binary_compressed": compressed(columns),
+    }[data]
+    path = tmp_path / "a.pcd"
+    path.write_bytes(pcd(data, body))
+    read = read_cloud(path)
+    np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
+    np.testing.assert_allclose(read.reflectance, SHARE, atol=0.003)
+    assert read.rgb is None
+
+
+def test_pcd_colours_in_an_integer(tmp_path: Path):
+    packed = RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+    rows = np.zeros(len(XYZ), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")])
+    rows["x"], rows["y"], rows["z"], rows["rgba"] = *XYZ.T, packed | 0xFF000000
+    path = tmp_path / "a.pcd"
+    path.write_bytes(pcd("binary", rows.tobytes(), fields="FIELDS x y z rgba\nSIZE 4 4 4 4\nTYPE F F F U\n"))
+    np.testing.assert_array_equal(read_cloud(path).rgb, RGB)
+
+
+def saved(**arrays: np.ndarray) -> Callable[[Path], object]:
+    return lambda path: np.savez_compressed(path, **arrays)
+
+
+ARRAYS = [
+    pytest.param("a.npy", lambda p: np.save(p, XYZ), None, None, id="xyz"),
+    pytest.param("a.npy", lambda p: np.save(p, np.asfortranarray(np.c_[XYZ, SHARE])), None, SHARE, id="reflectance"),
+    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB / 255]), RGB, None, id="shares"),
+    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB]), RGB, None, id="numbers"),
+    pytest.param("a.npz", saved(points=XYZ, colors=RGB), RGB, None, id="npz"),
+    pytest.param("a.npz", saved(arr_0=np.c_[XYZ, SHARE], other=SHARE), None, SHARE, id="npz-unnamed"),
+    pytest.param(
+        "a.npy",
+        lambda p: np.save(p, np.rec.fromarrays([*XYZ.T, SHARE], names=["X", "Y", "Z", "intensity"]).view(np.ndarray)),
+        None,
+        SHARE,
+        id="fields",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "save", "rgb", "reflectance"), ARRAYS)
+def test_arrays(
+    tmp_path: Path, name: str, save: Callable[[Path], object], rgb: np.ndarray | None, reflectance: np.ndarray | None
+):
+    save(tmp_path / name)
+    read = read_cloud(tmp_path / name)
+    np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
+    for found, expected in ((read.rgb, rgb), (read.reflectance, reflectance)):
+        if expected is None:
+            assert found is None
+        else:
+            np.testing.assert_array_equal(found, expected)
+
+
+HUGE = 10**17
+
+
+def npy_header(shape: tuple[int, ...], descr: object = "<f4") -> bytes:
+    out = io.BytesIO()
+    np.lib.format.write_array_header_1_0(out, {"descr": descr, "fortran_order": False, "shape": shape})
+    return out.getvalue()
+
+
+XYZ_FIELDS = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
+LIES = [
+    (
+        "a.ply",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float x\nend_header\n" % HUGE,
+        "declares",
+    ),
+    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nend_header\n1\n" % HUGE, "declares"),
+    (
+        "a.ply",
+        b"ply\nformat ascii 1.0\nelement o %d\nelement vertex 1\nproperty int x\nend_header\n1\n" % HUGE,
+        "ends before",
+    ),
+    (
+        "a.ply",
+        b"ply\nformat ascii 1.0\nelement vertex -5\nproperty float x\nend_header\n1\n",
+        "line 3 of the PLY header",
+    ),
+    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "has lists"),
+    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no y z"),
+    ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "no vertices"),
+    ("a.ply", b"ply\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no format line"),
+    ("a.ply", b"ply\nformat ascii 1.0\n" + b"comment x\n" * 10_000, "its header is truncated"),
+    ("a.ply", ply("binary_big_endian")[:3000], "declares 500 points"),
+    (
+        "a.ply",
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float x\nend_header\n1 1\n",
+        "has no y z",
+    ),
+    ("a.pcd", pcd("binary", bytes(120), HUGE, XYZ_FIELDS), "declares"),
+    ("a.pcd", pcd("ascii", b"1 2 3\n", HUGE, XYZ_FIELDS), "declares"),
+    ("a.pcd", pcd("ascii", b"1 2 3\n4 5\n7.000 8 9\n", 3, XYZ_FIELDS), "line 12 has 2 values instead of 3"),
+    ("a.pcd", pcd("ascii", b"1 2 three\n", 1, XYZ_FIELDS), "not a number"),
+    (
+        "a.pcd",
+        pcd("ascii", b"1 2 3\n" * 20_000 + b"1" * 2_000_000 + b" 2 3\n", 20_001, XYZ_FIELDS),
+        "line 20011 has a value of more than 400 characters",
+    ),
+    ("a.pcd", pcd("ascii", b"nan nan nan\n", 1, XYZ_FIELDS), "every point is NaN"),
+    ("a.pcd", pcd("ascii", b"", 0, XYZ_FIELDS), "has no points"),
+    ("a.pcd", pcd("binary_compressed", compressed(bytes(120), HUGE % 2**32), HUGE, XYZ_FIELDS), "declares"),
+    ("a.pcd", pcd("binary_compressed", compressed(bytes(120), 2**32 - 8), 2**28, XYZ_FIELDS), "declares"),
+    ("a.pcd", pcd("binary_compressed", compressed(bytes(120))[:50], 10, XYZ_FIELDS), "compressed bytes but has"),
+    ("a.pcd", pcd("binary_compressed", struct.pack("<II", 3, 120) + b"\xe0\xff\x10", 10, XYZ_FIELDS), "before the beg"),
+    ("a.pcd", pcd("binary_compressed", struct.pack("<II", 2, 120) + b"\xe0\xff", 10, XYZ_FIELDS), "truncated"),
+    ("a.pcd", pcd("binary_compressed", b"", 10, XYZ_FIELDS), "ends before its points"),
+    ("a.pcd", pcd("gzip", b"", 10, XYZ_FIELDS), "encoding 'gzip' is unknown"),
+    ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 999999\n"), "field z"),
+    ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 3 4\nTYPE F F F\n"), "field y"),
+    ("a.pcd", pcd("binary", bytes(12), 1, "FIELDS x y z\nSIZE 4 4\nTYPE F F F\n"), "different lengths"),
+    ("a.pcd", b"VERSION 0.7\nFIELDS x\nPOINTS\n", "header is truncated"),
+    ("a.pcd", b"VERSION 0.7\nFIELDS x\nSIZE 4\nTYPE F\nPOINTS\nDATA binary\n", "has no POINTS"),
+    ("a.pcd", b"GIF89a\n", "its header has a line 'GIF89a'"),
+    ("a.npy", npy_header((HUGE, 3)) + bytes(36), "declares"),
+    ("a.npy", npy_header((3, 3)) + bytes(35), "is truncated"),
+    ("a.npy", npy_header((3, 5)) + bytes(60), r"shape \(3, 5\)"),
+    ("a.npy", npy_header((3,), "|O") + bytes(60), "not numbers"),
+    *(("a.npy", npy_header(shape), "impossible shape") for shape in ((0, 2**63), (2**62, 4, 0), (0,) * 70)),
+    ("a.npy", b"\x93NUMPY\x01\x00\xff\xff{", "header of its array is damaged"),
+    ("a.npy", b"\x93NUMPY\x09\x00\x01\x00{", "header of its array is damaged"),
+    ("a.npz", b"PK\x03\x04 no archive", "archive is damaged"),
+    ("a.bin", bytes(17), "truncated"),
+    *((f"a{suffix}", b"", "the file is empty") for suffix in CLOUD_SUFFIXES),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "complaint"), LIES)
+def test_a_lie_is_told_before_anything_is_made_for_it(tmp_path: Path, name: str, content: bytes, complaint: str):
+    path = tmp_path / name
+    path.write_bytes(content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(FrameError, match=complaint) as caught:
+        read_cloud(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "; " in str(caught.value)
+    grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert sys.platform != "linux" or grown_kb < 100_000
+
+
+def test_an_archive_does_not_swell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    np.savez_compressed(tmp_path / "a.npz", points=np.zeros((100_000, 3)))
+    assert (tmp_path / "a.npz").stat().st_size < 10_000
+    assert len(read_cloud(tmp_path / "a.npz").xyz_m) == 100_000
+    monkeypatch.setattr(numpy_file, "MOST_BYTES", 1_000_000)
+    with pytest.raises(FrameError, match=r"its array points\.npy has 2400128 bytes; at most 1000000 are read"):
+        read_cloud(tmp_path / "a.npz")
+
+
+def test_an_archive_without_points_names_what_it_has(tmp_path: Path):
+    np.savez(tmp_path / "a.npz", weights=XYZ)
+    with pytest.raises(FrameError, match=r"has no array points or .* \(it has weights\)"):
+        read_cloud(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", points=XYZ, colors=RGB[:-1])
+    with pytest.raises(FrameError, match="for 500 points"):
+        read_cloud(tmp_path / "a.npz")
+
+
+WHOLE = {
+    ".ply": [ply("binary_big_endian"), b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
+             b"property uchar z\nend_header\n1 2 3\n4 5 6\n"],
+    ".pcd": [pcd("binary", pcd_rows().tobytes()), pcd("ascii", b"1 2 3\n4 5 6\n", 2, XYZ_FIELDS),
+             pcd("binary_compressed", compressed(bytes(120)), 10, XYZ_FIELDS)],
+    ".npy": [npy_header((10, 3)) + bytes(120)],
+    ".npz": [],
+}  # fmt: skip
+
+
+@given(st.data())
+@settings(max_examples=300, deadline=None)
+def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
+    suffix = data.draw(st.sampled_from(sorted(WHOLE)))
+    whole = WHOLE[suffix]
+    if suffix == ".npz":
+        out = io.BytesIO()
+        np.savez_compressed(out, points=XYZ[:20], colors=RGB[:20])
+        whole = [out.getvalue()]
+    content = bytearray(data.draw(st.sampled_from(whole)))
+    for _ in range(data.draw(st.integers(1, 4))):
+        # headers first: there is more to break
+        at = data.draw(st.one_of(st.integers(0, min(250, len(content) - 1)), st.integers(0, len(content) - 1)))
+        noise = data.draw(st.one_of(st.binary(max_size=4), st.sampled_from([b"9" * 12, b"-1", b"\n", b" ", b"nan"])))
+        content[at : at + data.draw(st.integers(0, 4))] = noise
+        if not content:
+            return
+    try:
+        cloud = PARSERS[suffix](Path(f"a{suffix}"), bytes(content))
+    except FrameError as error:
+        assert str(error).startswith(f"a{suffix}: ")
+    else:
+        assert np.isfinite(cloud.xyz_m).all()
+        assert len(cloud.xyz_m) > 0
+
+
+@settings(deadline=None)
+@given(st.lists(st.one_of(st.binary(min_size=1, max_size=32), st.tuples(st.integers(1, 400), st.integers(3, 264)))))
+def test_lzf_gives_what_was_meant(steps: list[bytes | tuple[int, int]]):
+    plain, packed = bytearray(), bytearray()
+    for step in steps:
+        if isinstance(step, bytes):
+            plain += step
+            packed += bytes([len(step) - 1]) + step
+        elif step[0] <= len(plain):
+            distance, length = step
+            for _ in range(length):
+                plain.append(plain[-distance])
+            high, low = divmod(distance - 1, 256)
+            short = length - 2
+            packed += bytes([short << 5 | high, low] if short < 7 else [7 << 5 | high, short - 7, low])
+    assert lzf_decompress(bytes(packed), len(plain)) == bytes(plain)
+
+
+@given(st.binary(max_size=60), st.integers(0, 200))
+def test_lzf_of_any_bytes_stays_within_its_size(data: bytes, size: int):
+    with contextlib.suppress(ValueError):
+        assert len(lzf_decompress(data, size)) == size
+
+
+def test_a_signalling_nan_is_a_point_that_is_not_there(tmp_path: Path):
+    rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes()
+    (tmp_path / "a.pcd").write_bytes(pcd("binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2, XYZ_FIELDS))
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz_m, [[4, 5, 6]])

@@ -1,0 +1,172 @@
+"""Folders of point clouds: with and without images and calibrations, and the picture drawn where there is none."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cloud_samples import SCAN, camera_file, image, put_image
+from kitti_samples import HEIGHT, OBJECT_CALIB, WIDTH, by_formula
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.recordings.clouds.columns import from_columns
+from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.types import Camera, PointCloud
+from annotator.types.errors import FrameError, RecordingError
+
+LIDAR_TO_CAMERA = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
+
+
+@pytest.mark.parametrize("place", ["", "points", "velodyne"])
+def test_clouds_alone_are_a_lidar_s_seen_from_its_place(tmp_path: Path, place: str):
+    folder = tmp_path / place
+    folder.mkdir(exist_ok=True)
+    for key in ("10", "2"):
+        np.save(folder / f"{key}.npy", SCAN)
+    recording = open_recording(tmp_path)
+    assert (recording.format, recording.keys, recording.root) == ("cloud_folder", ("2", "10"), tmp_path)
+    frame = recording.frame(1)
+    # all points stay, those behind, too: x forward, y left, z up
+    np.testing.assert_allclose(frame.cloud.xyz_m, np.stack([-SCAN[:, 1], -SCAN[:, 2], SCAN[:, 0]], axis=1), atol=1e-6)
+    np.testing.assert_array_equal(frame.cloud.reflectance, SCAN[:, 3])
+    np.testing.assert_allclose(frame.T_camera_label.apply(SCAN[:, :3].astype(float)), frame.cloud.xyz_m, atol=1e-5)
+    np.testing.assert_array_equal(frame.up, [0, -1, 0])
+    assert frame.cloud.rgb is None
+    # where points are the picture shows something, and nearly nothing elsewhere
+    ahead = frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > 5]
+    u, v = np.rint(project(frame.camera, ahead)).astype(int).T
+    inside = (u >= 0) & (u < 1280) & (v >= 0) & (v < 720)
+    assert inside.sum() > 200
+    assert frame.rgb[v[inside], u[inside]].any(axis=1).all()
+    assert 0.001 < frame.rgb.any(axis=2).mean() < 0.3
+
+
+@pytest.mark.parametrize("calib", ["calib/7.txt", "calib.txt"])
+@pytest.mark.parametrize("images", ["image", "images", "rgb", "points"])
+def test_an_image_with_kitti_s_calibration_is_a_kitti_frame(tmp_path: Path, calib: str, images: str):
+    (tmp_path / "points").mkdir()
+    (tmp_path / "points" / "7.bin").write_bytes(SCAN.tobytes())
+    put_image(tmp_path / images / "7.png", 3)
+    (tmp_path / calib).parent.mkdir(exist_ok=True)
+    (tmp_path / calib).write_text(OBJECT_CALIB)
+    frame = open_recording(tmp_path).frame(0)
+    px, inside = by_formula(SCAN)
+    np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), px[inside], atol=2e-3)
+    u, v = np.rint(px[inside]).astype(int).T
+    np.testing.assert_array_equal(frame.cloud.rgb, image(3)[v, u])
+    np.testing.assert_array_equal(frame.cloud.reflectance, SCAN[inside, 3])
+    np.testing.assert_allclose(frame.T_camera_label.apply(SCAN[inside, :3].astype(float)), frame.cloud.xyz_m, atol=0.02)
+
+
+def test_a_calibration_without_images_is_the_camera_of_the_picture(tmp_path: Path):
+    np.save(tmp_path / "7.npy", SCAN[:, :3])
+    (tmp_path / "calib.txt").write_text(OBJECT_CALIB)
+    frame = open_recording(tmp_path).frame(0)
+    assert (frame.camera.width_px, frame.camera.height_px, len(frame.cloud)) == (123, 35, len(SCAN))
+    (tmp_path / "calib.txt").unlink()
+    (tmp_path / "camera_intrinsic.json").write_text(camera_file(cloud_to_camera=LIDAR_TO_CAMERA))
+    (tmp_path / "gravity.json").write_text('{"up": [0, -2, 0]}')
+    frame = open_recording(tmp_path).frame(0)
+    assert (frame.camera.width_px, frame.camera.fx) == (WIDTH, 70)
+    np.testing.assert_allclose(
+        frame.cloud.xyz_m, np.stack([0.1 - SCAN[:, 1], 0.2 - SCAN[:, 2], SCAN[:, 0] - 0.3], axis=1), atol=1e-5
+    )
+    np.testing.assert_array_equal(frame.up, [0, -1, 0])
+
+
+def test_clouds_of_a_camera_keep_their_frame_and_their_colours(tmp_path: Path):
+    rgb = np.random.default_rng(0).integers(0, 255, (len(SCAN), 3))
+    np.save(tmp_path / "7.npy", np.c_[SCAN[:, :3], rgb])
+    (tmp_path / "camera_intrinsic.json").write_text(camera_file())
+    put_image(tmp_path / "color" / "7.png", 1)
+    frame = open_recording(tmp_path).frame(0)
+    px = project(frame.camera, SCAN[:, :3].astype(np.float64))
+    kept = (SCAN[:, 2] > 0.1) & (px >= -0.5).all(axis=1) & (px < [WIDTH - 0.5, HEIGHT - 0.5]).all(axis=1)
+    np.testing.assert_array_equal(frame.cloud.xyz_m, SCAN[kept, :3])
+    np.testing.assert_array_equal(frame.cloud.rgb, rgb[kept])
+    assert frame.up is None
+
+
+def calibrated(**more: object) -> Callable[[Path], object]:
+    return lambda path: (path / "camera_intrinsic.json").write_text(camera_file(**more))
+
+
+TURNED = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
+BROKEN = [
+    pytest.param(lambda p: None, "calibration of the images is missing; write camera_intrinsic.json", id="none"),
+    pytest.param(calibrated(cloud_to_camera=[1, 2]), "not four rows of four numbers", id="pose-short"),
+    pytest.param(calibrated(cloud_to_camera=TURNED), "not a rigid transform", id="pose-mirrored"),
+    pytest.param(
+        calibrated(width=99), "the camera has images of 99 x 40 pixels, but the image has 120 x 40", id="size"
+    ),
+    pytest.param(
+        calibrated(cloud_to_camera=[*LIDAR_TO_CAMERA[:2], [1, 0, 0, -99], LIDAR_TO_CAMERA[3]]),
+        "none of its 3000 points lies in the image",
+        id="elsewhere",
+    ),
+    pytest.param(lambda p: (p / "image" / "7.png").write_bytes(b"x"), "cannot be decoded", id="image"),
+    pytest.param(lambda p: (p / "image" / "7.png").unlink(), "missing; put 7.png", id="no-image"),
+    pytest.param(lambda p: np.save(p / "points" / "7.npy", SCAN), "ambiguous", id="two-clouds"),
+    pytest.param(lambda p: (p / "points" / "7.bin").write_bytes(b"x"), "truncated", id="cloud"),
+]
+
+
+@pytest.mark.parametrize(("damage", "complaint"), BROKEN)
+def test_a_broken_frame_says_why_and_others_are_fine(tmp_path: Path, damage: Callable[[Path], object], complaint: str):
+    (tmp_path / "points").mkdir()
+    for key in ("7", "8"):
+        (tmp_path / "points" / f"{key}.bin").write_bytes(SCAN.tobytes())
+        put_image(tmp_path / "image" / f"{key}.png", 3)
+    damage(tmp_path)
+    recording = open_recording(tmp_path)
+    with pytest.raises(FrameError, match=complaint):
+        recording.frame(0)
+    if not (tmp_path / "camera_intrinsic.json").exists():
+        (tmp_path / "camera_intrinsic.json").write_text(camera_file(cloud_to_camera=LIDAR_TO_CAMERA))
+        assert len(recording.frame(1).cloud) > 10
+
+
+def test_a_folder_without_clouds_is_none(tmp_path: Path):
+    (tmp_path / "points").mkdir()
+    (tmp_path / "points" / "notes.txt").touch()
+    with pytest.raises(RecordingError, match=r"files of points \(\.ply \.pcd \.npy \.npz \.las \.laz \.bin\)"):
+        open_recording(tmp_path)
+
+
+def test_the_nearest_point_is_in_front_in_the_picture():
+    camera = Camera(40, 30, 40.0, 40.0, 19.5, 14.5)
+    xyz = np.array([[0, 0, 4], [0, 0, 1], [0, 0, 2], [0, 0, -1], [9, 0, 1]], np.float32)
+    rgb = np.array([[1, 1, 1], [250, 0, 0], [2, 2, 2], [3, 3, 3], [4, 4, 4]], np.uint8)
+    picture = virtual_image(camera, PointCloud(xyz, rgb=rgb))
+    np.testing.assert_array_equal(picture[14:16, 19:21], np.full((2, 2, 3), [250, 0, 0]))
+    assert {tuple(color) for color in picture.reshape(-1, 3)} == {(0, 0, 0), (250, 0, 0)}
+
+
+def test_reflectance_of_bytes_and_shares():
+    xyz = dict(zip("xyz", np.ones((3, 2)), strict=True))
+    for values, expected in (([0.0, 0.5], [0, 0.5]), ([0.0, 51.0], [0, 0.2]), ([0.0, 65535.0], [0, 1])):
+        read = from_columns(Path("a"), xyz | {"intensity": np.array(values)})
+        np.testing.assert_allclose(read.reflectance, expected, atol=1e-6)
+    read = from_columns(Path("a"), xyz | {"intensity": np.array([0, 51], np.uint8)})
+    np.testing.assert_allclose(read.reflectance, [0, 0.2], atol=1e-6)
+
+
+@pytest.mark.shared
+def test_a_real_kitti_scan_alone_and_as_a_whole_frame(shared: Path, tmp_path: Path):
+    source = shared / "data" / "kitti" / "training"
+    (tmp_path / "velodyne").mkdir()
+    shutil.copy(source / "velodyne" / "000008.bin", tmp_path / "velodyne")
+    alone = open_recording(tmp_path).frame(0)
+    assert len(alone.cloud) > 100_000
+    assert alone.rgb.any(axis=2).mean() > 0.1
+    for folder, suffix in (("image", "png"), ("calib", "txt")):
+        (tmp_path / folder).mkdir()
+        shutil.copy(source / folder.replace("image", "image_2") / f"000008.{suffix}", tmp_path / folder)
+    whole = open_recording(tmp_path).frame(0)
+    kitti = next(frame for frame in map(open_recording(source).frame, range(10)) if frame.key == "000008")
+    np.testing.assert_allclose(whole.cloud.xyz_m, kitti.cloud.xyz_m, atol=1e-4)
+    np.testing.assert_array_equal(whole.rgb, kitti.rgb)

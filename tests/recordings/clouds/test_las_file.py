@@ -1,0 +1,190 @@
+"""LAS and LAZ: what laspy writes is read, and no damage ends the program, makes it wait or fills its memory."""
+
+from __future__ import annotations
+
+import io
+import struct
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import laspy
+import lazrs
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.recordings.clouds import las_file, laz_check
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.recordings.clouds.las_file import parse_las
+from annotator.types.errors import FrameError, MissingExtraError
+
+COUNT = 300
+RANDOM = np.random.default_rng(0)
+XYZ = np.round(RANDOM.normal(0, 20, (COUNT, 3)), 3)
+INTENSITY = RANDOM.integers(0, 65536, COUNT).astype(np.uint16)
+RGB = RANDOM.integers(0, 256, (COUNT, 3)).astype(np.uint8)
+# A place on a map: zone 32, metres.
+FAR_M = np.array([512_000.0, 5_403_000.0, 250.0])
+# LAS version -> point formats, with and without colours, and one with more bytes than the format has
+FORMATS = [("1.2", 0, 0), ("1.2", 3, 0), ("1.4", 6, 0), ("1.4", 7, 2), ("1.4", 8, 0)]
+
+
+@lru_cache
+def written(
+    version: str, point_format: int, more: int, is_compressed: bool, at_m: tuple[float, ...] = (0, 0, 0)
+) -> bytes:
+    header = laspy.LasHeader(point_format=point_format, version=version)
+    header.scales, header.offsets = [0.001, 0.001, 0.001], np.array([10.0, 20.0, 0.0]) + at_m
+    for number in range(more):
+        header.add_extra_dim(laspy.ExtraBytesParams(f"more{number}", "u1"))
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = (XYZ + at_m).T
+    cloud.intensity = INTENSITY
+    if "red" in cloud.point_format.dimension_names:
+        cloud.red, cloud.green, cloud.blue = RGB.T.astype(np.uint16) << 8
+    out = io.BytesIO()
+    cloud.write(out, do_compress=is_compressed, laz_backend=laspy.LazBackend.Lazrs if is_compressed else None)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("suffix", [".las", ".LAZ"])
+@pytest.mark.parametrize(("version", "point_format", "more"), FORMATS)
+def test_what_laspy_writes(tmp_path: Path, version: str, point_format: int, more: int, suffix: str):
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(written(version, point_format, more, suffix == ".LAZ"))
+    read = read_cloud(path)
+    np.testing.assert_allclose(read.xyz_m, XYZ, atol=1e-9)
+    np.testing.assert_allclose(read.reflectance, INTENSITY / 65535, atol=1e-6)
+    if point_format in (3, 7, 8):
+        np.testing.assert_array_equal(read.rgb, RGB)
+    else:
+        assert read.rgb is None
+
+
+def test_points_that_were_withheld_colours_of_8_bits_and_empty_columns(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(las_file, "POINTS_AT_ONCE", 128)
+    header = laspy.LasHeader(point_format=2, version="1.2")
+    header.scales = [0.001] * 3
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = XYZ.T
+    cloud.red, cloud.green, cloud.blue = RGB.T
+    cloud.withheld = np.arange(COUNT) % 3 == 0
+    out = io.BytesIO()
+    cloud.write(out)
+    read = parse_las(Path("a.las"), out.getvalue())
+    np.testing.assert_allclose(read.xyz_m, XYZ[np.arange(COUNT) % 3 > 0], atol=1e-9)
+    np.testing.assert_array_equal(read.rgb, RGB[np.arange(COUNT) % 3 > 0])
+    assert read.reflectance is None
+
+
+def test_a_folder_of_maps_is_seen_from_among_its_points(tmp_path: Path):
+    for key, suffix in (("2", ".las"), ("10", ".laz")):
+        (tmp_path / f"{key}{suffix}").write_bytes(written("1.4", 7, 2, suffix == ".laz", tuple(FAR_M)))
+    recording = open_recording(tmp_path)
+    assert (recording.format, recording.keys) == ("cloud_folder", ("2", "10"))
+    frame = recording.frame(1)
+    # millimetres are left, which they would not be so far away
+    back = frame.T_camera_label.inv().apply(frame.cloud.xyz_m.astype(float))
+    np.testing.assert_allclose(back, XYZ + FAR_M, atol=1e-4)
+    np.testing.assert_array_equal(frame.up, [0, -1, 0])
+    assert np.abs(np.median(frame.cloud.xyz_m, axis=0)).max() <= 1
+    u, v = np.rint(project(frame.camera, frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > 5])).astype(int).T
+    inside = (u >= 0) & (u < 1280) & (v >= 0) & (v < 720)
+    assert inside.sum() > 20
+    assert frame.rgb[v[inside], u[inside]].any(axis=1).all()
+
+
+def test_each_format_s_parts_are_those_that_the_compressor_names():
+    for point_format, items in laz_check.ITEMS.items():
+        record = lazrs.LazVlr.new_for_compression(point_format, 5).record_data()
+        size = sum(size for _, size in items) + 5
+        assert not isinstance(laz_check._items(laz_check.LazLayout(record, point_format, size, 1, 0)), str)
+
+
+def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "lazrs", None)
+    with pytest.raises(MissingExtraError, match=r"laspy\[lazrs\] is not installed; .*scripts/setup las"):
+        parse_las(Path("a.las"), b"")
+
+
+def start_of(data: bytes) -> int:
+    return int(struct.unpack_from("<I", data, 96)[0])
+
+
+def patched(data: bytes, at: int, code: str, value: int) -> bytes:
+    return data[:at] + struct.pack(f"<{code}", value) + data[at + struct.calcsize(f"<{code}") :]
+
+
+def chunks(data: bytes) -> int:
+    """Where the table of chunks begins."""
+    return int(struct.unpack_from("<q", data, start_of(data))[0])
+
+
+def record_at(data: bytes) -> int:
+    """Where the content of laszip's own header begins."""
+    return data.index(b"laszip encoded") + 52
+
+
+HUGE = 2**32 - 1
+OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
+# Each would end the program, or let it wait for hours, were it believed.
+LIES = [
+    (b"", "is not a LAS file"),
+    (b"LASF" + bytes(300), "points begin at byte 0"),
+    (written("1.2", 3, 0, False)[:-1], "declares 300 points of 34 bytes"),
+    (patched(written("1.2", 3, 0, False), 107, "I", HUGE), f"declares {HUGE} points"),
+    (patched(written("1.4", 6, 0, False), 247, "Q", 2**63), f"declares {2**63} points"),
+    (patched(OLD, 100, "I", HUGE), "records before its points"),
+    (patched(OLD, 96, "I", HUGE), "points begin at byte"),
+    (patched(OLD, 107, "I", 2**25 + 1), "are read; save fewer"),
+    (patched(OLD, 107, "I", 2**25), "chunks, too many|fill whole buffer"),
+    (patched(OLD, chunks(OLD) + 4, "I", HUGE), "lists too many chunks"),
+    (patched(NEW, chunks(NEW) + 4, "I", HUGE), "lists too many chunks"),
+    (patched(NEW, start_of(NEW), "q", 2**62), "lists too many chunks"),
+    # the first layer of the first chunk, after a point of 38 bytes and the number of points
+    (patched(NEW, start_of(NEW) + 8 + 38 + 4, "I", HUGE), "chunk 0 of 1 is longer than the file"),
+    (patched(NEW, 247, "Q", 50_001), "chunk 1 of 2 is "),
+    (patched(NEW, record_at(NEW) + 32, "H", 0), "are not those of its point format"),
+    (patched(NEW, record_at(NEW) + 32, "H", 99), "is truncated"),
+    (patched(NEW, record_at(NEW) + 12, "I", 0), "does not exist for point format"),
+    (patched(OLD, record_at(OLD), "H", 3), "does not exist for point format"),
+    (OLD[: len(OLD) // 2], "lists too many|truncated"),
+    (patched(OLD, 105, "H", 33), "cannot be read as LAS or LAZ"),
+    (patched(OLD, 104, "B", 0x80 | 99), "cannot be read as LAS or LAZ"),
+    (patched(written("1.2", 3, 0, False), 131, "d", float("nan")), "every point is NaN"),
+]
+
+
+@pytest.mark.parametrize(("content", "complaint"), LIES)
+def test_a_lie_is_told_before_anything_is_made_for_it(content: bytes, complaint: str):
+    with pytest.raises(FrameError, match=complaint) as caught:
+        parse_las(Path("a.laz"), content)
+    assert str(caught.value).startswith("a.laz: ")
+
+
+def damage(draw: Callable[..., int], content: bytearray) -> None:
+    start = min(start_of(content), len(content))
+    # what leads to the points is more worth breaking than they are
+    around = st.integers(max(start - 80, 0), min(start + 120, len(content) - 1))
+    content[draw(st.one_of(around, st.integers(0, len(content) - 1)))] = draw(st.sampled_from([0, 1, 127, 128, 255]))
+
+
+@given(st.data())
+@settings(max_examples=100, deadline=None)
+def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
+    version, point_format, more = data.draw(st.sampled_from(FORMATS))
+    content = bytearray(written(version, point_format, more, data.draw(st.booleans())))
+    for _ in range(data.draw(st.integers(1, 3))):
+        damage(data.draw, content)
+    try:
+        cloud = parse_las(Path("a.laz"), bytes(content[: data.draw(st.sampled_from([len(content), len(content) - 9]))]))
+    except FrameError as error:
+        assert str(error).startswith("a.laz: ")
+    else:
+        assert np.isfinite(cloud.xyz_m).all()
+        assert 0 < len(cloud.xyz_m) <= COUNT

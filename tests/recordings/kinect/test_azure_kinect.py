@@ -1,0 +1,270 @@
+"""Azure Kinect recordings: the SDK's numbers, all colour formats, the cloud by OpenCV's formulas, and damage."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import kinect_recording as made
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.recordings import open_recording
+from annotator.recordings.kinect.mkv_recording import AzureKinect
+from annotator.types.errors import FrameError, RecordingError
+
+
+@pytest.fixture(scope="module")
+def recording_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three captures with MJPEG colour; not to be changed."""
+    return made.write_recording(tmp_path_factory.mktemp("kinect") / "take.mkv", "MJPG")
+
+
+def opened(path: Path) -> AzureKinect:
+    recording = open_recording(path)
+    assert isinstance(recording, AzureKinect)
+    return recording
+
+
+@pytest.mark.parametrize("fourcc", ["MJPG", "NV12", "YUY2", "BGRA"])
+def test_each_colour_format_gives_the_picture_with_depth_and_time(tmp_path: Path, fourcc: str):
+    recording = opened(made.write_recording(tmp_path / "take.mkv", fourcc))
+    assert (recording.name, recording.keys, recording.is_sequence) == ("take", ("000000", "000001", "000002"), True)
+    assert recording.fourcc == fourcc
+    for i in (2, 0, 1):
+        frame = recording.frame(i)
+        off = np.abs(frame.rgb.astype(int) - made.picture(i)).max(axis=2)
+        # chroma is shared by neighbours, and JPEG rings, where the quarters meet
+        flat = np.ones(off.shape, bool)
+        flat[made.HEIGHT // 2 - 16 : made.HEIGHT // 2 + 16] = flat[:, made.WIDTH // 2 - 16 : made.WIDTH // 2 + 16] = (
+            False
+        )
+        assert off[flat].max() <= (0 if fourcc == "BGRA" else 4)
+        np.testing.assert_array_equal(recording.depth_image(i), made.depth_mm(i))
+        # the writer's clock has milliseconds; the recording began at 5 ms
+        assert frame.timestamp_ns == pytest.approx(5_000_000 + i * 33_333_000, abs=1_000_000)
+
+
+def test_the_cloud_is_what_opencv_computes_and_what_the_colour_camera_sees(recording_file: Path):
+    recording = opened(recording_file)
+    frame, depth, color = recording.frame(1), recording.calibration.depth, recording.calibration.color
+    xyz = frame.cloud.xyz_m.astype(np.float64)
+    px_depth = by_opencv(depth, xyz + np.array([made.BASELINE_M, 0, 0]))
+    columns, rows = np.rint(px_depth).astype(int).T
+    np.testing.assert_allclose(px_depth, np.c_[columns, rows], atol=1e-3)
+    np.testing.assert_allclose(xyz[:, 2] * 1000, made.depth_mm(1)[rows, columns], atol=1e-3)
+    u, v = by_opencv(color, xyz).T
+    assert (u >= -0.5).all() and (u < made.WIDTH - 0.5).all() and (v >= -0.5).all() and (v < made.HEIGHT - 0.5).all()
+    # half-way between two pixels either may be the nearest
+    clear = (np.abs(np.c_[u, v] % 1 - 0.5) > 1e-3).all(axis=1)
+    assert clear.mean() > 0.99
+    nearest = frame.rgb[np.rint(v).astype(int), np.rint(u).astype(int)]
+    np.testing.assert_array_equal(frame.cloud.rgb[clear], nearest[clear])
+    # a part of the wall, at the width of the parallax, is hidden behind the post
+    post, wall = xyz[:, 2] < 1.5, xyz[:, 2] > 1.5
+    upper = np.abs(v - 300) < 20
+    edges = u[post & upper].min() + 5, u[post & upper].max() - 5
+    assert edges[1] - edges[0] > 30
+    assert not (wall & upper & (u > edges[0]) & (u < edges[1])).any()
+    measured_columns = {*columns[wall & (np.abs(rows - 140) < 3)]}
+    assert 2 <= len(set(range(100, 150)) - measured_columns) + len(set(range(170, 220)) - measured_columns) <= 12
+
+
+def by_opencv(camera, xyz: np.ndarray) -> np.ndarray:
+    lens = np.array(camera.distortion)
+    return cv2.projectPoints(xyz[:, None], np.zeros(3), np.zeros(3), camera.matrix, lens)[0][:, 0]
+
+
+def test_dropped_images_leave_gaps_and_delayed_depth_finds_its_colour(tmp_path: Path):
+    path = made.write_recording(tmp_path / "take.mkv", frames=5, without_depth=(1, 3), depth_delay_us=60_000)
+    recording = opened(path)
+    assert recording.keys == ("000000", "000002", "000004")
+    np.testing.assert_array_equal(recording.depth_image(1), made.depth_mm(2))
+    for i in (-1, 3):
+        with pytest.raises(IndexError, match="3 frames"):
+            recording.frame(i)
+
+
+def test_a_frame_is_read_without_those_before_it(recording_file: Path, tmp_path: Path):
+    path, recording = tmp_path / "take.mkv", opened(recording_file)
+    data = bytearray(recording_file.read_bytes())
+    for block in (recording.captures[0].color, recording.captures[0].depth, recording.captures[1].color):
+        data[block.offset : block.offset + block.size] = bytes(block.size)
+    path.write_bytes(data)
+    np.testing.assert_array_equal(opened(path).frame(2).rgb, recording.frame(2).rgb)
+    with pytest.raises(FrameError, match=r"take\.mkv: frame 000001: colour image: .*copy the recording again"):
+        opened(path).frame(1)
+    with pytest.raises(FrameError, match="frame 000000: colour image"):
+        opened(path).frame(0)
+
+
+def test_a_damaged_stretch_costs_only_its_own_frames(tmp_path: Path):
+    path = made.write_recording(tmp_path / "take.mkv", "BGRA", frames=9)
+    whole = opened(path)
+    data = bytearray(path.read_bytes())
+    clusters = [match.start() for match in re.finditer(b"\x1f\x43\xb6\x75", data)]
+    assert len(clusters) > 2
+    data[clusters[1] : clusters[1] + 40] = b"\xff" * 40
+    path.write_bytes(data)
+    left = opened(path)
+    assert 0 < len(left) < len(whole)
+    assert left.frame(len(left) - 1).timestamp_ns == whole.frame(len(whole) - 1).timestamp_ns
+
+
+@pytest.mark.parametrize("share", [0.0001, 0.001, 0.01, 0.2, 0.34, 0.5, 0.67, 0.9, 0.999])
+def test_a_file_that_was_cut_off_says_so_and_gives_the_frames_before(
+    recording_file: Path, tmp_path: Path, share: float
+):
+    path, whole = tmp_path / "cut.mkv", opened(recording_file)
+    data = recording_file.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    complete = sum(
+        max(c.color.offset + c.color.size, c.depth.offset + c.depth.size) <= len(data) * share for c in whole.captures
+    )
+    try:
+        recording = opened(path)
+    except RecordingError as error:
+        assert complete == 0
+        assert str(error).startswith(f"{path}: ")
+        return
+    good = 0
+    for i in range(len(recording)):
+        try:
+            np.testing.assert_array_equal(recording.frame(i).rgb, whole.frame(i).rgb)
+            good += 1
+        except FrameError as error:
+            assert "the file ends" in str(error)
+    assert good == complete
+    assert len(recording) <= complete + 1
+
+
+@given(st.data())
+@settings(max_examples=40, deadline=None)
+def test_damage_anywhere_is_an_error_that_names_the_file(recording_file: Path, data: st.DataObject):
+    content = bytearray(recording_file.read_bytes())
+    # most of the file is pixels: damage what leads to them as often
+    places = st.one_of(st.integers(0, 6000), st.integers(0, len(content) - 1))
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(places)
+        noise = data.draw(st.binary(min_size=1, max_size=12))
+        content[at : at + len(noise)] = noise
+    path = recording_file.with_name("damaged.mkv")
+    path.write_bytes(content)
+    try:
+        recording = open_recording(path)
+        for i in range(len(recording)):
+            try:
+                recording.frame(i)
+            except FrameError as error:
+                assert str(path) in str(error)
+    except RecordingError as error:
+        assert str(path) in str(error)
+
+
+def test_times_that_no_clock_shows_are_passed_over(recording_file: Path, tmp_path: Path):
+    whole, path = recording_file.read_bytes(), tmp_path / "take.mkv"
+    # the nanoseconds of a tick, three bytes with their size before them, and what follows them
+    scale = b"\x2a\xd7\xb1\x83\x0f\x42\x40" + whole[whole.index(b"\x2a\xd7\xb1") + 7 :][:7]
+    assert scale in whole
+    path.write_bytes(whole.replace(scale, b"\x2a\xd7\xb1\x8a" + b"\xff" * 10))
+    # the first capture is at 0 ticks, however long these are
+    assert opened(path).keys == ("000000",)
+    # the delay of the depth images, as many digits as the recorder pleases
+    made.write_recording(path, "MJPG", depth_delay_us=Endless())
+    recording = opened(path)
+    assert (len(recording), recording.times_ns[0]) == (3, made.START_NS)
+
+
+class Endless(int):
+    """No delay in the images, and one that no clock shows in the tag."""
+
+    def __mul__(self, _: int) -> int:
+        return 10**40
+
+
+def test_a_size_beyond_the_file_takes_no_memory(recording_file: Path):
+    recording = opened(recording_file)
+    capture = recording.captures[0]
+    endless = replace(capture, color=replace(capture.color, size=1 << 55), depth=replace(capture.depth, size=1 << 55))
+    cut = replace(recording, captures=(endless,))
+    with pytest.raises(FrameError, match="the file ends in the middle of its colour image"):
+        cut.color_image(0)
+    with pytest.raises(FrameError, match="the file ends in the middle of its depth image"):
+        cut.depth_image(0)
+
+
+def attaching(content: bytes) -> Callable[[Path], object]:
+    return lambda path: made.write_recording(path, frames=1, attached=content)
+
+
+def changed(**changes: object) -> Callable[[Path], object]:
+    return attaching(json.dumps(made.calibration(**changes)).encode())
+
+
+REFUSED = [
+    pytest.param(lambda p: p.write_bytes(b""), "is not a Matroska file", id="empty"),
+    pytest.param(lambda p: p.write_bytes(b"RIFF" * 99), "is not a Matroska file", id="another-kind"),
+    pytest.param(lambda p: p.write_bytes(b"\x1a\x45\xdf\xa3" + b"\xff" * 99), "no tracks COLOR and DEPTH", id="noise"),
+    pytest.param(
+        lambda p: made.write_recording(p, titles=("COLOR", "IR", "OTHER")), r"it has: COLOR, IR, OTHER", id="no-depth"
+    ),
+    pytest.param(lambda p: made.write_recording(p, frames=2, without_depth=(0, 1)), "no frames", id="no-captures"),
+    pytest.param(attaching(b"{]"), "its calibration cannot be used: .*JSON", id="no-json"),
+    pytest.param(attaching(b"{}"), "CalibrationInformation Field required", id="no-cameras"),
+    pytest.param(changed(Purpose="other"), "there is no camera CALIBRATION_CameraPurposeDepth", id="no-depth-camera"),
+    pytest.param(changed(Intrinsics={"ModelType": "x", "ModelParameters": made.LENS}), "lens model x", id="lens"),
+    pytest.param(
+        changed(Intrinsics={"ModelType": "CALIBRATION_LensDistortionModelBrownConrady", "ModelParameters": [1, 2]}),
+        "ModelParameters",
+        id="few-parameters",
+    ),
+    pytest.param(changed(Rt={"Rotation": [0] * 9, "Translation": [0] * 3}), "rotation matrix", id="no-rotation"),
+]
+
+
+@pytest.mark.parametrize(("write", "complaint"), REFUSED)
+def test_what_cannot_be_opened_says_why(tmp_path: Path, write: Callable[[Path], object], complaint: str):
+    path = tmp_path / "take.mkv"
+    write(path)
+    with pytest.raises(RecordingError, match=complaint) as caught:
+        open_recording(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert ";" in str(caught.value) or "expected" in str(caught.value)
+
+
+def test_a_folder_of_recordings_names_the_files(tmp_path: Path):
+    made.write_recording(tmp_path / "b.MKV", frames=1)
+    (tmp_path / "a.mkv").write_bytes(b"no recording")
+    with pytest.raises(RecordingError, match=r"give one of these in it instead: b\.MKV$"):
+        open_recording(tmp_path)
+
+
+@pytest.mark.shared
+def test_the_real_recording_gives_the_sdk_s_numbers(shared: Path):
+    folder = shared / "data" / "azure_kinect"
+    recording = opened(folder / "recording.mkv")
+    frame = recording.frame(0)
+    assert (frame.key, frame.rgb.shape, recording.depth_image(0).shape) == ("000000", (720, 1280, 3), (576, 640))
+    assert frame.timestamp_ns == 800_222_000
+    assert 200_000 < len(frame.cloud) < (recording.depth_image(0) > 0).sum()
+    calibration = recording.calibration
+    rows = np.genfromtxt(folder / "sdk_golden_even.csv", delimiter=",", names=True)
+    px = np.stack([rows["u_depth_px"], rows["v_depth_px"]], axis=1)
+    depth_mm = recording.depth_image(0)[px[:, 1].astype(int), px[:, 0].astype(int)]
+    np.testing.assert_array_equal(depth_mm, rows["depth_mm"])
+    in_depth = calibration.depth_to_3d(px, depth_mm / 1000)
+    in_color = calibration.T_color_depth.apply(in_depth)
+    np.testing.assert_allclose(in_depth * 1000, np.c_[rows["x_d"], rows["y_d"], rows["z_d"]], atol=0.005)
+    np.testing.assert_allclose(in_color * 1000, np.c_[rows["x_c"], rows["y_c"], rows["z_c"]], atol=0.005)
+    expected = np.c_[rows["u_color_px"], rows["v_color_px"]]
+    np.testing.assert_allclose(by_opencv(calibration.color, in_color), expected, atol=0.002)
+    # the whole cloud goes the same way as single pixels: each visible row is a point of it
+    inside = (expected > 1).all(axis=1) & (expected < [1278, 718]).all(axis=1)
+    distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::20]])
+    assert np.mean(distance < 1e-5) > 0.9

@@ -1,0 +1,208 @@
+"""A connected Azure Kinect, played by a stand-in for pyk4a: its frames, and all that goes wrong."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_pyk4a import FPS, Capture, DepthMode, ImageFormat, Script, install
+from kinect_recording import ACCELEROMETER, DEPTH_HEIGHT, DEPTH_WIDTH, calibration, depth_mm, picture
+
+from annotator.recordings import open_recording
+from annotator.recordings.kinect import connection as kinect_connection
+from annotator.recordings.kinect import device as kinect_device
+from annotator.recordings.kinect.device import KinectDevice
+from annotator.recordings.kinect.mkv_recording import AzureKinect
+from annotator.types.errors import DeviceError
+from annotator.workflows.live.kinect import KinectSource
+
+GO_ON = threading.Event()
+# The accelerometer's x axis of a device that stands upright, roughly: the device's own y axis points down.
+AT_REST = 9.81 * ACCELEROMETER @ np.array([0.0, -1.0, 0.0])
+
+
+def capture(number: int, *, color: bool = True, depth: bool = True) -> Capture:
+    """The captures of the made-up recording, binned."""
+    bgra = np.dstack([picture(number)[:, :, ::-1], np.full((720, 1280), 255, np.uint8)])
+    return Capture(
+        np.ascontiguousarray(bgra) if color else None,
+        depth_mm(number) if depth else None,
+        1_000_000 + 33_333 * number,
+        time.perf_counter_ns(),
+    )
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Script:
+    made = Script(calibration=json.dumps(calibration()))
+    install(monkeypatch, made)
+    return made
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for seconds."""
+    monkeypatch.setattr(kinect_device, "FIRST_FRAME_WITHIN_S", 0.2)
+    monkeypatch.setattr(kinect_device, "NEXT_FRAME_WITHIN_S", 0.1)
+
+
+def test_its_frames_have_what_those_of_a_recording_have(script: Script) -> None:
+    script.captures = ["timeout", capture(0), capture(1, depth=False), capture(2)]
+    script.felt = [(990_000 + 100 * n, AT_REST) for n in range(50)]
+    device = KinectDevice(mode="nfov_binned")
+    first, second = device.next_frame(GO_ON), device.next_frame(GO_ON)
+    assert first is not None
+    assert second is not None
+    frame = first.frame
+    assert (frame.key, frame.timestamp_ns) == ("000000", 1_000_000_000)
+    assert (second.frame.key, second.frame.timestamp_ns) == ("000001", 1_066_666_000)
+    assert (frame.rgb == picture(0)).all()
+    assert frame.camera.width_px == 1280
+    assert len(frame.cloud) > 10_000
+    assert frame.cloud.rgb is not None
+    # the wall at 2 m and the post at 1 m, seen by the colour camera
+    assert {round(float(z), 1) for z in np.percentile(frame.cloud.xyz_m[:, 2], [1, 50])} == {1.0, 2.0}
+    assert frame.up is not None
+    assert np.degrees(np.arccos(frame.up @ [0, -1, 0])) < 0.01
+    assert time.perf_counter() - 5 < first.arrived_s <= time.perf_counter()
+    device.close()
+    device.close()
+    assert (script.opened, script.closed) == (1, 1)
+
+
+def test_it_asks_for_synchronous_pictures_and_never_keeps_pythons_lock(script: Script) -> None:
+    KinectDevice().close()
+    KinectDevice(mode="wfov").close()
+    narrow, wide = script.configs
+    assert (narrow.depth_mode, narrow.camera_fps) == (DepthMode.NFOV_UNBINNED, FPS.FPS_30)
+    assert (wide.depth_mode, wide.camera_fps) == (DepthMode.WFOV_UNBINNED, FPS.FPS_15)
+    assert all(made.synchronized_images_only for made in script.configs)
+    assert all(made.color_format is ImageFormat.COLOR_BGRA32 for made in script.configs)
+    assert not script.locked
+
+
+def test_up_is_not_known_while_it_moves(script: Script) -> None:
+    script.captures = [capture(0), capture(1)]
+    script.felt = [(1_000_000 + 100 * n, AT_REST * (1 + 0.1 * (n % 2))) for n in range(50)]
+    device = KinectDevice(mode="nfov_binned")
+    shaken, unfelt = device.next_frame(GO_ON), device.next_frame(GO_ON)
+    assert shaken is not None
+    assert shaken.frame.up is None
+    assert unfelt is not None
+    assert unfelt.frame.up is None
+
+
+@pytest.mark.shared
+def test_the_same_frame_as_from_a_recording(shared: Path, script: Script) -> None:
+    """A real capture, given by the stand-in: the same cloud to the last bit as from the recording."""
+    recording = open_recording(shared / "data" / "azure_kinect" / "recording.mkv")
+    assert isinstance(recording, AzureKinect)
+    script.calibration = (shared / "data" / "azure_kinect" / "calibration.json").read_text()
+    rgb = recording.color_image(0)
+    bgra = np.dstack([rgb[:, :, ::-1], np.full(rgb.shape[:2], 255, np.uint8)])
+    script.captures = [Capture(np.ascontiguousarray(bgra), recording.depth_image(0), 5, 0)]
+    found = KinectDevice().next_frame(GO_ON)
+    assert found is not None
+    expected = recording.frame(0)
+    assert (found.frame.cloud.xyz_m == expected.cloud.xyz_m).all()
+    assert (found.frame.cloud.rgb == expected.cloud.rgb).all()
+    assert found.frame.camera.distortion == expected.camera.distortion
+
+
+# --- which one --------------------------------------------------------------------------------------------------------
+
+
+def test_one_of_several_is_named_by_its_serial_number_or_its_place(script: Script) -> None:
+    script.serials, script.busy = ("000000000011", "000000000022", "000000000033"), (0,)
+    for which, serial in (("1", "000000000022"), ("000000000033", "000000000033")):
+        device = KinectDevice(which)
+        assert device.name == f"Azure Kinect {serial}"
+        device.close()
+    assert script.opened == script.closed, "those that were looked at are given back"
+
+
+@pytest.mark.parametrize(
+    ("change", "which", "said"),
+    [
+        (lambda s: setattr(s, "serials", ()), None, "no Azure Kinect is connected; check its power supply"),
+        (lambda s: None, "1", "no Azure Kinect number 1: 1 connected"),
+        (lambda s: None, "000000000099", "serial number 000000000099 can be opened; there are 000123456712$"),
+        (lambda s: setattr(s, "busy", (0,)), "000123456712", "there are none and 1 that cannot be opened"),
+        (lambda s: setattr(s, "busy", (0,)), None, "another program uses it"),
+        (
+            lambda s: setattr(s, "starts", False),
+            None,
+            "000123456712: its cameras do not start. Its firmware may be too",
+        ),
+        (lambda s: setattr(s, "calibration", "{}"), None, "calibration cannot be used .CalibrationInformation"),
+    ],
+)
+def test_a_device_that_cannot_be_used_is_told_and_given_back(
+    script: Script, change: Callable[[Script], None], which: str | None, said: str
+) -> None:
+    change(script)
+    with pytest.raises(DeviceError, match=said):
+        KinectDevice(which)
+    assert script.opened == script.closed
+
+
+def test_without_pyk4a_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setattr(kinect_connection, "find_spec", lambda name: None)
+    with pytest.raises(DeviceError, match=r'pip install "rcv-annotator\[kinect\]".*glibc 2\.38'):
+        KinectDevice()
+    monkeypatch.setattr(kinect_connection, "find_spec", lambda name: object())
+    with pytest.raises(DeviceError, match="its SDK cannot be loaded"):
+        KinectDevice()
+
+
+# --- while it runs ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("end", ["unplugged", "silent", "only colour"])
+def test_a_device_that_goes_or_gives_nothing_more_is_an_error(script: Script, hurried: None, end: str) -> None:
+    script.captures = [capture(0)]
+    if end == "unplugged":
+        script.captures.append("gone")
+    if end == "only colour":
+        script.captures += [capture(1, depth=False)] * 3
+    source = KinectSource()
+    script.captures[0].depth = np.full((576, 640), 1000, np.uint16)  # type: ignore[union-attr]
+    taken = source.read(GO_ON)
+    assert taken is not None
+    assert 0 <= taken.read_s < 10
+    said = "disconnected; it was unplugged" if end == "unplugged" else "no frame for 0.1 s"
+    with pytest.raises(DeviceError, match=said):
+        source.read(GO_ON)
+    source.close()
+    assert (script.opened, script.closed) == (1, 1)
+
+
+def test_nothing_from_the_beginning_and_images_of_another_size(script: Script, hurried: None) -> None:
+    device = KinectDevice()
+    with pytest.raises(DeviceError, match=r"no frame for 0\.2 s"):
+        device.next_frame(GO_ON)
+    script.captures = [capture(0)]  # binned, and the device was asked for the whole
+    with pytest.raises(DeviceError, match=rf"depth images are \({DEPTH_HEIGHT}, {DEPTH_WIDTH}\)"):
+        device.next_frame(GO_ON)
+
+
+def test_who_waits_can_be_told_to_stop_and_old_frames_are_left_out(script: Script) -> None:
+    source = KinectSource()
+    stop = threading.Event()
+    got: list[Any] = []
+    thread = threading.Thread(target=lambda: got.append(source.read(stop)))
+    thread.start()
+    stop.set()
+    thread.join(10)
+    assert got == [None]
+    script.captures = [capture(0), capture(1)]
+    source.resume()
+    assert script.captures == []

@@ -1,0 +1,79 @@
+"""The Azure Kinect's accelerometer: up where the device stands still, and nothing where it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import kinect_recording as made
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.normals import normals_knn
+from annotator.recordings import open_recording
+from annotator.recordings.kinect.imu import parse_samples, up_at_rest
+
+# Leaning 20 degrees to the front, in the colour camera's axes (those of the device here).
+UP = Rotation.from_euler("x", 20, degrees=True).apply([0, -1.0, 0])
+SHAKEN = np.array([1.0, 0, 0])
+FELT = made.ACCELEROMETER @ UP * 9.79
+
+
+def test_up_is_what_the_accelerometer_felt_near_the_frame(tmp_path: Path):
+    random = np.random.default_rng(0)
+    still = [(3000 * number, FELT + random.normal(0, 0.03, 3)) for number in range(20)]
+    # a knock, half a second later
+    knock = [(1_000_000 + 1000 * number, (1.0, 2.0, 30.0)) for number in range(3)]
+    recording = open_recording(made.write_recording(tmp_path / "take.mkv", felt=[*still, *knock]))
+    for i in range(3):
+        up = recording.frame(i).up
+        assert np.degrees(np.arccos(up @ UP)) < 0.2
+        np.testing.assert_allclose(np.linalg.norm(up), 1)
+    assert open_recording(made.write_recording(tmp_path / "none.mkv", frames=1)).frame(0).up is None
+
+
+def samples(*felt: tuple[int, np.ndarray]) -> np.ndarray:
+    return parse_samples(bytes([len(felt) - 1]) + b"".join(made.imu_sample(*each) for each in felt), True)
+
+
+def test_no_up_where_the_device_moves_or_nobody_measured():
+    now = made.START_NS
+    np.testing.assert_allclose(up_at_rest(samples((0, FELT)), now), FELT / np.linalg.norm(FELT), atol=1e-6)
+    assert up_at_rest(samples((0, FELT * 1.05)), now) is None
+    assert up_at_rest(samples((0, FELT * 0.0)), now) is None
+    assert up_at_rest(samples((0, FELT), (10, FELT + SHAKEN), (20, FELT - SHAKEN)), now) is None
+    assert up_at_rest(samples((600_000, FELT)), now) is None
+    assert up_at_rest(samples((0, FELT * np.nan)), now) is None
+    assert up_at_rest(np.empty(0, samples((0, FELT)).dtype), now) is None
+
+
+@pytest.mark.parametrize("sizes", [b"", b"\x28\x28", b"\xa8\xbf"], ids=["equal", "xiph", "ebml"])
+def test_laced_samples_stand_behind_their_sizes(sizes: bytes):
+    three = [made.imu_sample(1000 * number, FELT + number) for number in range(3)]
+    found = parse_samples(b"\x02" + sizes + b"".join(three), True)
+    assert found["time_ns"].tolist() == [made.START_NS + 1_000_000 * number for number in range(3)]
+    np.testing.assert_allclose(found["acceleration_mps2"], FELT + np.arange(3)[:, None], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("data", "is_laced"),
+    [(b"", False), (b"", True), (bytes(39), False), (bytes(41), False), (b"\xff" + bytes(400), True)],
+)
+def test_other_blocks_have_no_samples(data: bytes, is_laced: bool):
+    assert len(parse_samples(data, is_laced)) == 0
+
+
+@pytest.mark.shared
+def test_up_stands_on_the_real_desk(shared: Path):
+    frame = open_recording(shared / "data" / "azure_kinect" / "recording.mkv").frame(0)
+    assert frame.up is not None
+    assert frame.up @ [0, -1, 0] > 0.9
+    # of what is about level, the height at which there is most is the desk's
+    xyz = frame.cloud.xyz_m[::20].astype(np.float64)
+    level = normals_knn(xyz) @ frame.up > np.cos(np.radians(20))
+    heights = xyz[level] @ frame.up
+    counts, edges = np.histogram(heights, np.arange(heights.min(), heights.max(), 0.01))
+    desk = xyz[level][np.abs(heights - edges[counts.argmax()] - 0.005) < 0.03]
+    assert len(desk) > 1000
+    normal = np.linalg.svd(desk - desk.mean(axis=0))[2][2]
+    assert np.degrees(np.arccos(abs(normal @ frame.up))) < 2

@@ -1,0 +1,137 @@
+"""The Matroska index: what stands in RFC 8794 and 9559, and no bytes that could upset it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import kinect_recording as made
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.recordings import detect_format
+from annotator.recordings.kinect import matroska
+from annotator.recordings.kinect.matroska import Block, children, element_head, read_index, read_tracks
+from annotator.types.errors import RecordingError
+
+HEADS = [
+    (b"\xe7\x81", (0xE7, 1, 2)),
+    (b"\x1f\x43\xb6\x75\x01\xff\xff\xff\xff\xff\xff\xff", (0x1F43B675, None, 12)),
+    (b"\xa3\x10\x03\x50\x11", (0xA3, 217105, 5)),
+    (b"\x2a\xd7\xb1\x83", (0x2AD7B1, 3, 4)),
+    (b"\x00\x81", None),
+    (b"\x08\x11\x11\x11\x11\x81", None),
+    (b"\xa3\x10\x03", None),
+    (b"\xa3", None),
+    (b"", None),
+]
+
+
+@pytest.mark.parametrize(("data", "expected"), HEADS)
+def test_heads(data: bytes, expected: tuple[int, int | None, int] | None):
+    assert element_head(data) == expected
+
+
+def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
+    path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=4)
+    index = read_index(path)
+    content = path.read_bytes()
+    with av.open(str(path)) as container:
+        expected = [(packet.stream.index, packet.pts, bytes(packet)) for packet in container.demux() if packet.size]
+    found = [(b.track - 1, b.time_ns // 1_000_000, content[b.offset : b.offset + b.size]) for b in index.blocks]
+    assert found == expected
+    assert not index.is_cut
+    assert [(track.name, track.width_px, track.height_px) for track in index.tracks] == [
+        ("COLOR", 1280, 720), ("DEPTH", 320, 288), ("IR", 320, 288)
+    ]  # fmt: skip
+    first = content.index(b"\x1f\x43\xb6\x75")
+    path.write_bytes(content[:first] + b"\x1f\x43\xb6\x75")
+    assert read_tracks(path) == index.tracks, "the head says so, whatever follows"
+
+
+def test_a_recording_is_recognised_by_its_head(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=1)
+    film = tmp_path / "film.mkv"
+    film.write_bytes(path.read_bytes().replace(b"DEPTH", b"OTHER"))
+    (tmp_path / "text.mkv").write_bytes(b"no film")
+    monkeypatch.setattr(
+        "annotator.recordings.kinect.mkv_recording.read_index", lambda path: pytest.fail("all of it is read")
+    )
+    assert [detect_format(tmp_path / name) for name in ("take.mkv", "film.mkv", "text.mkv")] == [
+        "azure_kinect", None, None
+    ]  # fmt: skip
+
+
+def test_a_damaged_size_costs_no_more_than_its_cluster(tmp_path: Path):
+    path = tmp_path / "x.mkv"
+    block = b"\xa3\x86\x81\x00\x07\x80xy"
+    content = b"\xe7\x81\x05" + block + block
+    cluster = b"\x1f\x43\xb6\x75" + (0x80 | len(content)).to_bytes(1) + content
+    head = b"\x1a\x45\xdf\xa3\x80" + b"\x18\x53\x80\x67\xff"
+    path.write_bytes(head + 3 * cluster)
+    assert len(read_index(path).blocks) == 6
+    damaged = block.replace(b"\x86", b"\x94", 1)  # as if it were 20 bytes long
+    path.write_bytes(head + cluster.replace(block, damaged, 1) + 2 * cluster)
+    index = read_index(path)
+    assert [block.offset for block in index.blocks] == [
+        len(head + cluster) + 5 + 3 + 6, len(head + cluster) + 5 + 3 + 6 + 8,
+        len(head + 2 * cluster) + 5 + 3 + 6, len(head + 2 * cluster) + 5 + 3 + 6 + 8,
+    ]  # fmt: skip
+    assert not index.is_cut
+
+
+def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
+    path = tmp_path / "x.mkv"
+    head = b"\x1a\x45\xdf\xa3\x80" + b"\x18\x53\x80\x67\xff"
+    cluster = b"\x1f\x43\xb6\x75\xff" + b"\xe7\x82\x01\x00"
+    block = b"\xa3\x86\x81\x00\x07\x80xy"
+    huge = b"\xa3\x01\xff\xff\xff\xff\xff\xff\xf0\x82\x00\x09\x86"
+    path.write_bytes(head + cluster + block + huge)
+    index = read_index(path)
+    assert index.is_cut
+    first, second = index.blocks
+    assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
+    assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
+
+
+def test_many_damaged_places_cost_little_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "x.mkv"
+    # a cluster, and in it what is none of its elements, again and again
+    path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + b"\x1f\x43\xb6\x75\xff\x42\x42\x42" * 5000)
+    read = 0
+    whole = matroska._Walk._read
+
+    def counted(self: matroska._Walk, at: int, size: int) -> bytes:
+        nonlocal read
+        content = whole(self, at, size)
+        read += len(content)
+        return content
+
+    monkeypatch.setattr(matroska._Walk, "_read", counted)
+    index = read_index(path)
+    assert index is not None and not index.blocks
+    assert read < 5000 * 5000
+
+
+def test_more_blocks_than_any_recording_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
+    path = tmp_path / "x.mkv"
+    path.write_bytes(b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff" + b"\xa3\x84\x81\x00\x00\x80" * 11)
+    with pytest.raises(RecordingError, match=r"x\.mkv: has more than 10 blocks; cut the recording into parts"):
+        read_index(path)
+
+
+@given(st.binary(max_size=200))
+def test_children_of_any_bytes_lie_within_them(data: bytes):
+    assert sum(len(content) for _, content in children(data)) <= len(data)
+
+
+@given(st.binary(max_size=300), st.integers(0, 3))
+@settings(deadline=None)
+def test_any_bytes_give_an_index(tmp_path_factory: pytest.TempPathFactory, data: bytes, clusters: int):
+    path = tmp_path_factory.getbasetemp() / "any.mkv"
+    path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + data + b"\x1f\x43\xb6\x75\xff\xe7\x81\x05" * clusters)
+    index = read_index(path)
+    assert index is not None
+    assert all(0 < block.offset <= path.stat().st_size for block in index.blocks)

@@ -1,0 +1,187 @@
+"""KITTI folders: projection exact against the data set's own formula, and what each kind of damage says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from kitti_samples import HEIGHT, OBJECT_CALIB, P2, TRACKING_CALIB, WIDTH, by_formula
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.recordings.kitti.calibration import read_calibration
+from annotator.types.errors import FrameError
+
+
+@pytest.fixture
+def image() -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+
+
+@pytest.fixture
+def scan() -> np.ndarray:
+    """Points all around the LiDAR, many beside and behind the camera."""
+    random = np.random.default_rng(1)
+    return np.c_[random.uniform(-20, 20, (3000, 3)) * [1, 1, 0.2], random.random(3000)].astype(np.float32)
+
+
+@pytest.fixture(params=["kitti_object", "kitti_object/training", "kitti_tracking"])
+def folder(request: pytest.FixtureRequest, tmp_path: Path, image: np.ndarray, scan: np.ndarray) -> Path:
+    """Frames 000003 and 000005 of either format."""
+    root = tmp_path / "training" if request.param.endswith("training") else tmp_path
+    tracking = request.param == "kitti_tracking"
+    images, scans = root / ("image_02" if tracking else "image_2"), root / "velodyne"
+    for each in (images, scans):
+        each.mkdir(parents=True)
+    if tracking:
+        (root / "calib.txt").write_text(TRACKING_CALIB)
+    else:
+        (root / "calib").mkdir()
+    for key in ("000003", "000005"):
+        (images / f"{key}.png").write_bytes(cv2.imencode(".png", image[:, :, ::-1])[1].tobytes())
+        (scans / f"{key}.bin").write_bytes(scan.tobytes())
+        if not tracking:
+            (root / "calib" / f"{key}.txt").write_text(OBJECT_CALIB)
+    return tmp_path
+
+
+def test_the_cloud_is_what_the_image_sees_with_its_colours(folder: Path, image: np.ndarray, scan: np.ndarray):
+    frame = open_recording(folder).frame(0)
+    px, inside = by_formula(scan)
+    assert 10 < inside.sum() < len(scan) / 2
+    np.testing.assert_array_equal(frame.cloud.reflectance, scan[inside, 3])
+    np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), px[inside], atol=2e-3)  # float32 points
+    u, v = np.rint(px[inside]).astype(int).T
+    np.testing.assert_array_equal(frame.cloud.rgb, image[v, u])
+    np.testing.assert_array_equal(frame.rgb, image)
+    assert frame.cloud.pixel_index is None
+    assert frame.depth_m is None
+    np.testing.assert_array_equal(frame.up, [0, -1, 0])
+
+
+def test_label_coordinates_project_as_p2_projects_them(folder: Path):
+    frame = open_recording(folder).frame(0)
+    x_rect = np.random.default_rng(2).uniform([-20, -2, 2], [20, 2, 60], (500, 3))
+    uvw = np.c_[x_rect, np.ones(500)] @ P2.T
+    np.testing.assert_allclose(
+        project(frame.camera, frame.T_camera_label.apply(x_rect)), uvw[:, :2] / uvw[:, 2:], atol=1e-6
+    )
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["kitti/training/calib/000000.txt", "kitti_drive_0005/calib.txt"])
+def test_real_calibrations_project_as_p2_projects(shared: Path, name: str):
+    path = shared / "data" / name
+    calibration = read_calibration(path)
+    given = {line.split(":")[0]: line.split()[1:] for line in path.read_text().splitlines() if ":" in line}
+    matrix = {key: np.array(values, float) for key, values in given.items()}
+    lidar = np.random.default_rng(0).uniform([3, -20, -2], [60, 20, 2], (500, 3))
+    Tr = np.vstack([matrix["Tr_velo_to_cam"].reshape(3, 4), [0, 0, 0, 1]])
+    R = np.eye(4)
+    R[:3, :3] = matrix["R0_rect"].reshape(3, 3)
+    uvw = np.c_[lidar, np.ones(500)] @ (matrix["P2"].reshape(3, 4) @ R @ Tr).T
+    px = project(calibration.camera(1242, 375), calibration.to_camera(lidar))
+    np.testing.assert_allclose(px, uvw[:, :2] / uvw[:, 2:], atol=1e-6)
+
+
+def test_tracking_frames_know_their_time(folder: Path):
+    recording = open_recording(folder)
+    times = [recording.frame(i).timestamp_ns for i in range(len(recording))]
+    expected = [300_000_000, 500_000_000] if recording.is_sequence else [None, None]
+    assert times == expected
+
+
+def test_some_invalid_points_are_left_out(folder: Path, scan: np.ndarray):
+    broken = scan.copy()
+    broken[::7, 1], broken[1::7, 3] = np.nan, np.inf
+    path = scan_path(folder)
+    path.write_bytes(broken.tobytes())
+    _, inside = by_formula(scan)
+    valid = np.isfinite(broken).all(axis=1)
+    assert len(open_recording(folder).frame(0).cloud) == (inside & valid).sum()
+
+
+def test_unpaired_files_are_frames_that_fail_alone(folder: Path):
+    scan_path(folder).unlink()
+    recording = open_recording(folder)
+    assert recording.keys == ("000003", "000005")
+    with pytest.raises(FrameError, match=r"velodyne/000003\.bin: missing; put 000003\.bin beside the image 000003"):
+        recording.frame(0)
+    assert recording.frame(1).key == "000005"
+
+
+def root_of(folder: Path) -> Path:
+    return open_recording(folder).root
+
+
+def scan_path(folder: Path) -> Path:
+    return root_of(folder) / "velodyne" / "000003.bin"
+
+
+def image_path(folder: Path) -> Path:
+    return next(root_of(folder).glob("image_*/000003.png"))
+
+
+def calib_path(folder: Path) -> Path:
+    flat = root_of(folder) / "calib.txt"
+    return flat if flat.is_file() else root_of(folder) / "calib" / "000003.txt"
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-7])
+
+
+def without(name: str) -> Callable[[Path], None]:
+    def damage(path: Path) -> None:
+        path.write_text("\n".join(line for line in path.read_text().splitlines() if not line.startswith(name)))
+
+    return damage
+
+
+def replaced(old: str, new: str) -> Callable[[Path], None]:
+    return lambda path: path.write_text(path.read_text().replace(old, new, 1)) and None
+
+
+def points(values: list[list[float]]) -> Callable[[Path], None]:
+    return lambda path: path.write_bytes(np.array(values, np.float32).tobytes()) and None
+
+
+DAMAGES = [
+    pytest.param(scan_path, truncate, "the scan is truncated: 47993 bytes", id="truncated-scan"),
+    pytest.param(scan_path, lambda p: p.write_bytes(b""), "the file is empty", id="empty-scan"),
+    pytest.param(scan_path, points([[np.nan] * 4] * 3), "every point is NaN or infinite", id="all-nan"),
+    pytest.param(scan_path, points([[-5, 0, 0, 0.5]]), "none of its 1 points lies in the image", id="all-behind"),
+    pytest.param(image_path, truncate, "the PNG image is truncated", id="truncated-image"),
+    pytest.param(image_path, lambda p: p.write_bytes(b"x" * 99), "cannot be decoded", id="no-image"),
+    pytest.param(calib_path, Path.unlink, "the calibration is missing", id="no-calibration"),
+    pytest.param(calib_path, without("P2"), "P2 is missing", id="no-p2"),
+    pytest.param(calib_path, without("R"), "R0_rect or R_rect is missing", id="no-rectification"),
+    pytest.param(calib_path, without("Tr"), "Tr_velo_to_cam or Tr_velo_cam is missing", id="no-lidar-pose"),
+    pytest.param(calib_path, replaced("P2: ", "P2: 1 "), "P2 must have 12 numbers, not 13", id="long-p2"),
+    pytest.param(calib_path, replaced("P2: ", "P2: x"), "could not convert", id="p2-no-number"),
+    pytest.param(calib_path, replaced("P2: 7", "P2: -7"), "not a pinhole camera", id="p2-negative"),
+    pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "cannot be read", id="no-text"),
+]
+
+
+@pytest.mark.parametrize(("where", "damage", "complaint"), DAMAGES)
+def test_damage_is_named_and_says_what_to_do(
+    folder: Path,
+    where: Callable[[Path], Path],
+    damage: Callable[[Path], object],
+    complaint: str,
+    capfd: pytest.CaptureFixture[str],
+):
+    path = where(folder)
+    damage(path)
+    recording = open_recording(folder)
+    with pytest.raises(FrameError, match=complaint) as caught:
+        recording.frame(0)
+    assert caught.value.path == path
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "; " in str(caught.value)
+    if path.name != "calib.txt":
+        assert recording.frame(1).key == "000005"

@@ -1,0 +1,284 @@
+"""SUN RGB-D in both layouts, made-up and real: the same camera, cloud and boxes by the data set's own formulas."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
+from sunrgbd_samples import DEPTH_MM, IMAGE, RTILT, WIDTH, A, K, png, upright_points, write_scene
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.recordings.sunrgbd.scenes import decode_depth
+from annotator.types import Frame
+from annotator.types.errors import FormatError, FrameError, RecordingError
+from annotator.workflows.recorded.reading import has_truth, load_truth
+
+LABEL = "night_stand 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n\nbed 0 0 9 9 0 3 -0.5 1 1.2 0.5 -1 0\n"
+
+
+@pytest.fixture(params=["depth", "points"])
+def extracted(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Frames 000001 and 000002 of VoteNet's layout, clouds as .mat or .npz."""
+    for name in ("image", "calib", "label", request.param):
+        (tmp_path / name).mkdir()
+    xyz, rgb = upright_points()
+    for key in ("000001", "000002"):
+        (tmp_path / "image" / f"{key}.png").write_bytes(png(IMAGE[:, :, ::-1]))
+        columns = "\n".join(" ".join(f"{value:.9g}" for value in matrix.T.ravel()) for matrix in (RTILT, K))
+        (tmp_path / "calib" / f"{key}.txt").write_text(columns + "\n")
+        (tmp_path / "label" / f"{key}.txt").write_text(LABEL)
+        if request.param == "depth":
+            savemat(tmp_path / "depth" / f"{key}.mat", {"instance": np.c_[xyz, rgb / 255]}, do_compression=True)
+        else:
+            np.savez(tmp_path / "points" / f"{key}.npz", points=xyz, colors=rgb)
+    return tmp_path
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "SUNRGBD" / "kv2" / "align_kv2" / "2014-12-19_15-53-20_094959634447"
+    write_scene(path)
+    return path
+
+
+def check_frame(frame: Frame) -> None:
+    """What both layouts must give."""
+    xyz, rgb = upright_points()
+    np.testing.assert_allclose(frame.T_camera_label.inv().apply(frame.cloud.xyz_m.astype(float)), xyz, atol=1e-5)
+    np.testing.assert_array_equal(frame.cloud.rgb, rgb)
+    np.testing.assert_allclose(frame.depth_m, DEPTH_MM / 1000, atol=1e-6)
+    v, u = np.nonzero(DEPTH_MM)
+    np.testing.assert_array_equal(frame.cloud.pixel_index, v * WIDTH + u)
+    np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m), np.c_[u, v], atol=1e-3)
+    np.testing.assert_allclose(frame.T_camera_label.apply([0, 0, 1]), frame.up, atol=1e-9)
+    assert frame.up @ [0, -1, 0] > 0.9
+    np.testing.assert_array_equal(frame.rgb, IMAGE)
+
+
+def test_an_extracted_frame(extracted: Path):
+    recording = open_recording(extracted)
+    assert (recording.format, recording.keys, recording.is_sequence) == (
+        "sunrgbd_extracted",
+        ("000001", "000002"),
+        False,
+    )
+    check_frame(recording.frame(1))
+
+
+def test_a_scene_and_folders_of_scenes(scene: Path, tmp_path: Path):
+    check_frame(open_recording(scene).frame(0))
+    second = scene.with_name("2014-12-19_15-53-21")
+    write_scene(second)
+    (tmp_path / "SUNRGBD" / "readme.txt").touch()
+    for root, prefix in (
+        (tmp_path / "SUNRGBD", "kv2__align_kv2__"),
+        (scene.parents[1], "align_kv2__"),
+        (scene.parent, ""),
+    ):
+        recording = open_recording(root)
+        assert (recording.format, recording.is_sequence) == ("sunrgbd_scenes", False)
+        assert recording.keys == (f"{prefix}{scene.name}", f"{prefix}{second.name}")
+        check_frame(recording.frame(1))
+        assert [t.label for t in load_truth(recording, 1, recording.frame(1))] == ["night_stand"]
+
+
+def test_extracted_labels_are_votenet_s_boxes(extracted: Path):
+    recording = open_recording(extracted)
+    frame = recording.frame(0)
+    stand, bed = load_truth(recording, 0, frame)
+    assert (stand.label, bed.label) == ("night_stand", "bed")
+    box = stand.box.transformed(frame.T_camera_label.inv())
+    np.testing.assert_allclose(box.center_m, [0.4, 2.5, -0.3], atol=1e-9)
+    np.testing.assert_allclose(box.size_m, [1.0, 0.6, 0.8])
+    # VoteNet: heading = -atan2(oy, ox); its length lies along rotz(-heading) x
+    np.testing.assert_allclose(box.rotation, Rotation.from_euler("z", np.arctan2(0.8, 0.6)).as_matrix(), atol=1e-9)
+
+
+def test_scene_labels_are_what_the_toolbox_computes(scene: Path):
+    recording = open_recording(scene)
+    frame = recording.frame(0)
+    (truth,) = load_truth(recording, 0, frame)
+    box = truth.box.transformed(frame.T_camera_label.inv())
+    # y counts downwards in the file; the orientation points to the first edge, towards the camera here
+    np.testing.assert_allclose(box.center_m, [0.5, 3.0, -0.25], atol=1e-9)
+    np.testing.assert_allclose(box.size_m, [2.0, 1.0, 1.5])
+    np.testing.assert_allclose(box.rotation[:, 0], [0, -1, 0], atol=1e-9)
+    np.testing.assert_allclose(box.rotation[:, 2], [0, 0, 1], atol=1e-9)
+
+
+def test_scenes_without_annotations_have_no_truth(scene: Path):
+    shutil.rmtree(scene / "annotation3Dfinal")
+    assert not has_truth(open_recording(scene))
+    write_scene(scene.with_name(f"{scene.name}-later"))
+    assert has_truth(open_recording(scene.parent)), "if only some have them"
+
+
+def test_depth_values_are_turned_by_three_bits():
+    depth_m = decode_depth(np.array([[8, 0x8001, 1, 0]], np.uint16))
+    np.testing.assert_allclose(depth_m, [[0.001, 12.288, 8.192, 0]], rtol=1e-6)
+
+
+def damage(name: str, content: bytes | None) -> Callable[[Path], Path]:
+    def apply(folder: Path) -> Path:
+        path = next(folder.glob(name))
+        path.unlink() if content is None else path.write_bytes(content)
+        return path
+
+    return apply
+
+
+EXTRACTED_DAMAGES = [
+    (damage("calib/000001.txt", None), "the calibration is missing"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n"), "must have two lines"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0\n1 0 0 0 1 0 0 0 1"), "must have 9 numbers, not 8"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 x\n1 0 0 0 1 0 0 0 1"), "could not convert"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 nan\n1 0 0 0 1 0 0 0 1"), "not finite"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1"), "the tilt is not a rotation"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n1 0 0 0 -1 0 0 0 1"), "not a pinhole camera"),
+    (damage("image/000001.png", None), "missing; put 000001.png"),
+    (damage("[dp]*/000001.*", None), "missing; put 000001"),
+    (damage("[dp]*/000001.*", b""), "cannot be read as a MATLAB file|the file is empty"),
+    (damage("[dp]*/000001.*", b"MATLAB 5.0" * 99), "cannot be read as a MATLAB file|archive is damaged"),
+]
+
+
+@pytest.mark.parametrize(("harm", "complaint"), EXTRACTED_DAMAGES)
+def test_damage_to_an_extracted_frame_is_named(extracted: Path, harm: Callable[[Path], Path], complaint: str):
+    path = harm(extracted)
+    recording = open_recording(extracted)
+    with pytest.raises(FrameError, match=complaint) as caught:
+        recording.frame(0)
+    assert caught.value.path.with_suffix("") == path.with_suffix("")
+    assert recording.frame(1).key == "000002"
+
+
+SCENE_DAMAGES = [
+    (damage("image/*", None), "has no .png or .jpg or .jpeg file"),
+    (damage("depth/*", None), "has no .png file"),
+    (damage("extrinsics/20160101.txt", b"1 2 3"), "must have 3 x 4 numbers"),
+    (damage("intrinsics.txt", b"1 2 3"), "must have 9 numbers"),
+    (damage("depth/*", png(DEPTH_MM[:-1])), "the image"),
+    (damage("depth/*", png(DEPTH_MM * 0)), "no pixel has a depth"),
+]
+
+
+@pytest.mark.parametrize(("harm", "complaint"), SCENE_DAMAGES)
+def test_damage_to_a_scene_is_named(scene: Path, harm: Callable[[Path], Path], complaint: str):
+    harm(scene)
+    with pytest.raises(FrameError, match=complaint) as caught:
+        open_recording(scene).frame(0)
+    assert str(scene) in str(caught.value)
+
+
+def test_filled_depth_is_read_where_there_is_no_other(scene: Path):
+    (scene / "depth").rename(scene / "depth_bfx")
+    check_frame(open_recording(scene).frame(0))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("bed 1 2 3\n", ":1: a label has 13 fields, not 4"),
+        ("\nbed 0 0 9 9 0 3 -0.5 1 x 0.5 -1 0\n", ":2: could not convert"),
+        ("bed 0 0 9 9 0 3 -0.5 1 -1 0.5 -1 0\n", "sizes must be positive"),
+        ("bed 0 0 9 9 0 3 -0.5 1 1 0.5 0 0\n", "has length 0"),
+        ("bed 0 0 9 9 0 3 nan 1 1 0.5 0 1\n", "not finite"),
+    ],
+)
+def test_broken_extracted_labels_name_the_line(extracted: Path, text: str, complaint: str):
+    (extracted / "label" / "000001.txt").write_text(text)
+    recording = open_recording(extracted)
+    with pytest.raises(FormatError, match=complaint):
+        load_truth(recording, 0, recording.frame(0))
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"X": [0, 1, 1]}, "objects.0.polygon.0.X"),
+        ({"X": [0, 1, 3, 0]}, "is not a rectangle"),
+        ({"X": [0, 0, 0, 0]}, "is not a rectangle"),
+        ({"Ymax": -0.5}, "sizes must be positive"),
+        ({"Ymin": None}, "objects.0.polygon.0.Ymin"),
+    ],
+)
+def test_broken_scene_labels_say_what(scene: Path, change: dict[str, object], complaint: str):
+    path = scene / "annotation3Dfinal" / "index.json"
+    content = json.loads(path.read_text())
+    content["objects"][0]["polygon"][0] |= change
+    path.write_text(json.dumps(content))
+    recording = open_recording(scene)
+    with pytest.raises(FormatError, match=complaint) as caught:
+        load_truth(recording, 0, recording.frame(0))
+    assert caught.value.path == path
+
+
+def test_many_scenes_are_listed_without_a_look_into_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = tmp_path / "kv1" / "b3dodata"
+    for number in range(50):
+        scene = folder / f"scene{number:05d}"
+        for name in ("image", "extrinsics"):
+            (scene / name).mkdir(parents=True)
+        (scene / "intrinsics.txt").touch()
+    looked: list[str] = []
+    is_dir = os.path.isdir
+    monkeypatch.setattr(io, "open", lambda file, *_, **__: pytest.fail(f"{file} was opened"))
+    monkeypatch.setattr("builtins.open", lambda file, *_, **__: pytest.fail(f"{file} was opened"))
+    monkeypatch.setattr(os, "listdir", lambda folder: pytest.fail(f"{folder} was listed"))
+    monkeypatch.setattr(os.path, "isdir", lambda path: looked.append(str(path)) or is_dir(path))
+    assert len(open_recording(tmp_path)) == 50
+    assert len(looked) <= 5 * 50, "a few looks at each scene's folders"
+
+
+def test_a_broken_scene_stops_nothing_else(scene: Path):
+    write_scene(scene.with_name("other"))
+    shutil.rmtree(scene / "depth")
+    recording = open_recording(scene.parent)
+    with pytest.raises(RecordingError):
+        recording.frame(0)
+    check_frame(recording.frame(1))
+
+
+@pytest.mark.shared
+def test_the_real_frame_in_both_layouts(shared: Path, tmp_path: Path):
+    data = shared / "data" / "sunrgbd"
+    recording = open_recording(data / "sunrgbd_trainval")
+    frame = recording.frame(0)
+    assert (frame.key, frame.rgb.shape, frame.depth_m is None) == ("000001", (530, 730, 3), False)
+    truths = load_truth(recording, 0, frame)
+    assert [t.label for t in truths] == ["bed", "night_stand", "ottoman", "dresser_mirror", "dresser", "lamp"]
+    # frustum-pointnets wrote the same boxes in another way
+    boxes = json.loads((data / "imvotenet" / "boxes.json").read_text())["000001"]
+    bed = truths[0].box.transformed(frame.T_camera_label.inv())
+    theirs = next(each for each in boxes if each["class"] == "bed")
+    np.testing.assert_allclose(bed.center_m, theirs["centroid"], atol=1e-3)
+    corners = {tuple(np.sign(c)) for c in (np.array(theirs["bev_corners"]) - bed.center_m[:2]) @ bed.rotation[:2, :2]}
+    assert len(corners) == 4
+    np.testing.assert_allclose(sorted(bed.size_m), sorted(theirs["size"]), atol=1e-3)
+    # the same frame as a raw scene
+    scene = tmp_path / "scene"
+    for name in ("image", "depth", "extrinsics"):
+        (scene / name).mkdir(parents=True)
+    shutil.copy(data / "raw" / "image" / "000001.jpg", scene / "image")
+    shutil.copy(data / "raw" / "depth" / "000001.png", scene / "depth")
+    Rtilt, matrix = (
+        np.array(line.split(), float).reshape(3, 3).T
+        for line in (data / "imvotenet" / "calib" / "000001.txt").read_text().splitlines()
+    )
+    (scene / "intrinsics.txt").write_text(" ".join(map(str, matrix.ravel())))
+    np.savetxt(scene / "extrinsics" / "a.txt", np.c_[A.T @ Rtilt @ A, np.zeros(3)])
+    raw = open_recording(scene).frame(0)
+    # the extraction ends at 8 m
+    np.testing.assert_allclose(np.minimum(raw.depth_m, 8), frame.depth_m, atol=1e-4)
+    np.testing.assert_allclose(raw.T_camera_label.as_matrix(), frame.T_camera_label.as_matrix(), atol=1e-4)
+    second = open_recording(data / "imvotenet").frame(1)
+    assert (second.key, second.depth_m is None) == ("000002", False)

@@ -1,0 +1,121 @@
+"""Motion of the generated people and hands: continuous, without collisions, with bones of constant length."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from annotator.synthetic.crowd import PERSONAL_SPACE_M, Zone, crowd_moments
+from annotator.synthetic.furniture import HALF_WIDTH_M
+from annotator.synthetic.gestures import Reach, elbow_m, hand_moments
+from annotator.synthetic.looks import HAIR_STYLES, random_looks
+from annotator.synthetic.materials import Palette
+from annotator.synthetic.people import body_mesh
+from annotator.synthetic.pose import GESTURES, Pose, from_vector, gesturing, to_vector, walking
+from annotator.synthetic.room import furnished_room
+
+ZONE = Zone(2.4, 4.5, 0.5, 0.3, ((-2.0, 3.0, -0.8, 4.0), (0.9, 4.2, 2.0, 5.0)))
+
+
+@pytest.fixture(scope="module")
+def walk() -> tuple[np.ndarray, np.ndarray, np.ndarray, set[int]]:
+    """Half a minute of four walkers at 10 Hz: places (t, n, 2), yaws (t, n), joints (t, n, k), gestures seen."""
+    places, yaws, joints, gestures = [], [], [], set()
+    for walkers in islice(crowd_moments(ZONE, 4, np.random.default_rng(5), 0.1), 300):
+        places.append([walker.place for walker in walkers])
+        yaws.append([walker.yaw for walker in walkers])
+        joints.append([walker.joints for walker in walkers])
+        gestures |= {walker.gesture for walker in walkers}
+    return np.array(places), np.array(yaws), np.array(joints), gestures
+
+
+def test_people_keep_apart_and_out_of_the_furniture(walk: tuple[np.ndarray, ...]):
+    places = walk[0]
+    gaps = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+    gaps[:, np.arange(4), np.arange(4)] = np.inf
+    assert gaps.min() > 0.6 * PERSONAL_SPACE_M
+    assert np.percentile(gaps.min(axis=(1, 2)), 5) > 0.9 * PERSONAL_SPACE_M
+    for x_min, y_min, x_max, y_max in ZONE.obstacles:
+        x, y = places[..., 0], places[..., 1]
+        assert not ((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max)).any()
+
+
+def test_people_get_around_turn_and_gesture(walk: tuple[np.ndarray, ...]):
+    places, yaws, _, gestures = walk
+    assert (np.ptp(places, axis=0) > 1.0).any(axis=1).all()
+    assert (np.ptp(yaws, axis=0) > np.pi).all()
+    assert len(gestures) > 5
+
+
+def test_motion_is_continuous(walk: tuple[np.ndarray, ...]):
+    places, yaws, joints, _ = walk
+    assert np.linalg.norm(np.diff(places, axis=0), axis=2).max() < 0.25  # 2.5 m/s
+    assert np.abs(np.diff(yaws, axis=0)).max() < 0.3
+    assert np.abs(np.diff(joints, axis=0)).max() < 0.81
+
+
+@given(st.lists(st.floats(-3, 3), min_size=16, max_size=16))
+def test_a_pose_and_its_vector_are_the_same(values: list[float]):
+    np.testing.assert_array_equal(to_vector(from_vector(np.array(values))), values)
+
+
+@pytest.mark.parametrize("kind", range(len(GESTURES)))
+def test_every_body_stands_on_the_floor(kind: int):
+    palette, random = Palette(), np.random.default_rng(kind)
+    looks = random_looks(palette, random, HAIR_STYLES[kind % len(HAIR_STYLES)])
+    for pose in (Pose(), gesturing(kind, 0.7), walking(0.9 * kind, 1.0)):
+        mesh = body_mesh(looks, pose, 4)
+        assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-5)
+        assert 0.9 < mesh.vertices[:, 2].max() < 2.5
+        assert set(mesh.track) == {4}
+    assert body_mesh(looks, Pose(), 1).vertices[:, 2].max() == pytest.approx(looks.height_m, rel=0.05)
+
+
+def test_a_gait_is_symmetric_in_left_and_right():
+    one, other = walking(0.4, 1.0), walking(0.4 + np.pi, 1.0)
+    np.testing.assert_allclose([one.left_leg.hip, one.left_leg.knee], [other.right_leg.hip, other.right_leg.knee])
+    assert one.left_arm.flex == pytest.approx(other.right_arm.flex)
+    assert one.left_arm.flex * one.left_leg.hip < 0  # arms swing against the legs
+
+
+@given(st.integers(0, 10_000), st.floats(-3, 3), st.floats(0.1, 0.56))
+def test_the_arms_bones_keep_their_lengths(seed: int, swivel: float, distance: float):
+    direction = np.random.default_rng(seed).normal(size=3)
+    direction /= np.linalg.norm(direction)
+    if max(abs(direction[2]), abs(direction[0])) > 0.999:  # along the hanging or the outward direction: no side
+        return
+    shoulder = np.array([0.2, 1.0, 1.4])
+    wrist = shoulder + distance * direction
+    elbow = elbow_m(shoulder, wrist, 0.31, 0.26, swivel, np.array([1.0, 0.0, 0.0]))
+    assert np.linalg.norm(elbow - shoulder) == pytest.approx(0.31, abs=1e-9)
+    assert np.linalg.norm(wrist - elbow) == pytest.approx(0.26, abs=1e-9)
+
+
+def test_hands_move_smoothly_apart_and_through_many_orientations():
+    reaches = [Reach((-0.17, -0.02), (1.5, 1.7), (1.1, 1.3)), Reach((0.02, 0.17), (1.5, 1.7), (1.1, 1.3))]
+    moments = [
+        (np.array([m.wrist_m for m in motions]), np.array([m.bend for m in motions]))
+        for motions in islice(hand_moments(reaches, np.random.default_rng(1), 0.1), 300)
+    ]
+    wrists, bends = (np.array(part) for part in zip(*moments, strict=True))
+    assert np.linalg.norm(np.diff(wrists, axis=0), axis=2).max() < 0.12
+    assert np.linalg.norm(wrists[:, 0] - wrists[:, 1], axis=1).min() > 0.1
+    backs = bends[:, :, :, 2].reshape(-1, 3)
+    assert (backs[:, 2] > 0.5).any()
+    assert (backs[:, 2] < -0.3).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_room_has_space_for_people(seed: int):
+    palette, random = Palette(), np.random.default_rng(seed)
+    room = furnished_room(palette, random)
+    zone = Zone(2.45, 4.5, 0.5, 0.3, room.obstacles)
+    free = [zone.contains(np.array([x, y])) for x in np.linspace(-2, 2, 41) for y in np.linspace(2.4, 4.5, 22)]
+    assert np.mean(free) > 0.25
+    assert len(room.obstacles) == 6
+    assert np.abs(room.mesh.vertices[:, 0]).max() < HALF_WIDTH_M + 0.2
+    assert room.mesh.material.max() < len(palette.materials)

@@ -1,0 +1,133 @@
+"""Generated recordings on disk: they open, their truth is exact, and the same seed gives the same bytes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.formats.boxes_json import read_boxes
+from annotator.formats.masks import read_mask
+from annotator.geometry.oriented_box import contains
+from annotator.recordings import open_recording
+from annotator.synthetic import write_generated
+from annotator.types.errors import ConfigError
+
+PRESETS = ("people", "hands")
+FRAMES = 3
+SIZE = {"width": 192, "height": 144}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="session")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One small recording of each preset."""
+    root = tmp_path_factory.mktemp("generated")
+    for preset in PRESETS:
+        write_generated(root / preset, preset, FRAMES, seed=3, **SIZE)
+    return {preset: root / preset for preset in PRESETS}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_it_opens_as_an_rgbd_folder_with_gravity(generated: dict[str, Path], preset: str):
+    recording = open_recording(generated[preset])
+    assert (recording.format, len(recording), recording.is_sequence) == ("rgbd_folder", FRAMES, True)
+    frame = recording.frame(FRAMES - 1)
+    assert frame.rgb.shape == (144, 192, 3)
+    assert frame.up is not None
+    assert frame.up @ [0, -1, 0] > 0.9  # the camera stands upright, nearly
+    made = json.loads((generated[preset] / "generated.json").read_text())
+    assert made == {"version": 1, "preset": preset, "seed": 3, "frames": FRAMES, "period_s": 0.1}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_truth_is_kept_apart_and_fits_the_measured_points(generated: dict[str, Path], preset: str):
+    folder = generated[preset]
+    assert not (folder / "boxes.json").exists()
+    assert not (folder / "mask").exists()
+    recording, boxes = open_recording(folder), read_boxes(folder / "truth" / "boxes.json")
+    assert tuple(boxes) == recording.keys
+    for i, key in enumerate(recording.keys):
+        frame, mask = recording.frame(i), read_mask(folder / "truth" / "mask" / f"{key}.png")
+        assert boxes[key]
+        assert set(np.unique(mask)) == set(range(len(boxes[key]) + 1))
+        assert len({truth.track_id for truth in boxes[key]}) == len(boxes[key])
+        numbers = mask.ravel()[frame.cloud.pixel_index]
+        for number, truth in enumerate(boxes[key], start=1):
+            assert truth.label == {"people": "person", "hands": "hand"}[preset]
+            points = frame.cloud.xyz_m[numbers == number]
+            assert len(points) > 20
+            # all but the depth camera's noise at the far side of the people
+            assert contains(truth.box, points, 0.03).mean() > 0.98
+            # nothing else reaches deep into the box: the arm stops at the wrist, people keep apart
+            assert contains(truth.box, points).sum() > 0.5 * contains(truth.box, frame.cloud.xyz_m).sum()
+
+
+def test_people_stand_upright_and_hands_do_not(generated: dict[str, Path]):
+    for preset, upright in (("people", True), ("hands", False)):
+        up = open_recording(generated[preset]).frame(0).up
+        truths = [t for ts in read_boxes(generated[preset] / "truth" / "boxes.json").values() for t in ts]
+        tilts = [float(truth.box.rotation[:, 2] @ up) for truth in truths]
+        assert all(tilt == pytest.approx(1, abs=1e-6) for tilt in tilts) == upright
+        sizes = np.array([truth.box.size_m for truth in truths])
+        low, high = (0.9, 2.5) if upright else (0.05, 0.25)
+        assert ((sizes.max(axis=1) > low) & (sizes.max(axis=1) < high)).all()
+
+
+def test_the_depth_is_in_millimetres_with_holes(generated: dict[str, Path]):
+    frame = open_recording(generated["people"]).frame(0)
+    assert 0.5 < (frame.depth_m > 0).mean() < 0.995
+    assert 0.5 < np.median(frame.cloud.xyz_m[:, 2]) < 6
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(generated: dict[str, Path], tmp_path: Path):
+    write_generated(tmp_path / "again", "people", FRAMES, seed=3, **SIZE)
+    assert contents(tmp_path / "again") == contents(generated["people"])
+    write_generated(tmp_path / "other", "people", 1, seed=4, **SIZE)
+    one, other = (contents(folder)["color/000000.jpg"] for folder in (tmp_path / "again", tmp_path / "other"))
+    assert one != other
+
+
+def test_a_longer_recording_begins_like_a_shorter_one(generated: dict[str, Path], tmp_path: Path):
+    write_generated(tmp_path / "short", "hands", 1, seed=3, **SIZE)
+    for name in ("color/000000.jpg", "depth/000000.png", "truth/mask/000000.png"):
+        assert contents(tmp_path / "short")[name] == contents(generated["hands"])[name]
+
+
+def test_progress_is_reported(tmp_path: Path):
+    seen: list[tuple[int, int]] = []
+    write_generated(tmp_path / "r", "hands", 2, 0, 32, 24, report=lambda done, all_: seen.append((done, all_)))
+    assert seen == [(1, 2), (2, 2)]
+
+
+def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
+    def interrupt(done: int, frames: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_generated(tmp_path / "r", "hands", 5, 0, 32, 24, report=interrupt)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"preset": "cats"}, "unknown preset 'cats'; choose one of people, hands"),
+        ({"frames": 0}, "frames must be at least 1"),
+        ({"width": 8}, "at least 16 x 16"),
+        ({"path": "."}, "already exists"),
+        ({"seed": -1}, "the seed must be 0 or more"),
+        ({"path": "n" * 250}, "cannot be created: File name too long"),
+    ],
+)
+def test_invalid_arguments_are_refused(tmp_path: Path, change: dict[str, object], complaint: str):
+    arguments: dict[str, object] = {"path": "new", "preset": "hands", "frames": 1, "seed": 0} | change
+    arguments["path"] = tmp_path / str(arguments["path"])
+    with pytest.raises(ConfigError, match=complaint):
+        write_generated(**arguments)
+    assert list(tmp_path.iterdir()) == []

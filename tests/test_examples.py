@@ -1,0 +1,33 @@
+"""The property tests try the same examples on every run, whatever else has been tested in the same process."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def drawn() -> list[tuple[int, float, str, bytes]]:
+    found: list[tuple[int, float, str, bytes]] = []
+
+    @given(st.integers(), st.floats(allow_nan=False), st.text(), st.binary())
+    def collect(whole: int, real: float, text: str, data: bytes) -> None:
+        found.append((whole, real, text, data))
+
+    collect()
+    return found
+
+
+def test_examples_depend_on_nothing_but_their_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = drawn()
+    assert len(before) > 50
+    random.seed(1)
+    assert drawn() == before
+    # constants of modules that are loaded are candidates, too, if nothing is done about it
+    (tmp_path / "many_constants.py").write_text(f"NUMBERS = {[*range(1_000_003, 1_000_403)]}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    __import__("many_constants")
+    assert drawn() == before

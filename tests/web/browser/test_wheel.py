@@ -1,0 +1,198 @@
+"""The wheel, built and installed without the network: its commands in an empty folder, and its page in a browser.
+
+The sdist is built from the repository and the wheel from the sdist, so what either lacks is missed here. The wheel's
+environment sees the installed dependencies of this one, but not the repository.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import tarfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+from urllib.parse import urljoin
+from zipfile import ZipFile
+
+import httpx
+import pytest
+from browser_page import sign_in
+
+from annotator import __version__
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="the environment's programs are in bin/")
+
+ROOT = Path(__file__).resolve().parents[3]
+STEM = f"rcv_annotator-{__version__}"
+# What names another file of the page, in HTML, CSS and JavaScript.
+NAMED = re.compile(
+    r"""(?:src|href)="(/[^"#]+)" | url\(["']?([^"')]+) | ["'](/assets/[^"']+)["'] | ["'](\.{1,2}/[\w./-]+\.js)["']""",
+    re.VERBOSE,
+)
+
+
+@dataclass(frozen=True)
+class Installed:
+    """An environment with the wheel, and the folder in which its commands are run."""
+
+    programs: Path
+    folder: Path
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        known = {name: value for name, value in os.environ.items() if not name.startswith(("ANNOTATOR_", "PYTHON"))}
+        return subprocess.Popen(
+            [self.programs / words[0], *words[1:]],
+            cwd=self.folder,
+            env=known,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+
+    def run(self, *words: str, code: int = 0) -> str:
+        """What a program says: on standard output, or on standard error where it is to fail."""
+        with self.start(*words) as process:
+            out, err = process.communicate(timeout=120)
+        assert process.returncode == code, out + err
+        return err if code else out
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the sdist, and the wheel that was built from it."""
+    for module in ("build", "hatchling.build"):
+        pytest.importorskip(module, reason="what builds the wheel is not installed; run scripts/setup test")
+    folder = tmp_path_factory.mktemp("archives")
+    words = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    # not in the repository, where a folder `build` would hide the module
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(archives: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel in an environment of its own."""
+    environment = tmp_path_factory.mktemp("environment")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
+    python = environment / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", str(python)]
+    wheel = archives / f"{STEM}-py3-none-any.whl"
+    subprocess.run([*pip, "install", "--quiet", "--no-deps", "--no-index", "--no-compile", wheel], check=True)
+    where = subprocess.run(
+        [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    # Their own .pth files are not read, and with them not the one that leads to the repository.
+    folders = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages")]
+    Path(where.stdout.strip(), "dependencies.pth").write_text("\n".join(folders) + "\n")
+    return Installed(environment / "bin", tmp_path_factory.mktemp("empty"))
+
+
+@pytest.fixture(scope="module")
+def project(installed: Installed) -> str:
+    """A project with a recording, made by the wheel's commands."""
+    size = ["--width", "160", "--height", "120"]
+    installed.run("annotator", "generate", "people", "--frames", "2", *size)
+    installed.run("annotator", "new", "room", "--classes", "person")
+    said = installed.run("annotator", "add", "room", "people")
+    assert "added people: 2 frames (rgbd_folder)" in said
+    return "room"
+
+
+@pytest.fixture(scope="module")
+def live(installed: Installed, project: str) -> Iterator[SimpleNamespace]:
+    """`annotator serve` of the wheel, in the place of the server that other tests of pages have."""
+    process = installed.start("annotator", "serve", project, "--port", "0")
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        found = re.search(r"(http://\S+)/#", process.stdout.readline())
+        assert found is not None, process.stderr.read()
+        yield SimpleNamespace(url=found.group(1))
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        process.stdout.close()
+        process.stderr.close()
+
+
+def files_below(folder: Path) -> set[str]:
+    """The files in a folder of the repository, by their paths in it, without what git ignores there."""
+    paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    generated = {"__pycache__", "node_modules", "server.d.ts"}
+    return {path.as_posix() for path in paths if not generated & set(path.parts)}
+
+
+def test_the_wheel_holds_the_package_and_the_page(archives: Path) -> None:
+    with ZipFile(archives / f"{STEM}-py3-none-any.whl") as wheel:
+        names = {name for name in wheel.namelist() if not name.startswith(f"{STEM}.dist-info/")}
+    page = {name for name in files_below(ROOT / "web_assets") if not name.endswith((".md", ".json"))}
+    package = {f"annotator/{name}" for name in files_below(ROOT / "annotator")}
+    assert names == package | {f"annotator/web_assets/{name}" for name in page}
+
+
+def test_the_sdist_holds_the_repository_without_what_work_leaves_in_it(archives: Path) -> None:
+    with tarfile.open(archives / f"{STEM}.tar.gz") as sdist:
+        names = {Path(*Path(name).parts[1:]).as_posix() for name in sdist.getnames()}
+    for folder in ("annotator", "web_assets", "tests", "scripts"):
+        kept = {name for name in names if name.startswith(f"{folder}/")}
+        assert kept == {f"{folder}/{name}" for name in files_below(ROOT / folder)}
+    assert {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CONTRIBUTING.md"} <= names
+    junk = {"node_modules", ".venv", "out", "runs", "__pycache__"}
+    assert not [name for name in names if junk & set(Path(name).parts)]
+    assert {name for name in names if name.startswith("projects/")} == {"projects/README.md"}
+
+
+def test_the_installed_program_is_the_wheels(installed: Installed) -> None:
+    code = "import annotator, importlib.metadata as m; print(annotator.__file__, m.version('rcv-annotator'))"
+    file, version = installed.run("python", "-c", code).split()
+    assert installed.programs.parent in Path(file).parents
+    assert version == __version__
+    said = f"annotator {__version__}\n"
+    assert installed.run("annotator", "--version") == installed.run("python", "-m", "annotator", "--version") == said
+
+
+def test_annotate_refuses_without_detectors(installed: Installed, project: str) -> None:
+    said = installed.run("annotator", "annotate", project, code=2)
+    assert f"has no image detector yet; run `annotator train {project}`" in said
+    assert "Traceback" not in said
+
+
+def test_the_page_and_every_file_that_it_names_are_served(live: SimpleNamespace) -> None:
+    seen: set[str] = set()
+    waiting = [f"{live.url}/"]
+    with httpx.Client(timeout=60) as client:
+        while waiting:
+            url = waiting.pop()
+            answer = client.get(url)
+            assert answer.status_code == 200, url
+            seen.add(url)
+            # the vendor's script is a bundle, and names nothing
+            if "/vendor/" not in url:
+                named = {urljoin(url, next(filter(None, found))) for found in NAMED.findall(answer.text)}
+                waiting += named - seen - set(waiting)
+    code = {name for name in files_below(ROOT / "web_assets") if name.endswith((".js", ".css"))}
+    assert {f"{live.url}/assets/{name}" for name in code} <= seen, "no file names these"
+    assert f"{live.url}/assets/vendor/plotly.min.js" in seen
+
+
+def test_the_page_opens_a_frame(live: SimpleNamespace, project: str, open_page: Callable[..., Page]) -> None:
+    page = open_page()
+    sign_in(page, live.url)
+    page.goto(f"/#/{project}/label")
+    image = page.get_by_test_id("image-editor").locator(f"img.picture[src*='/{project}/frames/']")
+    image.wait_for()
+    assert image.evaluate("image => image.decode().then(() => image.naturalWidth)") == 160
+    page.locator('[data-testid=viewport][data-state="ready"]').wait_for()

@@ -1,0 +1,280 @@
+"""3D viewports over HTTP, and the proxy to their viser servers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest.mock import Mock
+
+import httpx
+import msgspec
+import numpy as np
+import pytest
+import viser
+from live_server import PATIENCE_S
+from viser import _messages
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from annotator.project.labels import NewLabel
+from annotator.project.writing import WriteContext
+from annotator.types import OrientedBox, ReviewState
+from annotator.web.viewport.server import start_viser
+from annotator.web.viewport.viewports import MOST_AN_OPERATOR, Viewports
+
+PROTOCOL = f"viser-v{viser.__version__}"
+
+
+@pytest.fixture
+def frame_id(live: Any) -> int:
+    """The first frame of `room`."""
+    return live.context.project("room").frames.of()[0].id
+
+
+def opened(live: Any, client: httpx.Client | None = None) -> str:
+    answer = (client or live.client).post("/api/workbench", json={"project": "room"})
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["url"] == f"/viser/{answer.json()['id']}/"
+    return answer.json()["id"]
+
+
+def show(live: Any, viewport: str, **scene: Any) -> httpx.Response:
+    return live.client.put(f"/api/workbench/{viewport}/scene", json=scene)
+
+
+def viewport_of(live: Any, viewport: str) -> Any:
+    return live.server.app.state.viewports.get(viewport, "Ada")
+
+
+@contextmanager
+def browser(live: Any, viewport: str, protocol: str = PROTOCOL, **more: Any) -> Iterator[ClientConnection]:
+    """Opens a WebSocket like viser's page: at the page's own URL."""
+    headers = {"Cookie": live.cookies()}
+    with connect(
+        live.socket_url(f"/viser/{viewport}"),
+        additional_headers=headers,
+        origin=live.url,
+        subprotocols=[protocol],
+        max_size=None,
+        **more,
+    ) as socket:
+        yield socket
+
+
+def test_a_scene_says_how_much_of_the_cloud_is_shown(live: Any, frame_id: int) -> None:
+    viewport = opened(live)
+    answer = show(live, viewport, frame=frame_id)
+    assert answer.status_code == 200, answer.text
+    frame = live.context.frame(live.context.project("room"), frame_id)
+    assert answer.json()["points"] == answer.json()["shown_points"] == len(frame.cloud)
+    assert answer.json()["ms"] > 0
+    assert answer.json()["connected"] is False
+    assert show(live, viewport, frame=None).json()["points"] == 0
+
+
+def test_a_preview_replaces_the_box_of_its_label(live: Any, frame_id: int) -> None:
+    project = live.context.project("room")
+    box = OrientedBox.from_parts(np.array([0.0, 0, 3]), np.eye(3), np.array([1.0, 1, 1]))
+    revision = project.frames.get(frame_id).revision
+    project.labels.create(frame_id, [NewLabel("person", box)], WriteContext(revision, "Ada"))
+    uid = project.labels.of_frame(frame_id)[0].uid
+    viewport = opened(live)
+    assert show(live, viewport, frame=frame_id).status_code == 200
+    scene = viewport_of(live, viewport)._scene
+    assert [shown.uid for shown in scene.content.boxes] == [uid]
+    moved = {"center": [0.5, 0, 3], "size": [1, 1, 1], "quaternion": [1, 0, 0, 0]}
+    show(live, viewport, frame=frame_id, selected=uid, preview={"uid": uid, "box": moved}, gizmo="rotate")
+    assert [shown.uid for shown in scene.content.boxes] == [uid]
+    np.testing.assert_allclose(scene.selected.box.center_m, [0.5, 0, 3])
+    assert scene.selected.state is ReviewState.ACCEPTED
+    show(live, viewport, frame=frame_id, preview={"uid": None, "box": moved}, labels="none")
+    assert [shown.uid for shown in scene.content.boxes] == [None]
+    # all unstored boxes are shown, the selected one as changed by its preview
+    added = [{"uid": f"new-{n}", "box": {**moved, "center": [n, 0, 3]}} for n in (1, 2)]
+    show(live, viewport, frame=frame_id, selected="new-2", added=added, preview={"uid": "new-2", "box": moved})
+    assert {shown.uid: shown.box.center_m[0] for shown in scene.content.boxes} == {uid: 0, "new-1": 1, "new-2": 0.5}
+    assert {shown.state for shown in scene.content.boxes[1:]} == {ReviewState.PROPOSED}
+
+
+def test_a_draft_shows_its_views(live: Any, frame_id: int) -> None:
+    viewport = opened(live)
+    image_box = {"label": "person", "x_min": 100, "y_min": 60, "x_max": 220, "y_max": 220}
+    answer = show(live, viewport, frame=frame_id, draft={"image_box": image_box, "boxes": [None, None]})
+    assert answer.status_code == 200, answer.text
+    content = viewport_of(live, viewport)._scene.content
+    assert len(content.draft.views) == 2
+    assert content.draft.box is None
+
+
+@pytest.mark.parametrize(
+    ("scene", "field"),
+    [
+        ({}, "frame"),
+        ({"frame": -1}, "frame"),
+        ({"frame": 1, "gizmo": "scale"}, "gizmo"),
+        ({"frame": 1, "color": "pink"}, "color"),
+        ({"frame": 1, "point_size": 0}, "point_size"),
+        ({"frame": 1, "surprise": 1}, "surprise"),
+        ({"frame": 1, "draft": {"image_box": {"label": "a", "x_min": 3, "y_min": 0, "x_max": 1, "y_max": 1}}}, "draft"),
+        ({"frame": 1, "preview": {"uid": None, "box": {"center": [0, 0, 0], "size": [0, 1, 1]}}}, "preview"),
+    ],
+)
+def test_an_invalid_scene_is_refused_with_the_field(live: Any, scene: dict, field: str) -> None:
+    answer = live.client.put(f"/api/workbench/{opened(live)}/scene", json=scene)
+    assert answer.status_code == 422
+    assert field in answer.json()["error"]["message"]
+
+
+def test_missing_projects_frames_and_viewports(live: Any) -> None:
+    assert live.client.post("/api/workbench", json={"project": "nowhere"}).status_code == 404
+    viewport = opened(live)
+    assert show(live, viewport, frame=987654).status_code == 404
+    assert show(live, "0" * 16, frame=None).status_code == 404
+    assert show(live, "..", frame=None).status_code in (404, 405, 422)
+    assert live.client.get("/viser/0000/").status_code == 404
+    assert live.client.get(f"/viser/{viewport}/../../api/session").status_code in (200, 404)
+    assert live.client.get(f"/viser/{viewport}/%2e%2e/%2e%2e/pyproject.toml").status_code == 404
+    assert live.client.delete(f"/api/workbench/{viewport}").status_code == 204
+    assert live.client.delete(f"/api/workbench/{viewport}").status_code == 404
+    assert live.client.get(f"/viser/{viewport}/").status_code == 404
+
+
+def test_a_viewport_is_accessible_to_its_operator_only(live: Any, frame_id: int) -> None:
+    viewport = opened(live)
+    with httpx.Client(base_url=live.url, headers={"Origin": live.url}) as other:
+        assert other.post("/api/workbench", json={"project": "room"}).status_code == 401
+        assert other.get(f"/viser/{viewport}/").status_code == 401
+        other.post("/api/session", json={"operator": "Grace"})
+        assert other.get(f"/viser/{viewport}/").status_code == 404
+        assert other.put(f"/api/workbench/{viewport}/scene", json={"frame": frame_id}).status_code == 404
+        assert other.delete(f"/api/workbench/{viewport}").status_code == 404
+    assert show(live, viewport, frame=frame_id).status_code == 200
+
+
+def test_the_oldest_viewport_of_an_operator_closes_beyond_the_limit(live: Any) -> None:
+    ids = [opened(live) for _ in range(MOST_AN_OPERATOR + 1)]
+    assert [show(live, viewport, frame=None).status_code for viewport in ids] == [404, *[200] * MOST_AN_OPERATOR]
+
+
+def test_the_proxy_adds_a_content_security_policy_to_viser_s_page(live: Any) -> None:
+    viewport = opened(live)
+    for encoding in ("gzip", "identity"):
+        answer = live.client.get(f"/viser/{viewport}/", headers={"Accept-Encoding": encoding})
+        assert answer.status_code == 200
+        assert answer.headers["content-encoding"] == encoding
+        assert "<title>Viser</title>" in answer.text
+        policy = answer.headers["content-security-policy"]
+        assert "frame-ancestors 'self'" in policy
+        assert not re.search(r"https?:", policy)
+    assert live.client.get(f"/viser/{viewport}/nothing.js").status_code == 404
+
+
+def test_the_proxy_forwards_the_cloud_and_the_camera(live: Any, frame_id: int, wait_for: Callable) -> None:
+    viewport = opened(live)
+    show(live, viewport, frame=frame_id)
+    points = live.context.frame(live.context.project("room"), frame_id).cloud.xyz_m.tobytes()
+    with browser(live, viewport) as socket:
+        assert socket.subprotocol == PROTOCOL
+        assert any(points in message for message in iter(lambda: socket.recv(timeout=PATIENCE_S), None))
+        assert show(live, viewport, frame=frame_id).json()["connected"] is True
+        camera = _messages.ViewerCameraMessage(
+            (1, 0, 0, 0), (0, 0, 0), 480, 640, 1.0, 0.01, 100.0, (0, 0, 1), (0, -1, 0)
+        )
+        socket.send(msgspec.msgpack.encode(camera.as_serializable_dict([])))
+        wait_for(lambda: viewport_of(live, viewport)._server.get_clients())
+    wait_for(lambda: viewport_of(live, viewport).sockets == 0)
+    wait_for(lambda: not viewport_of(live, viewport)._server.get_clients())
+
+
+def test_either_side_may_close_with_a_reason(live: Any) -> None:
+    viewport = opened(live)
+    with browser(live, viewport, "viser-v0.0.0") as socket:
+        with pytest.raises(ConnectionClosed) as closed:
+            socket.recv(timeout=PATIENCE_S)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1002
+        assert "Version mismatch" in closed.value.rcvd.reason
+    with browser(live, viewport) as socket:
+        socket.recv(timeout=PATIENCE_S)
+        assert live.client.delete(f"/api/workbench/{viewport}").status_code == 204
+        with pytest.raises(ConnectionClosed):
+            while True:
+                socket.recv(timeout=PATIENCE_S)
+
+
+def test_a_socket_needs_an_operator_and_a_viewport(live: Any) -> None:
+    viewport = opened(live)
+    with pytest.raises(InvalidStatus) as refused, connect(live.socket_url(f"/viser/{viewport}"), origin=live.url):
+        pass
+    assert refused.value.response.status_code in (401, 403)
+    with pytest.raises(InvalidStatus) as refused, browser(live, "0" * 16):
+        pass
+    assert refused.value.response.status_code in (403, 404)
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example", "null", "own page", "application"])
+def test_viser_s_port_accepts_only_the_proxy(live: Any, origin: str | None) -> None:
+    """Pages of any site can reach ports of 127.0.0.1 from the operator's browser."""
+    viewport = opened(live)
+    port = viewport_of(live, viewport).port
+    origin = {"own page": f"http://127.0.0.1:{port}", "application": live.url}.get(origin or "", origin)
+    with (
+        pytest.raises(InvalidStatus) as refused,
+        connect(f"ws://127.0.0.1:{port}", origin=origin, subprotocols=[PROTOCOL]),
+    ):
+        pass
+    assert refused.value.response.status_code == 403
+    with browser(live, viewport) as socket:
+        assert socket.recv(timeout=PATIENCE_S)
+
+
+def test_an_unprotectable_viser_server_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    started = Mock()
+    monkeypatch.setattr(viser, "ViserServer", lambda *_, **__: started)
+    with pytest.raises(RuntimeError, match="cannot be protected"):
+        start_viser("127.0.0.1", "secret")
+    started.stop.assert_called_once()
+
+
+def test_outdated_scenes_are_not_sent_to_a_slow_browser(live: Any, wait_for: Callable) -> None:
+    frames = [frame.id for frame in live.context.project("room").frames.of()]
+    viewport = opened(live)
+    rounds = 24
+    size = live.context.frame(live.context.project("room"), frames[0]).cloud.xyz_m.nbytes
+    with browser(live, viewport, max_queue=1) as socket:
+        for _ in range(rounds):
+            for frame in frames:
+                assert show(live, viewport, frame=frame).status_code == 200
+        last = live.context.frame(live.context.project("room"), frames[-1]).cloud.xyz_m.tobytes()
+        messages = list(_until_quiet(socket, last))
+    assert any(last in message for message in messages)
+    assert sum(map(len, messages)) < 0.6 * rounds * len(frames) * size
+
+
+def _until_quiet(socket: ClientConnection, last: bytes) -> Iterator[bytes]:
+    """What comes until nothing comes any more, the frame with `last` among it."""
+    has_come = False
+    while True:
+        try:
+            message = socket.recv(timeout=2 if has_come else PATIENCE_S)
+        except TimeoutError:
+            return
+        assert isinstance(message, bytes)
+        has_come |= last in message
+        yield message
+
+
+def test_an_unused_viewport_closes(wait_for: Callable) -> None:
+    viewports = Viewports(lambda viewport, message: None, unseen_s=2.0, sweep_s=0.02)
+    try:
+        seen, unseen = viewports.open("Ada", "room"), viewports.open("Ada", "room")
+        viewports.connected(seen, +1)
+        wait_for(lambda: unseen.id not in viewports._open)
+        assert viewports.get(seen.id, "Ada") is seen
+        viewports.connected(seen, -1)
+        assert seen.id in viewports._open  # a reload takes some time
+        wait_for(lambda: seen.id not in viewports._open)
+    finally:
+        viewports.close()

@@ -1,0 +1,195 @@
+"""The self-test finds what is wrong: a backend with other answers, and a device that draws or clusters differently."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from annotator.detection.backends import agreement
+from annotator.detection.backends.agreement import Agreements
+from annotator.detection.backends.network import Answer, Batch
+from annotator.detection.backends.torch_network import TorchNetwork
+from annotator.detection.seeded_network import write_seeded_network
+from annotator.detection.ultralytics_api import api, pick_device
+from annotator.gpu import compute
+from annotator.types.errors import DetectionError
+from annotator.workflows.doctor import Line, State, self_test
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("seeded") / "network.pt"
+    write_seeded_network(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def agreements(weights: Path) -> Agreements:
+    return Agreements(weights, np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), np.uint8))
+
+
+@dataclass
+class Wrong:
+    """Torch on the processor with its answers changed, under another backend's name."""
+
+    weights: Path
+    change: Callable[[Answer], Answer]
+    backend: str = "onnxruntime"
+    device: str = "cpu"
+    facts: Any = None
+    network: TorchNetwork = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.network = TorchNetwork(self.weights, pick_device("cpu"))
+
+    def predict(self, batches: Sequence[Batch]) -> list[Answer]:
+        return [self.change(answer) for answer in self.network.predict(batches)]
+
+
+def moved(by_px: float) -> Callable[[Answer], Answer]:
+    return lambda answer: np.concatenate([answer[:, :4] + np.float32(by_px), answer[:, 4:]], axis=1)
+
+
+def test_the_same_seed_makes_the_same_network_and_leaves_torchs_own_numbers(weights: Path, tmp_path: Path) -> None:
+    torch = api().torch
+    state = torch.random.get_rng_state()
+    write_seeded_network(tmp_path / "new" / "again.pt")
+    write_seeded_network(tmp_path / "other.pt", seed=1)
+    assert torch.equal(state, torch.random.get_rng_state())
+    picture = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), np.uint8)
+    same, again, other = (
+        TorchNetwork(path, pick_device("cpu")).predict([picture])[0]
+        for path in (weights, tmp_path / "new" / "again.pt", tmp_path / "other.pt")
+    )
+    np.testing.assert_array_equal(same, again)
+    assert np.abs(same - other).max() > 1
+    # there is something to compare: scores differ from anchor to anchor
+    assert same[:, 4:].std() > 0.01
+
+
+def test_right_answers_agree_and_wrong_ones_do_not(agreements: Agreements) -> None:
+    assert agreements.of(lambda path: Wrong(path, lambda answer: answer)).holds
+    for wrong in (
+        moved(0.5),
+        lambda answer: answer[:, [0, 1, 2, 3, 5, 4, 6]],  # classes in another order
+        lambda answer: answer[::-1].copy(),  # pictures in another order
+        lambda answer: np.where(np.arange(answer.shape[2]) == 0, np.float32(np.nan), answer),
+    ):
+        assert not agreements.of(lambda path, wrong=wrong: Wrong(path, wrong)).holds
+    with pytest.raises(DetectionError, match="shape"):
+        agreements.of(lambda path: Wrong(path, lambda answer: answer[:, :, 1:]))
+
+
+@pytest.mark.parametrize(("name", "precision"), [("openvino-bf16", "bfloat16"), ("torch", "float16")])
+def test_half_precision_may_be_further_off_but_not_far(agreements: Agreements, name: str, precision: str) -> None:
+    device = "cuda:0" if precision == "float16" else "cpu"
+    small = agreements.of(lambda path: Wrong(path, moved(0.5), name, device))
+    assert small.holds and small.yardstick == precision
+    assert not agreements.of(lambda path: Wrong(path, moved(100.0), name, device)).holds
+
+
+def test_a_wrong_backend_is_a_failed_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fails(_: Path) -> None:
+        raise DetectionError("no such operation")
+
+    made = {
+        "right": lambda path: Wrong(path, lambda answer: answer),
+        "wrong": lambda path: Wrong(path, moved(0.5)),
+        "broken": fails,
+    }
+    monkeypatch.setattr(agreement, "openers", lambda _: made)
+    found = {line.name: line for line in self_test.backends(tmp_path)}
+    assert {name: line.state.value for name, line in found.items()} == {
+        "right": "ok",
+        "wrong": "failed",
+        "broken": "failed",
+    }
+    assert found["wrong"].figures["boxes_px"] == pytest.approx(0.5, rel=0.01)
+    assert found["wrong"].figures["boxes_bound_px"] < 0.1
+    assert "no such operation" in found["broken"].found
+
+
+@pytest.mark.slow
+def test_the_backends_here_agree(tmp_path: Path) -> None:
+    found = {line.name: line for line in self_test.backends(tmp_path)}
+    assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
+    assert all(line.state is State.OK for line in found.values()), found
+    assert "boxes_px" in found["onnxruntime"].figures
+
+
+def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from annotator.detection import seeded_network
+
+    def missing() -> None:
+        raise DetectionError("no ultralytics")
+
+    monkeypatch.setattr(seeded_network, "api", missing)
+    (line,) = self_test.backends(tmp_path)
+    assert (line.state, line.found) == (State.WARNING, "not tested (no ultralytics)")
+
+
+def points(device: str = "cpu") -> dict[str, Line]:
+    found = list(self_test.points_on(device))
+    assert len({line.name for line in found}) == len(found)
+    return {line.name: line for line in found}
+
+
+def test_torch_on_the_processor_agrees_with_numpy() -> None:
+    found = points()
+    assert {name.split(", ")[1] for name in found} == {"drawing", "normals", "clusters"}
+    assert all(line.state is State.OK for line in found.values()), found
+    frame = self_test.generated_frame()
+    assert frame.depth_m is not None
+    assert len(frame.cloud) > 60_000 > (frame.depth_m == 0).sum() > 0
+
+
+def turned(result: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    centres, counts = result
+    angle = 0.01
+    c, s = np.cos(angle), np.sin(angle)
+    return centres @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), counts
+
+
+def shifted(views: list[Any]) -> list[Any]:
+    return [
+        type(view)(np.roll(view.rgb, 1, axis=1), view.axes, view.metres_per_px, view.origin_m, view.xyz_m)
+        for view in views
+    ]
+
+
+@pytest.mark.parametrize(
+    ("module", "function", "change", "expected"),
+    [
+        ("drawing", "render_pairs", shifted, "drawing"),
+        ("normals", "normals_from_depth", lambda normals: normals * np.float32([1, -1, 1]), "normals"),
+        ("kmeans", "axial_kmeans", turned, "clusters"),
+        ("kmeans", "axial_kmeans", lambda result: (result[0], result[1][::-1].copy()), "clusters"),
+    ],
+)
+def test_a_planted_error_is_found_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, module: str, function: str, change: Callable[[Any], Any], expected: str
+) -> None:
+    right = getattr(getattr(compute, module), function)
+    monkeypatch.setattr(getattr(compute, module), function, lambda *args: change(right(*args)))
+    failed = [name for name, line in points().items() if line.state is State.FAILED]
+    assert failed
+    assert {name.split(", ")[1] for name in failed} == {expected}
+
+
+def test_a_device_that_fails_is_a_line_for_each_kind_of_work() -> None:
+    found = points("nonsense")
+    assert set(found) == {"nonsense, drawing", "nonsense, normals", "nonsense, clusters"}
+    assert all(line.state is State.FAILED and "cannot process points" in line.found for line in found.values())
+
+
+def test_without_a_cuda_device_the_gpu_is_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(self_test, "_cuda", list)
+    (line,) = self_test.gpu(tmp_path)
+    assert (line.state, line.found) == (State.OK, "no CUDA device; not tested")
+    monkeypatch.setattr(self_test, "_cuda", lambda: ["nonsense"])
+    assert {each.name.split(",")[0] for each in self_test.gpu(tmp_path)} == {"nonsense"}

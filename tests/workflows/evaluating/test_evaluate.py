@@ -1,0 +1,301 @@
+"""Evaluation of files and of projects: what belongs together is compared, and what does not is said."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.evaluation.report import Report
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.recordings import open_recording
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.evaluating.evaluate_files import Options, Protocol, evaluate_files, read_frame_names
+from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
+from annotator.workflows.exporting import ExportFilter, export_project
+from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.recorded.take_over import import_own_labels
+
+CAR = "{} 0.00 0 0.10 {} 120.00 {} 180.00 1.50 1.60 4.00 {} 1.60 20.00 0.20"
+
+
+def content(report: Report) -> dict:
+    return json.loads(report.content.model_dump_json())
+
+
+def kitti_folders(tmp_path: Path, frames: int = 3) -> tuple[Path, Path]:
+    """Each frame with two cars that are found as they are."""
+    paths = tmp_path / "found", tmp_path / "label_2"
+    for path in paths:
+        path.mkdir()
+        for number in range(frames):
+            rows = [CAR.format("Car", x, x + 90, x / 50) for x in (100, 400)]
+            scores = [f" 0.{9 - number}{k}" if path is paths[0] else "" for k in (1, 2)]
+            text = "\n".join(row + score for row, score in zip(rows, scores, strict=True))
+            (path / f"{number:06d}.txt").write_text(text + "\n")
+    return paths
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_kitti_folders(tmp_path: Path) -> None:
+    report = evaluate_files(*kitti_folders(tmp_path), Protocol.KITTI)
+    assert list(content(report)) == ["Car"]
+    assert list(content(report)["Car"]) == ["bbox", "aos", "bev", "3d"]
+    for ap in content(report)["Car"].values():
+        # six objects: samples 0 to 5
+        assert ap == {"R11": pytest.approx([200 / 11] * 3), "R40": pytest.approx([12.5] * 3)}
+    assert [row[:2] for row in report.rows] == [("Car", "bbox"), ("Car", "aos"), ("Car", "bev"), ("Car", "3d")]
+    assert len(report.diagrams) == 4
+
+
+def test_kitti_frames_must_belong_together(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path)
+    (found / "000001.txt").unlink()
+    with pytest.raises(ConfigError, match=r"000001\.txt, for one, is missing\. Write an empty file"):
+        evaluate_files(found, truth, Protocol.KITTI)
+    split = Options(frames=["000000", "000002"])
+    assert content(evaluate_files(found, truth, Protocol.KITTI, split))["Car"]["3d"]["R40"][0] == pytest.approx(7.5)
+    with pytest.raises(ConfigError, match=r"found: has no file 000001\.txt"):
+        evaluate_files(found, truth, Protocol.KITTI, Options(frames=["000001"]))
+    (truth / "000002.txt").unlink()
+    with pytest.raises(ConfigError, match=r"label_2: has no file 000002\.txt"):
+        evaluate_files(found, truth, Protocol.KITTI)
+
+
+def test_kitti_evaluates_its_classes_only(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path, 1)
+    (found / "000000.txt").write_text(CAR.format("person", 100, 190, 0) + " 1\n")
+    with pytest.raises(ConfigError, match="none of 1 detections is of a class"):
+        evaluate_files(found, truth, Protocol.KITTI)
+
+
+def test_relaxed_overlaps_find_more(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path)
+    for file in found.iterdir():
+        file.write_text(file.read_text().replace(" 1.60 20.00", " 1.60 20.35"))
+    strict, loose = (
+        content(evaluate_files(found, truth, Protocol.KITTI, Options(relaxed=relaxed)))["Car"]
+        for relaxed in (False, True)
+    )
+    assert strict["3d"]["R40"] == [0.0] * 3
+    assert loose["3d"]["R40"] == pytest.approx([12.5] * 3)
+    assert strict["bbox"] == loose["bbox"]
+
+
+HEAD = "image,class,cx,cy,cz,l,w,h,yaw"
+
+
+def csv_files(tmp_path: Path) -> tuple[Path, Path]:
+    """A bed found, a chair missed, a table that is none, and an image without truth."""
+    found, truth = tmp_path / "found.csv", tmp_path / "truth.csv"
+    truth.write_text(f"{HEAD}\n1,bed,0,0,0,2,1.5,0.5,0.3\n1,chair,3,0,0,1,1,1,0\n")
+    rows = ["1,bed,0.1,0,0,2,1.5,0.5,0.3,0.9", "1,table,0,0,0,1,1,1,0,0.8", "2,bed,0,0,0,2,1.5,0.5,0.3,0.95"]
+    found.write_text("\n".join([HEAD + ",score", *rows]) + "\n")
+    return found, truth
+
+
+def test_sunrgbd_files(tmp_path: Path) -> None:
+    report = evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD)
+    assert content(report) == {key: {"mAP": 0.25, "AP": {"bed": 0.5, "chair": 0.0}} for key in ("0.15", "0.25", "0.5")}
+    assert [row[0] for row in report.rows] == ["bed", "chair", "mean"]
+    chosen = evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["1"]))
+    assert content(chosen)["0.25"] == {"mAP": 0.5, "AP": {"bed": 1.0, "chair": 0.0}}
+    with pytest.raises(ConfigError, match=r"truth\.csv: has no true box"):
+        evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["2"]))
+    with pytest.raises(ConfigError, match=r"none of the names to evaluate \(first: 7\)"):
+        evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["7"]))
+    found, truth = csv_files(tmp_path)
+    truth.write_text(truth.read_text().replace("\n1,", "\n000001,"))
+    with pytest.raises(ConfigError, match="no image in common"):
+        evaluate_files(found, truth, Protocol.SUNRGBD)
+
+
+def test_frame_names_come_from_a_file(tmp_path: Path) -> None:
+    (tmp_path / "val.txt").write_text("000001\r\n\n000004\n")
+    assert read_frame_names(tmp_path / "val.txt") == ["000001", "000004"]
+    (tmp_path / "none.txt").write_text("\n")
+    for name, problem in (("none.txt", "names no frame"), ("missing.txt", "cannot be read")):
+        with pytest.raises(FormatError, match=problem):
+            read_frame_names(tmp_path / name)
+
+
+# --- projects --------------------------------------------------------------------------------------------------------
+
+
+def moved(box: OrientedBox, share: float) -> OrientedBox:
+    """Shifted along its own x by a share of its length: IoU (1 - share) / (1 + share)."""
+    shift = box.rotation @ (np.array([share, 0, 0]) * box.size_m)
+    return OrientedBox.from_parts(box.center_m + shift, box.rotation, box.size_m)
+
+
+def true_boxes(project: Project, index: int) -> list[tuple[str, OrientedBox]]:
+    recording = open_recording(project.recordings.all()[0].path)
+    return [(truth.label, truth.box) for truth in load_truth(recording, index, recording.frame(index))]
+
+
+def label(project: Project, index: int, share: float = 0.0, state: ReviewState = ReviewState.ACCEPTED) -> None:
+    """Labels a frame with its true boxes, moved."""
+    stored = project.frames.of()[index]
+    new = [NewLabel(name, moved(box, share), state=state) for name, box in true_boxes(project, index)]
+    project.labels.create(stored.id, new, WriteContext(stored.revision, "me"))
+
+
+def propose(project: Project, index: int, share: float) -> None:
+    stored = project.frames.of()[index]
+    proposals = [
+        Proposal(name, 0.5, moved(box, share), Box2D(name, 1.0, 1.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0))
+        for name, box in true_boxes(project, index)
+    ]
+    project.proposals.replace(stored.id, proposals, WriteContext(stored.revision, "rcv", Source.AUTO))
+
+
+def test_labels_against_the_truth_of_the_recording(people: Project) -> None:
+    label(people, 0)
+    label(people, 1, share=0.2)
+    found = content(evaluate_project(people, Protocol.ORIENTED))["classes"]["person"]
+    assert (found["objects"], found["detections"], found["matched"]) == (6, 6, 6), "frames nobody looked at are out"
+    assert found["mean_iou"] == pytest.approx((1 + 0.8 / 1.2) / 2)
+    assert found["AP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 0.5})
+    assert found["rotation_error_rad"] == pytest.approx(0.0, abs=1e-6)
+    as_rooms = content(evaluate_project(people, Protocol.SUNRGBD))
+    assert evaluate_project(people, Protocol.SUNRGBD).notes == ()
+    assert as_rooms["0.5"] == {"mAP": pytest.approx(1.0), "AP": {"person": pytest.approx(1.0)}}
+
+
+def test_rejected_labels_are_none_but_their_frame_counts(people: Project) -> None:
+    label(people, 0, state=ReviewState.REJECTED)
+    found = content(evaluate_project(people, Protocol.ORIENTED))["classes"]["person"]
+    assert (found["objects"], found["detections"], found["rotation_error_rad"]) == (3, 0, None)
+
+
+def test_proposals_as_they_were_against_what_was_reviewed(people: Project) -> None:
+    """Frame 0 is reviewed: its boxes were moved to their places. Frame 1 is not, and frame 2 was never proposed."""
+    for index in (0, 1):
+        propose(people, index, share=0.2)
+    stored = people.frames.of()[0]
+    for box in people.labels.of_frame(stored.id):
+        context = WriteContext(people.frames.get(stored.id).revision, "me")
+        people.labels.edit(stored.id, box.uid, context, label=box.label, box=moved(box.box, -0.2))
+    label(people, 2)
+    choice = Choice(Measured.PROPOSALS, Against.REVIEWED)
+    found = content(evaluate_project(people, Protocol.ORIENTED, choice))["classes"]["person"]
+    assert (found["objects"], found["detections"]) == (3, 3)
+    assert found["mean_iou"] == pytest.approx(0.8 / 1.2)
+    against_truth = evaluate_project(people, Protocol.ORIENTED, Choice(Measured.PROPOSALS))
+    assert content(against_truth)["classes"]["person"]["objects"] == 6
+
+
+def test_recordings_and_frames_are_chosen(make_project: Callable[..., Project], generated: Path) -> None:
+    project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
+    ids = {recording.name: recording.id for recording in project.recordings.all()}
+    for recording_id in ids.values():
+        import_own_labels(project, recording_id)
+    every = content(evaluate_project(project, Protocol.ORIENTED))
+    assert sorted(every["classes"]) == ["hand", "person"]
+    assert every["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
+    hands = evaluate_project(project, Protocol.ORIENTED, Choice(recordings=(ids["hands"],)))
+    assert list(content(hands)["classes"]) == ["hand"]
+    assert [note.split(" were ")[0] for note in hands.notes] == ["10 of the 10 labels"]
+    one = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=["people/000002"]))
+    assert content(one)["classes"]["person"]["objects"] == 3
+
+
+def test_boxes_of_another_dataset_are_not_the_recordings_own(
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    other = make_project(generated / "people")
+    label(other, 0)
+    export_project(other, tmp_path / "out")
+    project = make_project(generated / "people")
+    assert import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out")).labels == {"person": 3}
+    assert evaluate_project(project, Protocol.ORIENTED).notes == ()
+    import_own_labels(project, 1)
+    (note,) = evaluate_project(project, Protocol.ORIENTED).notes
+    assert note.startswith("12 of the 15 labels were imported from the recordings")
+
+
+def test_what_cannot_be_compared_is_said(people: Project, own_copy, make_project: Callable[..., Project]) -> None:
+    with pytest.raises(ConfigError, match="no true box in the 0 frames"):
+        evaluate_project(people, Protocol.ORIENTED)
+    with pytest.raises(ConfigError, match="measure proposals"):
+        evaluate_project(people, Protocol.ORIENTED, Choice(Measured.LABELS, Against.REVIEWED))
+    label(people, 0)
+    with pytest.raises(ConfigError, match="of a class that KITTI evaluates"):
+        evaluate_project(people, Protocol.KITTI)
+    with pytest.raises(ConfigError, match=r"has no frame people/7 \(1 of the 2 names"):
+        evaluate_project(people, Protocol.ORIENTED, options=Options(frames=["people/7", "people/000001"]))
+    folder = own_copy("people")
+    (folder / "truth" / "boxes.json").unlink(missing_ok=True)
+    (folder / "boxes.json").unlink(missing_ok=True)
+    bare = make_project(folder)
+    with pytest.raises(ConfigError, match="has true boxes; measure against reviewed labels"):
+        evaluate_project(bare, Protocol.ORIENTED)
+    with pytest.raises(ConfigError, match="people has no true boxes"):
+        evaluate_project(bare, Protocol.ORIENTED, Choice(recordings=(1,)))
+
+
+@pytest.mark.shared
+def test_kitti_on_a_project_of_kitti(make_project: Callable[..., Project], shared: Path) -> None:
+    """Its own labels, by way of our boxes and back: in 3D nothing is lost, on the image what labels do not tell."""
+    project = make_project(shared / "data" / "kitti", classes=("Car", "Pedestrian", "Cyclist"))
+    import_own_labels(project, 1)
+    found = content(evaluate_project(project, Protocol.KITTI))
+    folder = shared / "data" / "kitti" / "training" / "label_2"
+    counted = [row.split()[0] for file in folder.iterdir() for row in file.read_text().splitlines()]
+    assert set(found) == {name for name in ("Car", "Pedestrian", "Cyclist") if name in counted}
+    for ap in found["Car"].values():
+        assert ap["R40"][2] > 30.0
+    assert found["Car"]["3d"]["R40"] == pytest.approx(found["Car"]["bev"]["R40"])
+
+
+def test_kitti_on_boxes_of_another_recording(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    """The pictures' own camera gives the 2D boxes."""
+    folder = own_copy("people")
+    for file in folder.rglob("boxes.json"):
+        file.write_text(file.read_text().replace('"person"', '"Pedestrian"'))
+    project = make_project(folder, classes=("Pedestrian",))
+    import_own_labels(project, 1)
+    found = content(evaluate_project(project, Protocol.KITTI))["Pedestrian"]
+    assert list(found) == ["bbox", "aos", "bev", "3d"]
+    # all scores are 1, so there is one threshold a recall, up to 15 objects
+    assert found["3d"]["R40"][1] == pytest.approx(100 * 14 / 40, abs=7.6)
+
+
+# --- rcv datasets ----------------------------------------------------------------------------------------------------
+
+
+def test_rcv_datasets(people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path) -> None:
+    other = make_project(generated / "people")
+    for index in range(3):
+        label(people, index)
+        label(other, index + 1, share=0.2)
+    for project, name in ((people, "truth"), (other, "found")):
+        export_project(project, tmp_path / name, choose=ExportFilter())
+    found = content(evaluate_files(tmp_path / "found", tmp_path / "truth", Protocol.ORIENTED))["classes"]["person"]
+    # frames 0 to 2 are true, 1 to 3 detected
+    assert (found["objects"], found["detections"], found["matched"]) == (9, 9, 6)
+    assert found["mean_iou"] == pytest.approx(6 / 9 * 0.8 / 1.2)
+    chosen = Options(frames=["people/000001"])
+    one = evaluate_files(tmp_path / "found", tmp_path / "truth", Protocol.ORIENTED, chosen)
+    assert content(one)["classes"]["person"]["objects"] == 3
+
+
+def test_rcv_datasets_of_other_recordings_have_nothing_in_common(
+    people: Project, hands: Project, tmp_path: Path
+) -> None:
+    for project, name in ((people, "truth"), (hands, "found")):
+        label(project, 0)
+        export_project(project, tmp_path / name)
+    with pytest.raises(ConfigError, match="have no frame in common"):
+        evaluate_files(tmp_path / "found", tmp_path / "truth", Protocol.ORIENTED)
+    with pytest.raises(FormatError, match=r"dataset\.json"):
+        evaluate_files(tmp_path, tmp_path / "truth", Protocol.ORIENTED)

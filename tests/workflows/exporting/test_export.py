@@ -1,0 +1,244 @@
+"""Export of a project: what is chosen leaves, reads back as it was, and a failed export leaves nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.formats.losses import Lost
+from annotator.formats.rcv import read_rcv
+from annotator.formats.rcv.model import RcvManifest
+from annotator.project import NewLabel, Project, RunShare, WriteContext
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
+from annotator.workflows.add_recordings import add_recordings, register_recording
+from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, export_project
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.reading import load_truth
+
+STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
+
+
+def label_all(project: Project, indices: tuple[int, ...], recording: int = 0) -> None:
+    """The true boxes of some frames as accepted labels; of each frame the second is then rejected."""
+    stored_recording = project.recordings.all()[recording]
+    opened = open_recording(stored_recording.path)
+    for index in indices:
+        stored = project.frames.of([stored_recording.id])[index]
+        truths = load_truth(opened, index, opened.frame(index))
+        new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths]
+        made = project.labels.create(stored.id, new, WriteContext(0, "me", Source.IMPORTED))
+        project.labels.reject(stored.id, made.uids[1], WriteContext(made.receipt.revision, "me"))
+
+
+def exported(project: Project, out: Path, **options: object) -> RcvManifest:
+    """Exports to the `rcv` format and reads what the dataset says of itself."""
+    report = export_project(project, out, **options)  # type: ignore[arg-type]
+    manifest = read_rcv(out).manifest
+    assert (report.frames, report.objects) == (manifest.counts.frames, manifest.counts.objects)
+    assert report.objects_by_class == manifest.counts.objects_by_class and report.losses == ()
+    return manifest
+
+
+def test_what_leaves_reads_back(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0, 3))
+    told: list[tuple[int, int]] = []
+    manifest = exported(people, tmp_path / "out", progress=lambda done, of: told.append((done, of)))
+    assert told == [(1, 2), (2, 2)]
+    assert (manifest.counts.frames, manifest.counts.objects) == (2, 4)
+    assert manifest.generator.startswith("annotator ")
+    dataset = read_rcv(tmp_path / "out")
+    assert dataset.manifest == manifest
+    source = FrameSource(people)
+    for number, index in enumerate((0, 3)):
+        stored = people.frames.of()[index]
+        back, frame = dataset.frame(number), source.read(stored)
+        assert (back.recording, back.frame.key) == ("people", stored.key)
+        np.testing.assert_array_equal(back.frame.rgb, frame.rgb)
+        np.testing.assert_allclose(back.frame.cloud.xyz_m, frame.cloud.xyz_m, atol=1e-6)
+        kept = [label for label in people.labels.of_frame(stored.id) if label.state is not ReviewState.REJECTED]
+        for a, b in zip(back.labels, kept, strict=True):
+            assert (a.uid, a.label, a.state, a.source, a.track_id) == (b.uid, b.label, b.state, b.source, b.track_id)
+            np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(a.box.size_m, b.box.size_m, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("states", "objects"),
+    [
+        ((ReviewState.ACCEPTED,), 4),
+        ((ReviewState.REJECTED,), 2),
+        (STATES, 6),
+        ((ReviewState.PROPOSED, ReviewState.REJECTED), 2),
+    ],
+)
+def test_only_labels_in_the_chosen_states(
+    people: Project, tmp_path: Path, states: tuple[ReviewState, ...], objects: int
+) -> None:
+    label_all(people, (0, 1))
+    manifest = exported(people, tmp_path / "out", choose=ExportFilter(states=states))
+    assert manifest.counts.objects == objects
+    assert {state for state, number in manifest.counts.objects_by_state.items() if number} <= set(states)
+
+
+def test_frames_without_labels_only_where_asked_for(people: Project, tmp_path: Path) -> None:
+    label_all(people, (1,))
+    assert exported(people, tmp_path / "few").counts.frames == 1
+    every = exported(people, tmp_path / "all", choose=ExportFilter(empty_frames=True))
+    assert (every.counts.frames, every.counts.objects) == (5, 2)
+
+
+def test_classes_and_recordings_are_chosen(
+    make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
+    label_all(project, (0, 1), recording=0)
+    label_all(project, (0, 2), recording=1)
+    hands = project.recordings.find("hands")
+    of_class = exported(project, tmp_path / "a", choose=ExportFilter(classes=("hand",)))
+    of_recording = exported(project, tmp_path / "b", choose=ExportFilter(recordings=(hands.id,)))
+    assert of_class.counts == of_recording.counts
+    assert of_class.counts.objects_by_class == {"person": 0, "hand": 2}
+    assert of_class.counts.frames_by_recording == {"hands": 2}
+    assert of_class.classes == ("person", "hand"), "class numbers stay those of the project"
+
+
+def trained(project: Project, role: DetectorKind, name: str, fingerprint: str) -> None:
+    weights = project.models_folder / role.value / name / "detector.pt"
+    weights.parent.mkdir(parents=True)
+    weights.write_bytes(b"weights")
+    project.models.register(role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=fingerprint)
+
+
+def propose_as(project: Project, index: int, image: str, view: str) -> None:
+    """One proposal on a frame, in a run of these detectors."""
+    stored = project.frames.of()[index]
+    run = project.jobs.start(image_detector=image, view_detector=view, config_json="{}")
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
+    found = Proposal("person", 0.5, box, Box2D("person", 1.0, 1.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0))
+    project.proposals.replace(stored.id, [found], WriteContext(0, "rcv", Source.AUTO), run=RunShare(run.id, 1.0))
+
+
+def test_the_detectors_that_made_the_boxes_are_named_and_no_others(people: Project, tmp_path: Path) -> None:
+    trained(people, DetectorKind.IMAGE, "image-1", "i1")
+    trained(people, DetectorKind.VIEW, "view-1", "v1")
+    propose_as(people, 0, "i1", "v1")
+    propose_as(people, 1, "from elsewhere", "v1")
+    propose_as(people, 2, "i1", "rejected all")
+    (rejected,) = people.labels.of_frame(people.frames.of()[2].id)
+    people.labels.reject(people.frames.of()[2].id, rejected.uid, WriteContext(1, "me"))
+    trained(people, DetectorKind.VIEW, "view-2", "v2")  # active by now, and has made nothing
+    found = exported(people, tmp_path / "out").detectors
+    assert [(detector.role, detector.name, detector.fingerprint) for detector in found] == [
+        ("image", "image-1", "i1"),
+        ("view", "view-1", "v1"),
+        ("image", "unregistered", "from elsewhere"),
+    ]
+
+
+def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -> None:
+    trained(people, DetectorKind.VIEW, "view-1", "v1")
+    label_all(people, (0,))
+    assert exported(people, tmp_path / "out").detectors == ()
+
+
+def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0,))
+    exported(people, tmp_path / "out", options=ExportOptions(image_format="jpg"))
+    assert [path.suffix for path in (tmp_path / "out" / "images").iterdir()] == [".jpg"]
+
+
+@pytest.mark.parametrize(
+    ("choose", "problem"),
+    [
+        (ExportFilter(), "has no labels in state proposed, accepted, edited to export; run `annotator annotate` first"),
+        (ExportFilter(classes=("robot",)), "has no class robot; it has person"),
+        (ExportFilter(states=(ReviewState.EDITED,)), "has no labels in state edited to export"),
+    ],
+)
+def test_nothing_to_export(people: Project, tmp_path: Path, choose: ExportFilter, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        exported(people, tmp_path / "out", choose=choose)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_that_fails_leaves_nothing(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    label_all(project, (0, 3))
+    depth = folder / "depth" / "000003.png"
+    depth.write_bytes(depth.read_bytes()[:500])
+    (tmp_path / "place").mkdir()
+    with pytest.raises(FrameError, match=r"depth/000003\.png"):
+        exported(project, tmp_path / "place" / "out")
+    assert list((tmp_path / "place").iterdir()) == []
+
+
+@pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.KITTI, ExportFormat.COCO])
+def test_frames_that_fail_are_left_out_where_that_is_asked_for(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path, format: ExportFormat
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    label_all(project, (0, 3))
+    depth = folder / "depth" / "000000.png"
+    depth.write_bytes(depth.read_bytes()[:500])
+    skip = ExportFilter(skip_unreadable=True)
+    told: list[tuple[int, int]] = []
+    progress = lambda done, total: told.append((done, total))  # noqa: E731
+    report = export_project(project, tmp_path / "out", format, choose=skip, progress=progress)
+    assert (report.frames, report.objects) == (1, 2)
+    assert told == [(1, 4), (2, 4), (2, 2)], "two are looked at, and one is written"
+    (left_out,) = report.unreadable
+    assert left_out.startswith("people/000000: ") and "the PNG image is truncated" in left_out
+    assert [loss.count for loss in report.losses if loss.kind is Lost.UNREADABLE] == [1]
+    (folder / "depth" / "000003.png").write_bytes(b"")
+    with pytest.raises(FrameError, match=r"depth/000000\.png"):
+        export_project(project, tmp_path / "none", format, choose=skip)
+    assert not (tmp_path / "none").exists()
+
+
+def test_frames_that_are_gone(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Without labels they are no part of the export; with labels they would be missed, so it fails."""
+    folder = own_copy("people")
+    project = make_project(folder)
+    label_all(project, (0, 1))
+    for name in ("color/000004.jpg", "depth/000004.png"):
+        (folder / name).unlink()
+    add_recordings(project, [folder])
+    assert exported(project, tmp_path / "a", choose=ExportFilter(empty_frames=True)).counts.frames == 4
+    for name in ("color/000001.jpg", "depth/000001.png"):
+        (folder / name).unlink()
+    add_recordings(project, [folder])
+    with pytest.raises(FrameError, match="frame 000001 is no longer there; restore it"):
+        exported(project, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+
+
+def test_an_older_export_is_replaced_only_where_that_is_said(people: Project, tmp_path: Path) -> None:
+    label_all(people, (0,))
+    exported(people, tmp_path / "out")
+    with pytest.raises(FormatError, match="exists and is not empty"):
+        exported(people, tmp_path / "out")
+    label_all(people, (1,))
+    exported(people, tmp_path / "out", overwrite=True)
+    assert len(read_rcv(tmp_path / "out")) == 2
+
+
+def test_one_key_in_two_recordings(people: Project, own_copy: Callable[[str], Path], tmp_path: Path) -> None:
+    register_recording(people, open_recording(own_copy("people")))
+    label_all(people, (0,), recording=0)
+    label_all(people, (0,), recording=1)
+    exported(people, tmp_path / "out")
+    dataset = read_rcv(tmp_path / "out")
+    assert [dataset.frame(i).recording for i in range(2)] == ["people", "people-2"]
+    with pytest.raises(ProjectError, match="no recording 'people-3'"):
+        people.recordings.find("people-3")

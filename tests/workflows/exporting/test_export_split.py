@@ -1,0 +1,73 @@
+"""Dividing a dataset: shares, seeds, whole recordings, and whatever order the frames come in."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from annotator.types.errors import ConfigError
+from annotator.workflows.exporting.split import Split, SplitBy, assign, parse_shares
+
+PLACES = [(recording, f"{number:06d}") for recording in ("a", "b", "c", "d") for number in range(25)]
+SHARES = {"train": 0.7, "val": 0.2, "test": 0.1}
+
+
+def test_shares_are_kept_to_the_frame() -> None:
+    assert Counter(assign(Split(SHARES), PLACES)) == {"train": 70, "val": 20, "test": 10}
+
+
+def test_the_order_of_the_frames_does_not_matter_and_the_seed_does() -> None:
+    parts = dict(zip(PLACES, assign(Split(SHARES), PLACES), strict=True))
+    shuffled = [PLACES[i] for i in np.random.default_rng(3).permutation(len(PLACES))]
+    assert dict(zip(shuffled, assign(Split(SHARES), shuffled), strict=True)) == parts
+    assert dict(zip(PLACES, assign(Split(SHARES, seed=1), PLACES), strict=True)) != parts
+
+
+def test_recordings_stay_whole() -> None:
+    split = Split({"train": 0.75, "val": 0.25}, SplitBy.RECORDINGS)
+    parts = assign(split, PLACES)
+    assert len({(recording, part) for (recording, _), part in zip(PLACES, parts, strict=True)}) == 4
+    assert Counter(parts) == {"train": 75, "val": 25}
+
+
+def test_every_part_gets_something() -> None:
+    assert set(assign(Split({"train": 0.98, "val": 0.02}), PLACES[:5])) == {"train", "val"}
+    with pytest.raises(ConfigError, match="2 recordings cannot be divided into 3 parts"):
+        assign(Split(SHARES, SplitBy.RECORDINGS), PLACES[:50])
+
+
+def test_equal_shares_are_divided_alike_in_every_process() -> None:
+    """Sets of words have another order in each."""
+    program = (
+        "from annotator.workflows.exporting.split import Split, assign\n"
+        "shares = dict.fromkeys(('train', 'val', 'test'), 1 / 3)\n"
+        "print(assign(Split(shares), [('a', '1'), ('a', '2'), ('a', '3')]))"
+    )
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "PYTHONHASHSEED": str(seed)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in (1, 2, 3)
+    }
+    assert len(said) == 1
+
+
+def test_shares_are_read() -> None:
+    assert parse_shares("train=4, val=1") == {"train": 0.8, "val": 0.2}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "train", "train=", "train=x", "train=0", "train=-1,val=2", "a=1,a=1", "../x=1", "a=inf", "a=nan"]
+)
+def test_shares_that_say_nothing(text: str) -> None:
+    with pytest.raises(ConfigError, match="is not a valid split"):
+        parse_shares(text)

@@ -1,0 +1,161 @@
+"""3D boxes from elsewhere come onto the right frames, or nothing does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
+from annotator.types.errors import FormatError
+from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
+from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
+from annotator.workflows.importing.boxes_3d import AUTHOR, create_where_none
+from annotator.workflows.importing.label_set import LeftBehind
+from annotator.workflows.recorded.take_over import import_own_labels
+
+BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
+
+
+@dataclass(frozen=True)
+class Given:
+    """Labels as a test gives them."""
+
+    boxes: dict[str, list[Truth]]
+    path: Path = Path("given")
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.boxes)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return self.boxes[name]
+
+    def left_behind(self, name: str) -> LeftBehind:
+        return LeftBehind()
+
+
+@pytest.fixture
+def people(make_project: Callable[..., Project], generated: Path) -> Project:
+    return make_project(generated / "people")
+
+
+def test_what_leaves_as_rcv_comes_back(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    frames = people.frames.of()
+    rng = np.random.default_rng(0)
+    for number, stored in enumerate(frames[:3]):
+        boxes = [OrientedBox.from_parts(rng.normal(size=3), np.eye(3), rng.uniform(0.1, 2, 3)) for _ in range(2)]
+        new = [NewLabel("person", box, 0.25 * number, number) for box in boxes]
+        made = people.labels.create(stored.id, new, WriteContext(0, "me", Source.MANUAL))
+        people.labels.reject(stored.id, made.uids[1], WriteContext(made.receipt.revision, "me"))
+    every = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED), empty_frames=True)
+    split = Split({"train": 0.6, "val": 0.4}, SplitBy.FRAMES, 7)
+    report = export_project(people, tmp_path / "out", choose=every, split=split)
+    assert report.splits == {"train": 3, "val": 2}
+    listed = {path.stem: path.read_text().split() for path in (tmp_path / "out" / "splits").iterdir()}
+    assert {part: len(ids) for part, ids in listed.items()} == report.splits
+    other = make_project(generated / "people")
+    done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
+    assert (done.frames, done.labels, done.already, done.unmatched) == (5, {"person": 3}, 0, ())
+    assert (done.not_reviewed, done.scores) == (3, 0)
+    for before, after in zip(frames, other.frames.of(), strict=True):
+        kept = [label for label in people.labels.of_frame(before.id) if label.state is ReviewState.ACCEPTED]
+        back = other.labels.of_frame(after.id)
+        assert [(label.label, label.score, label.track_id, label.source) for label in back] == [
+            (label.label, label.score, label.track_id, Source.IMPORTED) for label in kept
+        ]
+        for a, b in zip(kept, back, strict=True):
+            np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(a.box.size_m, b.box.size_m)
+
+
+def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel("person", BOX)], WriteContext(0, "me", Source.MANUAL))
+    given = Given(
+        {
+            f"people/{first.key}": [Truth("person", BOX)],
+            f"people/{second.key}": [Truth("person", BOX, 4), Truth("horse", BOX)],
+            "people/gone": [],
+        }
+    )
+    done = import_labels(people, given)
+    assert (done.frames, done.already, done.unmatched) == (1, 1, ("people/gone",))
+    assert (done.labels, done.other_classes) == ({"person": 1}, {"horse": 1})
+    assert [label.author for label in people.labels.of_frame(first.id)] == ["me"]
+    assert [label.track_id for label in people.labels.of_frame(second.id)] == [4]
+
+
+@pytest.mark.parametrize(
+    ("written", "kept", "lost"),
+    [
+        ((0.25, 1.0, None), [0.25, 1.0, None], 0),
+        # one raw figure says what the others are
+        ((0.25, 7.5, None), [None, None, None], 2),
+        ((-0.5, 0.0, None), [None, None, None], 2),
+    ],
+)
+def test_scores_of_kitti_results(
+    people: Project, tmp_path: Path, written: tuple[float | None, ...], kept: list[float | None], lost: int
+) -> None:
+    """Those that are confidences come along, raw figures are counted."""
+    files = [f"{stored.key}.txt" for stored in people.frames.of()[:2]]
+    rows = [f"person 0 0 0 9 9 50 80 1.8 0.4 0.5 {x} 1 3 0" for x in range(3)]
+    scored = [row if score is None else f"{row} {score}" for row, score in zip(rows, written, strict=True)]
+    (tmp_path / files[0]).write_text(f"{scored[0]}\n")
+    (tmp_path / files[1]).write_text("\n".join(scored[1:]))
+    done = import_labels(people, read_labels(BoxFormat.KITTI, tmp_path))
+    assert (done.labels, done.scores, done.not_reviewed) == ({"person": 3}, lost, 0)
+    assert [x.score for stored in people.frames.of() for x in people.labels.of_frame(stored.id)] == kept
+
+
+def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
+    """Somebody has said that nothing is there."""
+    first, second = people.frames.of()[:2]
+    people.frames.finalise(first.id, WriteContext(0, "me"))
+    given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
+    done = import_labels(people, given)
+    assert (done.frames, done.already) == (1, 1) and people.labels.of_frame(first.id) == ()
+    assert not create_where_none(people, first.id, [NewLabel("person", BOX)], AUTHOR)
+    assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
+
+
+def test_a_key_that_two_recordings_have(make_project: Callable[..., Project], generated: Path) -> None:
+    project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
+    key = project.frames.of()[0].key
+    given = Given({key: [Truth("hand", BOX)]})
+    with pytest.raises(FormatError, match=r"is a frame of several recordings \(people, hands\)"):
+        import_labels(project, given)
+    assert import_labels(project, given, "hands").labels == {"hand": 1}
+
+
+def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> None:
+    """Another recording has frames of the same names; a single one that is not known is the project's own, renamed."""
+    first, second = (frame.key for frame in people.frames.of()[:2])
+    both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
+    done = import_labels(people, both)
+    assert (done.frames, done.unmatched, done.renamed) == (1, (f"street/{second}",), None)
+    with pytest.raises(FormatError, match="none of its frames"):
+        import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
+    done = import_labels(people, Given({f"other/{second}": [Truth("person", BOX)]}))
+    assert (done.frames, done.renamed) == (1, Renamed("other", ("people",)))
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        (["x/1", "x/2"], r"none of its frames \(x/1, x/2\) is a frame of the project"),
+        (["people/000001", "000001"], "people/000001 and 000001 are both the frame 000001"),
+        ([], "it has none"),
+    ],
+)
+def test_frames_that_do_not_fit_change_nothing(people: Project, names: list[str], problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
+    assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())

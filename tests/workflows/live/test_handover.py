@@ -1,0 +1,54 @@
+"""Frames are asked for when detection will want them; the clock stands where the test puts it."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from annotator.workflows.live import handover
+from annotator.workflows.live.handover import SPARE_S, Demand
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [100.0]
+    monkeypatch.setattr(handover.time, "perf_counter", lambda: now[0])
+    return now
+
+
+def test_the_first_frame_is_wanted_at_once_and_the_next_when_detection_is_about_to_end(clock: list[float]) -> None:
+    wanted = Demand()
+    assert wanted._left_s() <= 0
+    for _ in range(3):
+        wanted.given(read_s=0.01)
+        assert wanted._left_s() == float("inf"), "one waits to be taken"
+        wanted.begins()
+        clock[0] += 0.06
+        wanted.ends()
+        assert wanted._left_s() <= 0, "nothing is worked on"
+    wanted.given(read_s=0.01)
+    wanted.begins()
+    assert wanted._left_s() == pytest.approx(0.06 - 0.01 - SPARE_S)
+    clock[0] += 0.05
+    assert wanted._left_s() < 0
+
+
+def test_nothing_is_guessed_before_a_detection_has_ended(clock: list[float]) -> None:
+    wanted = Demand()
+    wanted.given(read_s=0.01)
+    wanted.begins()
+    assert wanted._left_s() <= 0
+
+
+@pytest.mark.parametrize("wake", ["begins", "close"])
+def test_who_waits_is_woken(wake: str) -> None:
+    wanted = Demand()
+    wanted.given(read_s=0.01)
+    waits = threading.Thread(target=wanted.wait)
+    waits.start()
+    waits.join(0.05)
+    assert waits.is_alive()
+    getattr(wanted, wake)()
+    waits.join(30.0)
+    assert not waits.is_alive()

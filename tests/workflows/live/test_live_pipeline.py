@@ -1,0 +1,514 @@
+"""Live: slots, a recording played at its own pace, and the stages side by side."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annotator.project import BoxRotation
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.propose import propose_from_boxes
+from annotator.rcv.warm_start import is_warm
+from annotator.recordings import Recording, open_recording
+from annotator.types import Box2D, Detector, Frame, Image, Region
+from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.live import detection, detection_regions
+from annotator.workflows.live.detection import MAX_SEED_AGE_S, Detected, LiveDetection
+from annotator.workflows.live.detection_regions import WHOLE_EVERY
+from annotator.workflows.live.handover import Slot
+from annotator.workflows.live.pipeline import Pipeline
+from annotator.workflows.live.playback import Playback, Repeat
+from annotator.workflows.live.rates import Drops, Meter, summary_line
+from annotator.workflows.live.source import Taken
+
+NEVER = threading.Event()
+# Nothing takes as long: who waits so long waits in vain.
+PATIENCE_S = 240.0
+SHORT = RcvConfig(max_steps=2)
+
+
+@pytest.fixture(scope="module")
+def hands(generated: Path) -> Recording:
+    return open_recording(generated / "hands")
+
+
+@pytest.fixture(scope="module")
+def frame(hands: Recording) -> Frame:
+    return hands.frame(0)
+
+
+def test_the_newest_wins_in_a_slot() -> None:
+    slot: Slot[int] = Slot()
+    for number in range(3):
+        slot.put(number)
+    assert (slot.take(), slot.dropped) == (2, 2)
+    slot.put(3)
+    slot.close()
+    slot.put(4)
+    assert (slot.take(), slot.take(), slot.dropped) == (3, None, 2)
+    emptied: Slot[int] = Slot()
+    emptied.put(1)
+    emptied.close(empty=True)
+    assert emptied.take() is None
+
+
+def test_who_waits_at_a_slot_gets_what_comes_and_is_woken_at_its_end() -> None:
+    slot: Slot[int] = Slot()
+    got: list[int | None] = []
+    thread = threading.Thread(target=lambda: got.extend([slot.take(), slot.take()]))
+    thread.start()
+    slot.put(7)
+    while not got and slot._item is not None:
+        time.sleep(0.001)
+    slot.close()
+    thread.join(PATIENCE_S)
+    assert got == [7, None]
+
+
+# --- a recording that is played ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Told:
+    """A recording that knows when its frames were taken, and gives any frame at once."""
+
+    any_frame: Frame
+    times_ns: tuple[int | None, ...]
+    broken: tuple[int, ...] = ()
+    path: Path = Path("told")
+    format: str = "rgbd_folder"
+    name: str = "told"
+    asked: list[int] = field(default_factory=list)
+
+    root = path
+    is_sequence = True
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(map(str, range(len(self))))
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    def frame(self, i: int) -> Frame:
+        self.asked.append(i)
+        if i in self.broken:
+            raise FrameError(self.path, f"frame {i} is broken")
+        return replace(self.any_frame, key=str(i), index=i)
+
+
+def played(playback: Playback, most: int = 100) -> Iterator[Taken]:
+    for _ in range(most):
+        taken = playback.read(NEVER)
+        if taken is None:
+            return
+        yield taken
+
+
+def test_a_recording_keeps_its_own_times(frame: Frame) -> None:
+    told_times = Told(frame, tuple(int(1e9 + 1e6 * ms) for ms in (0, 30, 130, 190)))
+    taken = list(played(Playback(told_times)))
+    at_s = [each.taken_s - taken[0].taken_s for each in taken]
+    assert [each.frame.key for each in taken] == ["0", "1", "2", "3"]
+    assert at_s == pytest.approx([0, 0.03, 0.13, 0.19], abs=1e-6)
+    assert all(each.read_s >= 0 for each in taken)
+
+
+def test_a_rate_and_the_default_of_a_format(frame: Frame) -> None:
+    unknown = Told(frame, (None,) * 3)
+    assert Playback(unknown).rate == pytest.approx(30)
+    unknown.format = "kitti_raw"
+    assert Playback(unknown).rate == pytest.approx(10)
+    taken = list(played(Playback(unknown, rate=20.0)))
+    assert [b.taken_s - a.taken_s for a, b in itertools.pairwise(taken)] == pytest.approx([0.05, 0.05])
+    for rate in (0.0, -1.0, math.nan):
+        with pytest.raises(ConfigError, match="cannot play at"):
+            Playback(unknown, rate=rate)
+
+
+def test_who_comes_late_misses_frames_as_with_a_camera(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
+    playback = Playback(Told(frame, (None,) * 60), rate=100.0)
+    first = playback.read(clock)
+    clock.now_s += 0.1
+    second = playback.read(clock)
+    assert first is not None
+    assert second is not None
+    missed = second.frame.index - 1
+    assert missed >= 8
+    assert playback.skipped == missed
+    assert second.taken_s - first.taken_s == pytest.approx(0.01 * (missed + 1))
+    # after a pause nothing has been missed
+    clock.now_s += 0.1
+    playback.resume()
+    third = playback.read(clock)
+    assert third is not None
+    assert third.frame.index == second.frame.index + 1
+
+
+class Clock(threading.Event):
+    """Time that passes only when somebody waits; stands for the module `time` and for the event that ends a wait."""
+
+    now_s = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now_s
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.now_s += timeout or 0.0
+        return False
+
+
+@pytest.mark.parametrize(
+    ("rate", "asked_s", "index", "waited_s"),
+    [
+        (25.0, 0.029, 0, 0.0),  # the next one is due in 11 ms
+        (25.0, 0.031, 1, 0.009),
+        (100.0, 0.007, 0, 0.0),  # of 10 ms between two frames, 3 are much
+        (100.0, 0.008, 1, 0.002),
+        (100.0, 0.018, 2, 0.002),
+        (math.inf, 0.018, 0, 0.0),
+    ],
+)
+def test_who_comes_just_before_a_frame_waits_for_it(
+    frame: Frame, monkeypatch: pytest.MonkeyPatch, rate: float, asked_s: float, index: int, waited_s: float
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
+    playback = Playback(Told(frame, (None,) * 9), rate=rate)
+    first = playback.read(clock)
+    assert first is not None
+    clock.now_s = asked_s + (0.0 if math.isinf(rate) else 1 / rate)
+    taken = playback.read(clock)
+    assert taken is not None
+    assert (taken.frame.index, playback.skipped) == (index + 1, index)
+    assert clock.now_s == pytest.approx(asked_s + (0.0 if math.isinf(rate) else 1 / rate) + waited_s)
+
+
+@pytest.mark.parametrize(
+    ("repeat", "order"),
+    [(Repeat.NO, [0, 1, 2]), (Repeat.AGAIN, [0, 1, 2, 0, 1, 2, 0]), (Repeat.BACK, [0, 1, 2, 1, 0, 1, 2])],
+)
+def test_what_comes_after_the_last_frame(frame: Frame, repeat: Repeat, order: list[int]) -> None:
+    told_times = Told(frame, (None,) * 3)
+    assert [taken.frame.index for taken in played(Playback(told_times, rate=math.inf, repeat=repeat), 7)] == order
+    one = Told(frame, (None,))
+    assert len(list(played(Playback(one, rate=math.inf, repeat=repeat), 3))) == (1 if repeat is Repeat.NO else 3)
+
+
+def test_nobody_waits_for_a_frame_that_is_not_wanted_any_more(frame: Frame) -> None:
+    an_hour_ns = 3_600_000_000_000
+    playback = Playback(Told(frame, (0, an_hour_ns)))
+    stop = threading.Event()
+    assert playback.read(stop) is not None
+    stop.set()
+    assert playback.read(stop) is None
+
+
+def test_a_recording_that_cannot_be_read_at_all_ends(frame: Frame) -> None:
+    playback = Playback(Told(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, repeat=Repeat.AGAIN)
+    with pytest.raises(FrameError):
+        playback.read(NEVER)
+    with pytest.raises(RecordingError, match="none of its 2 frames"):
+        playback.read(NEVER)
+
+
+# --- the stages -------------------------------------------------------------------------------------------------------
+
+
+class Slow:
+    """A detection that takes a while and finds nothing."""
+
+    def __init__(self, seconds: float = 0.0) -> None:
+        self.seconds = seconds
+
+    def detect(self, taken: Taken) -> Detected:
+        time.sleep(self.seconds)
+        return Detected(taken.frame, FrameProposals(taken.frame.key, (), ()), taken.taken_s, {"read": taken.read_s})
+
+
+class Shown(list[str]):
+    """The keys of the frames that were shown, and when the last one was."""
+
+    def __call__(self, detected: Detected) -> None:
+        self.append(detected.frame.key)
+
+
+def run(made: Pipeline) -> None:
+    made.start()
+    assert made.wait(PATIENCE_S)
+    for thread in made._threads:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+
+
+def test_frames_come_through_and_the_end_of_the_source_ends_all(hands: Recording, knowing: Any) -> None:
+    shown: list[Detected] = []
+    detectors: Detectors = knowing("hands")
+    detection = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=False)
+    made = Pipeline(Playback(hands, rate=2.0), detection, shown.append, max_frames=3)
+    ends: list[str] = []
+    made.at_end(lambda: ends.append("end"))
+    run(made)
+    figures = made.figures()
+    assert (figures.read, figures.detected, figures.shown) == (3, 3, 3)
+    assert [len(each.found.proposals) for each in shown] == [2, 2, 2]
+    assert [each.seeded for each in shown] == [0, 0, 0]
+    assert list(figures.stages_ms) == ["read", "image", "views", "geometry", "show"]
+    assert all(took >= 0 for took in figures.stages_ms.values())
+    assert figures.latency_ms is not None
+    assert figures.latency_ms > sum(figures.stages_ms.values()) / 2
+    assert ends == ["end"]
+    made.at_end(lambda: ends.append("later"))
+    assert ends == ["end", "later"]
+
+
+def test_frames_of_a_recording_are_read_for_a_slow_detection_and_not_to_be_dropped(frame: Frame) -> None:
+    shown = Shown()
+    made = Pipeline(Playback(Told(frame, (None,) * 40), rate=100.0), Slow(0.05), shown)
+    run(made)
+    figures = made.figures()
+    assert figures.read + figures.drops.source == 40
+    # when the next one is wanted is guessed: too early now and then, as a busy machine has it
+    assert figures.drops.detect < figures.drops.source
+    assert shown[-1] == "39", "the last one is never dropped"
+
+
+class Piling(Playback):
+    """A recording as a camera whose driver queues what nobody takes; never more than three frames ahead."""
+
+    gives_newest = False
+    given = 0
+    begun = 0
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        while self.given > self.begun + 3 and not stop.is_set():
+            time.sleep(0.001)
+        self.given += 1
+        return super().read(stop)
+
+
+def test_a_slow_detection_and_a_slow_display_drop_frames_and_no_stage_waits(frame: Frame) -> None:
+    """Each is slower than what comes before it by counting frames, not by the clock."""
+    shown, source = Shown(), Piling(Told(frame, (None,) * 40), rate=math.inf)
+
+    class Waiting(Slow):
+        def detect(self, taken: Taken) -> Detected:
+            source.begun = taken.frame.index
+            # the first one is waited for before others are read
+            while taken.frame.index > 0 and source.given < source.begun + 3 and capture.is_alive():
+                time.sleep(0.001)
+            return super().detect(taken)
+
+    def show(detected: Detected) -> None:
+        shown(detected)
+        # detection advances by at most 4 frames, so two more frames are detected before a display ends
+        while source.begun < detected.frame.index + 12 and detect.is_alive():
+            time.sleep(0.001)
+
+    made = Pipeline(source, Waiting(), show)
+    capture, detect, _ = made._threads
+    run(made)
+    figures = made.figures()
+    drops = figures.drops
+    assert figures.read == 40
+    assert figures.detected + drops.detect == figures.read
+    assert figures.shown + drops.show == figures.detected
+    assert 2 <= figures.shown < figures.detected < figures.read
+    assert shown[-1] == "39", "the last one is never dropped"
+
+
+def test_a_frame_that_cannot_be_read_is_told_and_the_others_come(frame: Frame) -> None:
+    shown, lines = Shown(), list[str]()
+    made = Pipeline(Playback(Told(frame, (None,) * 4, broken=(1,)), rate=20.0), Slow(), shown, report=lines.append)
+    run(made)
+    assert (made.figures().broken, made.figures().read) == (1, 3)
+    assert "frame 1 is broken" in lines[0]
+    assert shown[0] == "0"
+    assert shown[-1] == "3"
+
+
+def test_a_pause_in_the_instant_of_a_stop_holds_nobody(frame: Frame) -> None:
+    made = Pipeline(Playback(Told(frame, (None,) * 40), rate=100.0), Slow(), Shown())
+    clear = made._running.clear
+
+    def stopped_meanwhile() -> None:
+        made.stop()
+        clear()
+
+    made._running.clear = stopped_meanwhile  # type: ignore[method-assign]
+    made.start()
+    made.pause(True)
+    assert not made.is_paused
+    assert made.wait(PATIENCE_S)
+
+
+class Unplugged:
+    """A camera that gives two frames and is gone."""
+
+    name, skipped, gives_newest = "camera", 0, False
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame, self.left, self.closed = frame, 2, 0
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        if not self.left:
+            raise DeviceError("camera: was unplugged")
+        self.left -= 1
+        return Taken(self.frame, time.perf_counter(), 0.0)
+
+    def resume(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def fails(detected: Detected) -> None:
+    raise ValueError("no display")
+
+
+def test_an_error_of_any_stage_ends_all_and_is_raised(frame: Frame) -> None:
+    gone = Unplugged(frame)
+    made = Pipeline(gone, Slow(), Shown())
+    made.start()
+    with pytest.raises(DeviceError, match="unplugged"):
+        made.wait(PATIENCE_S)
+    assert gone.closed == 1
+    endless = Playback(Told(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN)
+    made = Pipeline(endless, Slow(), fails)
+    made.start()
+    with pytest.raises(ValueError, match="no display"):
+        made.wait(PATIENCE_S)
+    with pytest.raises(ValueError, match="no display"):
+        made.end()
+
+
+def test_it_ends_when_it_is_told_to_also_while_it_pauses(frame: Frame) -> None:
+    shown = Shown()
+    made = Pipeline(Playback(Told(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN), Slow(), shown)
+    made.start()
+    while len(shown) < 2:
+        time.sleep(0.001)
+    made.pause(True)
+    assert made.is_paused
+    seen = -1
+    while seen != len(shown):  # what was under way still comes
+        seen = len(shown)
+        time.sleep(0.3)
+    time.sleep(0.2)
+    assert len(shown) == seen
+    made.pause(False)
+    while len(shown) < seen + 2:
+        time.sleep(0.001)
+    made.pause(True)
+    made.end()
+    assert made.ended.is_set()
+    with pytest.raises(ConfigError, match="0 frames"):
+        Pipeline(Playback(Told(frame, (None,)), rate=1.0), Slow(), shown, max_frames=0)
+
+
+# --- the boxes of the moment before -----------------------------------------------------------------------------------
+
+
+def test_the_last_boxes_are_seeds_as_long_as_they_are_new(hands: Recording, knowing: Any) -> None:
+    detection = LiveDetection(knowing("hands"), SHORT, BoxRotation.AUTO, warm_start=True)
+    frames = [hands.frame(index) for index in range(3)]
+    moments = (10.0, 10.1, 10.1 + 2 * MAX_SEED_AGE_S)
+    found = [detection.detect(Taken(f, at, 0.01)) for f, at in zip(frames, moments, strict=True)]
+    assert [each.seeded for each in found] == [0, 2, 0]
+    assert [any(map(is_warm, each.found.proposals)) for each in found] == [False, True, False]
+    assert all(len(each.found.proposals) == 2 for each in found)
+    assert found[0].stages_s["read"] == 0.01
+    assert found[0].detect_s > 0
+
+
+@dataclass
+class Recorded:
+    """A detector, and for each call whether it was asked about regions."""
+
+    detector: Detector
+    calls: list[bool] = field(default_factory=list)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self.detector.labels
+
+    @property
+    def fingerprint(self) -> str:
+        return self.detector.fingerprint
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        self.calls.append(isinstance(images[0], Region))
+        return self.detector.detect(images)
+
+
+@pytest.mark.parametrize("warm_start", [False, True])
+def test_followed_objects_are_looked_for_where_they_were(
+    hands: Recording, knowing: Any, warm_start: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)  # two hands fill this image
+    known = knowing("hands")
+    image = Recorded(known.image)
+    detectors = replace(known, image=image)
+    live = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=warm_start)
+    frame = hands.frame(0)
+    asked = []
+    for number in range(WHOLE_EVERY + 1):
+        found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
+        assert len(found.proposals) == 2
+        asked.append(image.calls[:] if number else image.calls[-1:])  # it gets ready on the first one
+        image.calls.clear()
+    followed = [[warm_start]] * (WHOLE_EVERY - 1)
+    assert asked == [[False], *followed, [False]]
+
+
+def test_when_an_object_gets_lost_the_next_look_is_at_the_whole_image(
+    hands: Recording, knowing: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)
+    known = knowing("hands")
+    image, frame = Recorded(known.image), hands.frame(0)
+    live = LiveDetection(replace(known, image=image), SHORT, BoxRotation.AUTO, warm_start=True)
+    asked = []
+    for number in range(4):
+        with monkeypatch.context() as patch:
+            if number == 1:
+                patch.setattr(detection, "propose_from_boxes", losing_one)
+            found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
+        assert len(found.proposals) == (1 if number == 1 else 2)
+        asked.append(image.calls[-1])
+    assert asked == [False, True, False, True]
+
+
+def losing_one(*args: Any) -> list[FrameProposals]:
+    return [replace(found, proposals=found.proposals[1:]) for found in propose_from_boxes(*args)]
+
+
+def test_figures_look_back_over_their_window_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr("annotator.workflows.live.rates.time", clock)
+    clock.now_s = 100.0
+    meter = Meter(window_s=0.3)
+    assert summary_line(meter.figures(Drops())) == "too few frames for a rate; 0 shown"
+    meter.shown(clock.now_s - 5, {"show": 1.0})
+    clock.now_s += 0.35
+    for _ in range(3):
+        clock.now_s += 0.02
+        meter.shown(clock.now_s - 0.05, {"show": 0.002})
+    figures = meter.figures(Drops(detect=2, record=1))
+    assert figures.shown == 4
+    assert figures.stages_ms == pytest.approx({"show": 2.0})
+    assert figures.latency_ms == pytest.approx(50)
+    assert figures.fps == pytest.approx(50)
+    assert "dropped: 2 detect, 1 record" in summary_line(figures)

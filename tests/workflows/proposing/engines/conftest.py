@@ -1,0 +1,41 @@
+"""A project on generated frames, done in this process: what every engine must give, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from engine_samples import CONFIG, stored
+
+from annotator.project import Project, create_project
+from annotator.recordings import open_recording
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.proposing.annotate import annotate_with
+from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.engines.sources import GivenDetectors
+
+
+@pytest.fixture
+def new_people(generated: Path, tmp_path: Path) -> Iterator[Callable[[str], Project]]:
+    """Makes a project of the generated people: `new_people("name")`."""
+    made: list[Project] = []
+
+    def make(name: str) -> Project:
+        made.append(create_project(tmp_path / "projects", name, ("person",)))
+        register_recording(made[-1], open_recording(generated / "people"))
+        return made[-1]
+
+    yield make
+    for project in made:
+        project.close()
+
+
+@pytest.fixture(scope="session")
+def expected(generated: Path, knowing: Callable[..., Detectors], tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """What the engine without processes stores for the generated people."""
+    with create_project(tmp_path_factory.mktemp("inline"), "inline", ("person",)) as project:
+        register_recording(project, open_recording(generated / "people"))
+        annotate_with(project, InlineEngine(GivenDetectors(knowing("people"))), CONFIG)
+        return stored(project)

@@ -1,0 +1,108 @@
+"""What engines are tried with: detectors that worker processes load by name, and that do harm or wait."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from annotator.detection.config import DetectorConfig
+from annotator.detection.yolo import YoloDetector
+from annotator.project import Project
+from annotator.rcv.config import RcvConfig
+from annotator.types import Box2D, Detector, Frame, Image
+from annotator.types.errors import DetectionError
+from annotator.workflows.detectors import Detectors
+
+CONFIG = RcvConfig(max_steps=1)
+
+
+def stored(project: Project) -> list[str]:
+    """Everything that the latest passes found, one text a frame; two are equal where every bit is."""
+    found = []
+    for frame in project.frames.of():
+        latest = project.proposals.latest(frame.id)
+        objects = latest.objects if latest else ()
+        found.append(
+            repr([(o.proposal.label, o.proposal.score, o.proposal.trace, o.proposal.quality) for o in objects])
+            + repr(
+                [(o.proposal.box.T_camera_box.as_matrix().tolist(), o.proposal.box.size_m.tolist()) for o in objects]
+            )
+            + repr(latest.lost if latest else ())
+        )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Harmful:
+    """Passes on what another detector says, and kills its process over some frames.
+
+    Attributes:
+        deadly: keys of frames.
+        once: where given, a file: a process dies only while it is missing, and makes it before.
+        slow_s: so long every call takes.
+        told: where given, a folder in which each process that works leaves its id.
+    """
+
+    inner: Detector
+    deadly: tuple[str, ...] = ()
+    once: Path | None = None
+    slow_s: float = 0.0
+    told: Path | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self.inner.labels
+
+    @property
+    def fingerprint(self) -> str:
+        return self.inner.fingerprint
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        if self.told is not None:
+            (self.told / str(os.getpid())).touch()
+        time.sleep(self.slow_s)
+        keys = {image.key for image in images if isinstance(image, Frame)}
+        if keys & set(self.deadly) and not (self.once is not None and self.once.exists()):
+            if self.once is not None:
+                self.once.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.inner.detect(images)
+
+
+@dataclass(frozen=True, eq=False)
+class HarmfulPair:
+    """A source whose image detector is harmful."""
+
+    inner: Detectors
+    deadly: tuple[str, ...] = ()
+    once: Path | None = None
+    slow_s: float = 0.0
+    told: Path | None = None
+
+    def load(self, threads: int | None) -> Detectors:
+        image = Harmful(self.inner.image, self.deadly, self.once, self.slow_s, self.told)
+        return Detectors(image, self.inner.view, self.inner.box_kind)
+
+
+@dataclass(frozen=True, eq=False)
+class RealViews:
+    """A source with a real network for the views: it is sure of nothing, but all that it says is taken."""
+
+    inner: Detectors
+    weights: Path
+
+    def load(self, threads: int | None) -> Detectors:
+        config = DetectorConfig(image_size_px=64, confidence=1e-4, device="cpu", backend="torch", threads=threads)
+        return Detectors(self.inner.image, YoloDetector(self.weights, config), self.inner.box_kind)
+
+
+@dataclass(frozen=True)
+class Unloadable:
+    """A source that fails as a damaged file would."""
+
+    def load(self, threads: int | None) -> Detectors:
+        raise DetectionError("weights.pt: cannot be read as detector weights")

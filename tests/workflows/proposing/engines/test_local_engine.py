@@ -1,0 +1,161 @@
+"""Worker processes: the same results as without them, and nothing lost when one, or the driver, is killed."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from engine_samples import CONFIG, HarmfulPair, RealViews, Unloadable, stored
+
+from annotator.project import Project, Status, open_project
+from annotator.rcv.config import RcvConfig
+from annotator.types.errors import WorkerError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.proposing.annotate import annotate_with
+from annotator.workflows.proposing.engines.engine import Engine
+from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.engines.local import local_engine
+from annotator.workflows.proposing.engines.sources import DetectorSource, GivenDetectors
+from annotator.workflows.proposing.engines.storage import Storage
+
+Knowing = Callable[..., Detectors]
+NewPeople = Callable[[str], Project]
+
+DRIVER = """
+import pickle, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from annotator.project import open_project
+from annotator.rcv.config import RcvConfig
+from annotator.workflows.proposing.annotate import annotate_with
+from annotator.workflows.proposing.engines.engine import Engine
+from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.engines.local import local_engine
+from annotator.workflows.proposing.engines.storage import Storage
+with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
+    annotate_with(project, local_engine(pickle.load(file), 1, 1, Storage()), RcvConfig(max_steps=1))
+"""
+
+
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + 240
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.05)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def engine_of(source: DetectorSource, workers: int = 2) -> Engine:
+    return local_engine(source, workers, 1, Storage())
+
+
+def test_the_same_bit_for_bit_also_from_another_place_and_when_a_worker_was_killed(
+    new_people: NewPeople, expected: list[str], knowing: Knowing, tmp_path: Path, generated: Path
+) -> None:
+    project, once = new_people("local"), tmp_path / "once"
+    source = HarmfulPair(knowing("people"), deadly=("000002",), once=once)
+    elsewhere = Storage(((generated, generated.as_uri()),), cache_mb=50)
+    with closing(local_engine(source, 2, 1, elsewhere)) as engine:
+        done = annotate_with(project, engine, CONFIG)
+    assert once.exists(), "a worker has killed itself"
+    assert (done.done, done.failed) == (5, [])
+    assert stored(project) == expected
+
+
+def test_a_real_network_gives_the_same_bit_for_bit(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
+    from annotator.detection.ultralytics_api import api
+
+    model = api().DetectionModel("yolo11n.yaml", nc=1, verbose=False)
+    model.names = {0: "person"}
+    api().torch.save({"model": model}, tmp_path / "detector.pt")
+    source, config = RealViews(knowing("people"), tmp_path / "detector.pt"), RcvConfig(max_steps=2, min_view_score=0)
+    engines = {"here": InlineEngine(source, 1), "there": engine_of(source, 1)}
+    projects = {name: new_people(name) for name in engines}
+    for name, engine in engines.items():
+        with closing(engine):
+            assert annotate_with(projects[name], engine, config, limit=1).failed == []
+    here, there = (stored(project)[:1] for project in projects.values())
+    assert here == there
+    assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were found, and used"
+
+
+def test_a_frame_that_kills_every_worker_is_stored_as_failed(
+    new_people: NewPeople, expected: list[str], knowing: Knowing
+) -> None:
+    project = new_people("deadly")
+    with closing(engine_of(HarmfulPair(knowing("people"), deadly=("000004",)))) as engine:
+        done = annotate_with(project, engine, CONFIG)
+    ((key, reason),) = done.failed
+    assert (done.done, key) == (4, "000004")
+    assert "killed, perhaps for lack of memory" in reason
+    (failure,) = project.jobs.results(status=Status.FAILED)
+    assert failure.reason == reason
+    assert stored(project)[:4] == expected[:4]
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes as Linux shows them")
+def test_a_killed_driver_leaves_no_workers_and_a_restart_goes_on(
+    new_people: NewPeople, expected: list[str], knowing: Knowing, tmp_path: Path
+) -> None:
+    project, told, source = new_people("killed"), tmp_path / "told", tmp_path / "source"
+    told.mkdir()
+    source.write_bytes(pickle.dumps(HarmfulPair(knowing("people"), slow_s=0.3, told=told)))
+    here = str(Path(__file__).parent)
+    driver = subprocess.Popen([sys.executable, "-c", DRIVER, here, str(project.path), str(source)])
+    try:
+        wait_for(lambda: len(project.jobs.results()) > 0, "the driver stores nothing")
+        (pid,) = (int(path.name) for path in told.iterdir())
+    finally:
+        driver.kill()
+        driver.wait()
+    wait_for(lambda: not is_alive(pid), "the worker outlives its driver")
+    project.close()
+    with open_project(project.path) as again, closing(engine_of(GivenDetectors(knowing("people")), 1)) as engine:
+        done = annotate_with(again, engine, CONFIG)
+        assert done.skipped + done.done == 5 and done.skipped > 0
+        assert stored(again) == expected
+        assert again.problems() == []
+
+
+def test_what_ends_the_batch_ends_the_workers(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    told.mkdir()
+
+    def stop(done: int, total: int) -> None:
+        if any(told.iterdir()):
+            raise KeyboardInterrupt
+
+    # nothing is ever done: the heartbeat asks
+    engine = engine_of(HarmfulPair(knowing("people"), slow_s=100, told=told), 1)
+    with pytest.raises(KeyboardInterrupt):
+        annotate_with(new_people("stopped"), engine, CONFIG, progress=stop)
+    (pid,) = (int(path.name) for path in told.iterdir())
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+def test_detectors_that_cannot_be_loaded(
+    new_people: NewPeople, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # what lies in the folder that annotator is called in is no part of it: workers get as far as the detectors
+    (tmp_path / "queue.py").write_text("raise SystemExit('somebody else's queue')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])
+    project = new_people("unloadable")
+    with pytest.raises(WorkerError, match="cannot be read as detector weights"):
+        annotate_with(project, engine_of(Unloadable(), 1), CONFIG)
+    assert project.jobs.all() == ()

@@ -1,0 +1,111 @@
+"""Ray actors on a cluster of this machine's own: what local workers do, and no more is told to anybody."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import closing
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from engine_samples import CONFIG, HarmfulPair, stored
+
+from annotator.project import Project
+from annotator.types.errors import MissingExtraError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.proposing.annotate import annotate_with
+from annotator.workflows.proposing.engines.messages import Died, Event, Refused
+from annotator.workflows.proposing.engines.ray_engine import (
+    LOCAL_SWITCHES,
+    SWITCHES,
+    RayEngine,
+    RayWorker,
+    max_workers,
+)
+from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.proposing.engines.storage import Storage
+
+LISTENS = "0A"
+LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F")
+
+
+def listening() -> set[tuple[str, str]]:
+    """(address, port) of every socket of this machine that listens, as Linux shows them."""
+    rows = [
+        line.split()
+        for name in ("tcp", "tcp6")
+        if Path(f"/proc/net/{name}").exists()
+        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
+    return {(row[1].split(":")[0], row[1].split(":")[1]) for row in rows if row[3] == LISTENS}
+
+
+def test_the_same_bit_for_bit_when_an_actor_was_killed(
+    new_people: Callable[[str], Project],
+    expected: list[str],
+    knowing: Callable[..., Detectors],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if find_spec("ray") is None:  # not imported here: what is switched off must be so before
+        pytest.skip("ray is not installed")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    project, once, before = new_people("ray"), tmp_path / "once", listening()
+    source = HarmfulPair(knowing("people"), deadly=("000001",), once=once)
+    with closing(RayEngine(source, 1, 1, Storage())) as engine:
+        done = annotate_with(project, engine, CONFIG)
+        opened = listening() - before
+    assert once.exists(), "an actor has killed itself"
+    assert (done.done, done.failed) == (5, [])
+    assert stored(project) == expected
+    assert opened and {address for address, _ in opened} <= set(LOOPBACK)
+
+
+def test_without_ray_it_says_what_to_install(
+    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match="ray is not installed"):
+        RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
+
+
+def test_the_module_loads_no_ray() -> None:
+    code = "import sys, annotator.workflows.proposing.engines.ray_engine; sys.exit('ray' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=400).returncode == 0
+
+
+def test_an_actor_that_is_lost_in_any_way_is_replaced_and_one_that_cannot_work_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if find_spec("ray") is None:
+        pytest.skip("ray is not installed")
+    for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # before it is imported
+        monkeypatch.setenv(name, value)
+    from ray import exceptions
+
+    told: list[Event] = []
+    for error in (
+        exceptions.OutOfMemoryError("killed, the node was low on memory"),
+        exceptions.NodeDiedError("its node died"),
+        exceptions.ObjectLostError("00", None, ""),
+        exceptions.ActorDiedError(),
+        exceptions.RuntimeEnvSetupError("no such package"),
+    ):
+        future: Future[object] = Future()
+        future.set_exception(error)
+        call = SimpleNamespace(remote=lambda future=future: SimpleNamespace(future=lambda: future))
+        RayWorker(1, told.append, lambda call=call: SimpleNamespace(identity=call))
+    assert [type(event) for event in told] == [Died, Died, Died, Died, Refused]
+
+
+def test_workers_fit_on_machines_and_not_on_their_sum() -> None:
+    def node(cores: float, gpus: float = 0, alive: bool = True) -> dict[str, object]:
+        return {"Alive": alive, "Resources": {"CPU": cores, **({"GPU": gpus} if gpus else {})}}
+
+    assert max_workers([node(4), node(4), node(4, alive=False)], 8) == 0
+    assert max_workers([node(4), node(7)], 3) == 3
+    assert max_workers([node(16), node(4, 2), node(1, 4)], 1) == 3, "a GPU each"

@@ -1,0 +1,436 @@
+"""The batch: what is found is stored, a bad frame costs only itself, and a second start goes on where the first was."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.geometry.iou import iou_3d_matrix
+from annotator.project import BoxRotation, NewLabel, Project, Status, WriteContext, open_project
+from annotator.rcv.config import RcvConfig, Strategy
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Frame, Image, ReviewState, Source
+from annotator.types.errors import ConfigError, ProjectError
+from annotator.workflows.add_recordings import add_recordings, register_recording
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.proposing import batch_store as batch_book
+from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate, annotate_with
+from annotator.workflows.proposing.batch_store import WRITE_ATTEMPTS
+from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.recorded.reading import load_truth
+
+CONFIG = RcvConfig()
+# Where it matters that something is proposed, and not how good it is.
+FAST = RcvConfig(max_steps=1)
+Knowing = Callable[..., Detectors]
+
+
+class Wrapped:
+    """Passes on what another detector says; subclasses come in between."""
+
+    def __init__(self, inner: Detectors, fingerprint: str = "") -> None:
+        self.inner = inner.image
+        self.labels = self.inner.labels
+        self.fingerprint = fingerprint or self.inner.fingerprint
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        for image in images:
+            assert isinstance(image, Frame)
+            self.before(image)
+        return [
+            [self.change(image, box) for box in found]
+            for image, found in zip(images, self.inner.detect(images), strict=True)
+        ]
+
+    def before(self, frame: Frame) -> None:
+        pass
+
+    def change(self, image: Image, box: Box2D) -> Box2D:
+        return box
+
+    def pair(self, views: Detectors) -> Detectors:
+        return Detectors(self, views.view, views.box_kind)
+
+
+class Raising(Wrapped):
+    """Raises on one frame, as a bug in a library would."""
+
+    def before(self, frame: Frame) -> None:
+        if frame.key == "000001":
+            raise ValueError("operands could not be broadcast")
+
+
+class Interfering(Wrapped):
+    """While a frame is looked at, somebody does something to the project."""
+
+    def __init__(self, inner: Detectors, key: str, act: Callable[[], None]) -> None:
+        super().__init__(inner)
+        self.key, self.act = key, act
+
+    def before(self, frame: Frame) -> None:
+        if frame.key == self.key:
+            self.act()
+
+
+class Killed(BaseException):
+    """As a signal: no handler of ordinary errors may catch it."""
+
+
+def keys(project: Project, status: Status) -> list[str]:
+    return sorted(project.frames.get(result.frame_id).key for result in project.jobs.results(status=status))
+
+
+def only_reason(project: Project) -> str:
+    (failure,) = project.jobs.results(status=Status.FAILED)
+    assert failure.reason is not None
+    return failure.reason
+
+
+def bump(project: Project, index: int) -> None:
+    """An operator changes something on a frame."""
+    stored = project.frames.of()[index]
+    project.boxes.set_on_image(stored.id, [], BoxKind.BOX, WriteContext(project.frames.get(stored.id).revision, "me"))
+
+
+def test_proposals_are_stored_and_right(people: Project, knowing: Knowing) -> None:
+    told: list[tuple[int, int]] = []
+    done = annotate(people, knowing("people"), CONFIG, progress=lambda k, n: told.append((k, n)))
+    assert (done.frames, done.done, done.skipped, done.failed, done.without) == (5, 5, 0, [], 0)
+    assert told == [(TASK_FRAMES, 5), (5, 5)]
+    assert done.seconds > 0
+    recording = open_recording(people.recordings.all()[0].path)
+    total = 0
+    for index, stored in enumerate(people.frames.of()):
+        labels = people.labels.of_frame(stored.id)
+        total += len(labels)
+        assert {(label.state, label.source, label.author) for label in labels} == {
+            (ReviewState.PROPOSED, Source.AUTO, "rcv")
+        }
+        truths = load_truth(recording, index, recording.frame(index))
+        ious = iou_3d_matrix([truth.box for truth in truths], [label.box for label in labels]).max(axis=1)
+        assert ious.min() > 0.9
+    assert done.proposals == total == people.statistics().labels.total
+    (run,) = people.jobs.all()
+    assert run.finished_ns is not None
+    assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
+
+
+def test_a_second_run_has_nothing_to_do(people: Project, knowing: Knowing) -> None:
+    annotate(people, knowing("people"), FAST)
+    before = [label.uid for stored in people.frames.of() for label in people.labels.of_frame(stored.id)]
+    again = annotate(people, knowing("people"), FAST)
+    assert (again.frames, again.done, again.skipped, again.proposals) == (0, 0, 5, 0)
+    assert [label.uid for stored in people.frames.of() for label in people.labels.of_frame(stored.id)] == before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"config": CONFIG.model_copy(update={"max_steps": 2})},
+        {"config": CONFIG.model_copy(update={"strategy": Strategy.CAMERA})},
+        {"rotation": BoxRotation.FREE},
+        {"fingerprint": "other weights"},
+    ],
+    ids=["steps", "axes", "rotation", "detector"],
+)
+def test_other_settings_or_detectors_do_all_frames_anew(
+    people: Project, knowing: Knowing, change: dict[str, object]
+) -> None:
+    annotate(people, knowing("people"), FAST, limit=2)
+    options = {"config": FAST, "rotation": None, "fingerprint": "", **change}
+    detectors = Wrapped(knowing("people"), options["fingerprint"]).pair(knowing("people"))
+    again = annotate(people, detectors, options["config"], rotation=options["rotation"], limit=2)
+    assert (again.done, again.skipped) == (2, 0)
+    first = people.frames.of()[0]
+    assert len(people.labels.of_frame(first.id)) == 3, "new proposals in place of the old ones"
+
+
+def test_orientation_is_no_setting_of_its_own(people: Project, knowing: Knowing) -> None:
+    """It is set frame by frame, so a config that happens to carry another one does the same."""
+    annotate(people, knowing("people"), FAST)
+    upright = RcvConfig(max_steps=1, orientation="upright")
+    assert annotate(people, knowing("people"), upright).frames == 0
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_the_settings_say_what_the_detectors_boxes_measure(people: Project, knowing: Knowing, kind: BoxKind) -> None:
+    annotate(people, knowing("people", kind), FAST, limit=1)
+    (run,) = people.jobs.all()
+    assert json.loads(run.config)["box_kind"] == kind.value
+
+
+def test_upright_and_free_as_the_project_and_the_call_say(hands: Project, knowing: Knowing) -> None:
+    up = open_recording(hands.recordings.all()[0].path).frame(0).up
+    level = {}
+    for rotation in (None, BoxRotation.UPRIGHT):  # the project's own setting is free
+        annotate(hands, knowing("hands"), CONFIG, rotation=rotation, limit=1)
+        boxes = [label.box for label in hands.labels.of_frame(hands.frames.of()[0].id)]
+        assert boxes
+        level[rotation] = all(np.abs(box.rotation.T @ up).max() > 1 - 1e-6 for box in boxes)
+    assert level == {None: False, BoxRotation.UPRIGHT: True}
+
+
+def test_a_broken_frame_is_stored_with_its_reason_and_the_others_go_on(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    folder = own_copy("people")
+    depth = folder / "depth" / "000001.png"
+    whole = depth.read_bytes()
+    depth.write_bytes(whole[: len(whole) // 2])
+    project = make_project(folder)
+    done = annotate(project, knowing("people"), FAST)
+    assert (done.frames, done.done) == (5, 4)
+    ((key, reason),) = done.failed
+    assert key == "000001"
+    assert "depth/000001.png" in reason
+    assert only_reason(project) == reason
+    assert project.statistics().frames_failed == 1
+    # repaired, it alone is done
+    depth.write_bytes(whole)
+    again = annotate(project, knowing("people"), FAST)
+    assert (again.frames, again.done, again.skipped, again.failed) == (1, 1, 4, [])
+    assert project.statistics().frames_failed == 0
+
+
+def test_an_unexpected_error_costs_only_its_own_frame(people: Project, knowing: Knowing) -> None:
+    done = annotate(people, Raising(knowing("people")).pair(knowing("people")), FAST)
+    assert keys(people, Status.DONE) == ["000000", "000002", "000003", "000004"]
+    ((key, reason),) = done.failed
+    assert key == "000001"
+    assert reason.startswith("ValueError: operands could not be broadcast (test_annotate.py:")
+    assert only_reason(people) == reason
+
+
+def test_a_proposal_that_cannot_be_stored_costs_only_its_own_frame(people: Project, knowing: Knowing) -> None:
+    """As where a class was taken out of the project after the training."""
+
+    class Renaming(Wrapped):
+        def change(self, image: Image, box: Box2D) -> Box2D:
+            assert isinstance(image, Frame)
+            return Box2D("robot" if image.key == "000003" else box.label, *box.xyxy)
+
+    class Both(Wrapped):
+        """The second detector knows the robot as well."""
+
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            return [found + [Box2D("robot", *b.xyxy) for b in found] for found in self.inner.detect(images)]
+
+    image = Renaming(knowing("people"))
+    done = annotate(people, Detectors(image, Both(knowing("people"))), FAST)
+    assert done.done == 4
+    ((key, reason),) = done.failed
+    assert key == "000003"
+    assert "'robot' is not a class of the project" in reason
+
+
+def test_a_recording_that_was_moved_fails_frame_by_frame_and_the_other_is_done(
+    make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder, generated / "people")
+    folder.rename(folder.with_name("elsewhere"))
+    done = annotate(project, knowing("people"), FAST)
+    assert (done.frames, done.done, len(done.failed)) == (10, 5, 5)
+    assert all("no such file or folder" in reason for _, reason in done.failed)
+
+
+def test_only_some_recordings_and_not_too_many_frames(
+    make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    project = make_project(own_copy("people"), generated / "people")
+    first, second = project.recordings.all()
+    done = annotate(project, knowing("people"), FAST, recordings=[second.id], limit=3)
+    assert (done.frames, done.done, done.skipped) == (3, 3, 0)
+    labelled = {stored.frame_id for stored in project.labels.select()}
+    assert [f.id in labelled for f in project.frames.of([second.id])] == [True] * 3 + [False] * 2
+    rest = annotate(project, knowing("people"), FAST, recordings=[second.id])
+    assert (rest.frames, rest.skipped) == (2, 3)
+    assert project.labels.select(recordings=[first.id]) == ()
+
+
+@pytest.mark.parametrize("limit", [0, -1])
+def test_a_limit_that_leaves_nothing_is_refused(people: Project, knowing: Knowing, limit: int) -> None:
+    """-1 once meant all frames but the last."""
+    with pytest.raises(ConfigError, match="give 1 or more"):
+        annotate(people, knowing("people"), FAST, limit=limit)
+    assert people.jobs.all() == ()
+
+
+def test_frames_that_are_gone_are_neither_done_nor_counted(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    for path in (folder / "color" / "000004.jpg", folder / "depth" / "000004.png"):
+        path.unlink()
+    add_recordings(project, [folder])
+    done = annotate(project, knowing("people"), FAST)
+    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
+
+
+def test_frames_without_anything_are_counted_and_pages_leave_none_out(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batch_book, "PAGE_FRAMES", 2)
+
+    class Blind(Wrapped):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            return [[] for _ in images]
+
+    done = annotate(people, Blind(knowing("people")).pair(knowing("people")), FAST)
+    assert (done.done, done.proposals, done.without) == (5, 0, 5)
+    assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
+
+
+def test_a_finalised_frame_is_not_touched(people: Project, knowing: Knowing) -> None:
+    stored = people.frames.of()[2]
+    people.frames.finalise(stored.id, WriteContext(0, "me"))
+    done = annotate(people, knowing("people"), FAST)
+    assert (done.frames, done.done, done.skipped) == (4, 4, 1)
+    assert people.labels.of_frame(stored.id) == ()
+    assert people.frames.get(stored.id).revision == 1
+
+
+def test_reviewed_labels_stay_and_are_not_proposed_again(people: Project, knowing: Knowing) -> None:
+    recording = open_recording(people.recordings.all()[0].path)
+    truth = load_truth(recording, 0, recording.frame(0))[0]
+    stored = people.frames.of()[0]
+    (uid,) = people.labels.create(stored.id, [NewLabel(truth.label, truth.box)], WriteContext(0, "me")).uids
+    annotate(people, knowing("people"), CONFIG, limit=1)
+    states = {label.uid: label.state for label in people.labels.of_frame(stored.id)}
+    assert states.pop(uid) is ReviewState.ACCEPTED
+    assert list(states.values()) == [ReviewState.PROPOSED] * 2
+
+
+def test_a_frame_starts_from_what_was_reviewed_before_it_where_that_is_asked_for(
+    people: Project, knowing: Knowing
+) -> None:
+    recording = open_recording(people.recordings.all()[0].path)
+    truths = load_truth(recording, 0, recording.frame(0))
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel(truth.label, truth.box) for truth in truths], WriteContext(0, "me"))
+    engine = InlineEngine(GivenDetectors(knowing("people")))
+    told = {}
+    for from_reviewed in (False, True, True):
+        done = annotate_with(people, engine, FAST, limit=2, from_reviewed=from_reviewed)
+        told[from_reviewed] = [
+            sum("warm start" in repr(o.proposal.trace) for o in people.proposals.latest(frame.id).objects)
+            for frame in (first, second)
+        ]
+        assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "done anew once, and then kept"
+    assert told[False] == [0, 0]
+    assert told[True][0] == 0 and told[True][1] > 0
+    assert ["from_reviewed" in run.config for run in people.jobs.all()] == [False, True, True]
+
+
+def test_an_operator_who_is_faster_is_no_reason_to_fail(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The revision is read, then somebody writes, then the proposals come: they are written on top."""
+    _interrupt(people, monkeypatch, times=WRITE_ATTEMPTS - 1)
+    done = annotate(people, knowing("people"), FAST, limit=1)
+    assert (done.done, done.failed) == (1, [])
+    assert people.frames.of()[0].revision == WRITE_ATTEMPTS - 1 + 1
+    assert len(people.labels.of_frame(people.frames.of()[0].id)) == 3
+
+
+def test_somebody_who_never_stops_writing_costs_only_that_frame(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _interrupt(people, monkeypatch, times=WRITE_ATTEMPTS)
+    done = annotate(people, knowing("people"), FAST, limit=2)
+    assert done.done == 1
+    assert "the change was made on revision" in done.failed[0][1]
+
+
+def _interrupt(project: Project, monkeypatch: pytest.MonkeyPatch, times: int) -> None:
+    """Lets another writer in between the reading of a revision and the write, so many times."""
+    replace, left = type(project.proposals).replace, [times]
+
+    def interrupted(self, frame_id, *rest, **named):
+        if left[0] > 0:
+            left[0] -= 1
+            bump(project, 0)
+        return replace(self, frame_id, *rest, **named)
+
+    monkeypatch.setattr(type(project.proposals), "replace", interrupted)
+
+
+def test_a_frame_that_is_finalised_meanwhile_is_left_alone(people: Project, knowing: Knowing) -> None:
+    stored = people.frames.of()[1]
+    image = Interfering(knowing("people"), stored.key, lambda: people.frames.finalise(stored.id, WriteContext(0, "me")))
+    done = annotate(people, image.pair(knowing("people")), FAST)
+    assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 1, [])
+    assert people.labels.of_frame(stored.id) == ()
+
+
+def test_finalised_between_two_attempts_to_write(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error came from within the handling of the first one, and ended the whole batch."""
+    stored = people.frames.of()[0]
+    replace, first = type(people.proposals).replace, [True]
+
+    def interrupted(self, frame_id, *rest, **named):
+        if first.pop() if first else False:
+            bump(people, 0)
+            try:
+                return replace(self, frame_id, *rest, **named)
+            finally:
+                people.frames.finalise(stored.id, WriteContext(1, "me"))
+        return replace(self, frame_id, *rest, **named)
+
+    monkeypatch.setattr(type(people.proposals), "replace", interrupted)
+    done = annotate(people, knowing("people"), FAST, limit=2)
+    assert (done.frames, done.done, done.skipped, done.failed) == (1, 1, 1, [])
+
+
+def test_killed_in_the_middle_it_goes_on(people: Project, knowing: Knowing) -> None:
+    def kill() -> None:
+        raise Killed
+
+    image = Interfering(knowing("people"), "000004", kill)
+    with pytest.raises(Killed):
+        annotate(people, image.pair(knowing("people")), FAST)
+    people.close()
+    with open_project(people.path) as again:
+        assert keys(again, Status.DONE) == [f"{n:06d}" for n in range(4)]
+        assert again.jobs.all()[0].finished_ns is None
+        done = annotate(again, knowing("people"), FAST)
+        assert (done.frames, done.done, done.skipped) == (1, 1, 4)
+        assert all(len(again.labels.of_frame(stored.id)) == 3 for stored in again.frames.of())
+        assert again.problems() == []
+
+
+def test_a_store_that_refuses_everything_ends_the_batch(
+    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise ProjectError("project.db: cannot grow, the disk is full")
+
+    monkeypatch.setattr(type(people.proposals), "replace", full)
+    monkeypatch.setattr(type(people.jobs), "record_failure", full)
+    with pytest.raises(ProjectError, match="the disk is full"):
+        annotate(people, knowing("people"), FAST, limit=1)
+
+
+def test_up_that_the_project_was_told_holds_boxes_upright(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
+) -> None:
+    folder = own_copy("people")
+    (folder / "gravity.json").unlink()
+    project = make_project(folder)
+    tilted = (0.0, -2.0, -2.0)
+    other = register_recording(make_project(), open_recording(folder), up=tilted)
+    assert other.up == pytest.approx((0, -np.sqrt(0.5), -np.sqrt(0.5)))
+    free = annotate(project, knowing("people"), FAST, limit=1)
+    assert free.done == 1
+    told = make_project(folder, up=tilted)
+    annotate(told, knowing("people"), FAST, limit=1)
+    for label in told.labels.of_frame(told.frames.of()[0].id):
+        assert np.abs(label.box.rotation.T @ np.array(other.up)).max() == pytest.approx(1)

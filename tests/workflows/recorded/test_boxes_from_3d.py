@@ -1,0 +1,260 @@
+"""2D boxes from 3D ones: kept like drawn ones, without a 3D label; and the share of the frames that is chosen."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.project import Project, StoredFrame, WriteContext
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
+from annotator.types.errors import ConfigError, FrameError
+from annotator.workflows.importing import BoxFormat, read_labels
+from annotator.workflows.importing.label_set import LeftBehind
+from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d
+from annotator.workflows.recorded.frame_subset import share_of
+from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
+from annotator.workflows.views.places import spans_m
+
+
+def no_skip(stored: StoredFrame, error: FrameError) -> None:
+    raise error
+
+
+def test_2d_boxes_alone_are_kept_and_teach(people: Project) -> None:
+    done = boxes_from_3d(people, labels_beside(people), fraction=0.4)
+    assert (done.chosen, done.frames, done.drawn, done.unreadable) == (2, 2, 0, [])
+    assert people.statistics().labels.total == 0
+    on_images, views = people.boxes.on_images(), people.boxes.on_views()
+    assert [(x.box_kind, x.source, x.author) for x in on_images] == [(BoxKind.BOX, Source.IMPORTED, AUTHOR)] * 2
+    assert {(x.box_kind, x.source) for x in views} == {(BoxKind.BOX, Source.IMPORTED)}
+    assert done.image_boxes == Counter(person=sum(len(x.boxes) for x in on_images))
+    assert Counter(view.step for view in views) == {0: 2 * done.objects["person"], 1: 2 * done.objects["person"]}
+    assert done.view_boxes == sum(len(x.boxes) for x in views) > len(views) == done.views
+    # three people walk before each other: nobody is out of the picture
+    assert done.objects["person"] + done.without_views["person"] + done.hidden["person"] == 6
+
+    material = gather(people, tuple(DetectorKind))
+    assert (material.kind, material.left_out) == (BoxKind.BOX, 0)
+    images = list(image_samples(people, material, no_skip))
+    taught = list(view_samples(people, material, rcv_config(people), SampleConfig(), no_skip))
+    assert (len(images), len(taught)) == (2, len(views))
+    assert {sample.origin for sample in images + taught} == {DRAWN}
+    assert [len(sample.boxes) for sample in taught] == [len(view.boxes) for view in views]
+
+
+def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
+    """In metres it is what the true box spans along the view's axes, where the picture does not cut it."""
+    boxes_from_3d(people, labels_beside(people), fraction=0.2)
+    (on_image,) = people.boxes.on_images()
+    stored = people.frames.get(on_image.frame_id)
+    labels, frame = labels_beside(people), open_recording(people.recordings.all()[0].path).frame(stored.index or 0)
+    truths = labels.truths(stored, frame)
+    checked = 0
+    for view in people.boxes.on_views():
+        assert view.geometry is not None
+        assert view.geometry.image_box in on_image.boxes
+        if view.step == 0:
+            continue  # the picture ends with the points, before the box
+        number = on_image.boxes.index(view.geometry.image_box)
+        along = box_corners(truths[number].box) @ np.array(view.geometry.axes)[:2].T
+        expected = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
+        np.testing.assert_allclose(spans_m(view), expected, atol=1e-6)
+        checked += 1
+    assert checked >= 4
+
+
+def test_views_that_objects_share_count_once(people: Project) -> None:
+    """A box that stands in the labels twice has one set of views."""
+    beside = labels_beside(people)
+    twice = replace(beside, truths=lambda stored, frame: list(beside.truths(stored, frame)[:1]) * 2)
+    done = boxes_from_3d(people, twice, fraction=0.2)
+    views = people.boxes.on_views()
+    assert (done.objects["person"], done.views, len(views)) == (2, 4, 4)
+    assert done.view_boxes == sum(len(view.boxes) for view in views) == 8
+
+
+def moved(labels: KnownLabels, by_m: float) -> KnownLabels:
+    shift = np.array([by_m, 0.0, 0.0])
+
+    def truths(stored: StoredFrame, frame: Frame) -> list[Truth]:
+        found = labels.truths(stored, frame)
+        boxes = [OrientedBox.from_parts(t.box.center_m + shift, t.box.rotation, t.box.size_m) for t in found]
+        return [replace(t, box=box) for t, box in zip(found, boxes, strict=True)]
+
+    return replace(labels, truths=truths)
+
+
+def test_doing_it_again_changes_nothing_and_other_boxes_replace(people: Project) -> None:
+    labels = labels_beside(people)
+    first = boxes_from_3d(people, labels, fraction=0.2)
+    last = people.log.last()
+    assert boxes_from_3d(people, labels, fraction=0.2) == first
+    assert people.log.last() == last
+    before = {view.view_id for view in people.boxes.on_views()}
+    boxes_from_3d(people, moved(labels, 0.03), fraction=0.2)
+    (on_image,) = people.boxes.on_images()
+    now = people.boxes.on_views()
+    assert {view.geometry.image_box for view in now if view.geometry} <= set(on_image.boxes)
+    assert not before & {view.view_id for view in now}
+
+
+def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
+    first, second, *_ = people.frames.of()
+    mine = (Box2D("person", 10.0, 10.0, 50.0, 50.0),)
+    people.boxes.set_on_image(first.id, mine, BoxKind.SILHOUETTE, WriteContext(first.revision, "me"))
+
+    def meanwhile(stored: StoredFrame, frame: Frame) -> list[Truth]:
+        """Somebody draws on the second frame while its pictures are made."""
+        if stored.id == second.id:
+            people.boxes.set_on_image(second.id, mine, BoxKind.SILHOUETTE, WriteContext(second.revision, "me"))
+        return list(beside.truths(stored, frame))
+
+    beside, third = labels_beside(people), people.frames.of()[2]
+    people.frames.finalise(third.id, WriteContext(third.revision, "me"))
+    done = boxes_from_3d(people, replace(beside, frames=beside.frames[:4], truths=meanwhile))
+    assert (done.chosen, done.drawn, done.frames) == (4, 3, 1)
+    assert people.boxes.on_image(third.id) is None
+    for stored in (first, second):
+        boxes = people.boxes.on_image(stored.id)
+        assert boxes is not None
+        assert (boxes.boxes, boxes.author) == (mine, "me")
+        assert people.boxes.on_views_of(stored.id) == ()
+
+
+def test_views_that_somebody_has_corrected_elsewhere_stay(people: Project) -> None:
+    labels = labels_beside(people)
+    first = boxes_from_3d(people, labels, fraction=0.2)
+    before = {view.view_id: view for view in people.boxes.on_views()}
+    view = next(iter(before.values()))
+    better = (replace(view.boxes[0], x_max=view.boxes[0].x_max + 1.5),)
+    context = WriteContext(people.frames.get(view.frame_id).revision, "import", Source.IMPORTED)
+    people.boxes.set_on_view(
+        view.view_id, better, BoxKind.BOX, context, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+    )
+    again = boxes_from_3d(people, labels, fraction=0.2)
+    assert (again.frames, again.others_views) == (1, 1)
+    theirs = {"views": again.views + 1, "view_boxes": again.view_boxes + len(view.boxes)}
+    assert replace(again, others_views=0, **theirs) == first
+    after = {each.view_id: each for each in people.boxes.on_views()}
+    assert (after[view.view_id].boxes, after[view.view_id].author) == (better, "import")
+    assert {key: each.boxes for key, each in after.items() if key != view.view_id} == {
+        key: each.boxes for key, each in before.items() if key != view.view_id
+    }
+
+
+def test_another_seed_adds_frames_and_all_are_counted(people: Project) -> None:
+    labels = labels_beside(people)
+    names = [("people", stored.key) for stored in labels.frames]
+    other = next(seed for seed in range(1, 9) if share_of(names, 0.2, seed) != share_of(names, 0.2, 0))
+    assert boxes_from_3d(people, labels, fraction=0.2).in_all == 1
+    done = boxes_from_3d(people, labels, fraction=0.2, seed=other)
+    assert (done.frames, done.in_all) == (1, 2)
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A `LabelSet` with one labelled frame of the project, and one that it does not have."""
+
+    beside: KnownLabels
+    path = Path("labels")
+    frames = ("people/000003", "people/000099")
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        assert name == self.frames[0]
+        return list(self.beside.truths(self.beside.frames[3], frame))
+
+    def left_behind(self, name: str) -> LeftBehind:
+        assert name == self.frames[0]
+        return LeftBehind(not_reviewed=2)
+
+
+def test_frames_that_nobody_labelled_teach_nothing(people: Project) -> None:
+    labels = labels_from(people, Elsewhere(labels_beside(people)))
+    assert labels.unmatched == ("people/000099",)
+    done = boxes_from_3d(people, labels)
+    assert (done.chosen, done.frames, done.not_reviewed) == (1, 1, 2)
+    assert [boxes.frame_id for boxes in people.boxes.on_images()] == [people.frames.of()[3].id]
+
+
+@pytest.mark.shared
+def test_kittis_labels_are_the_same_from_a_path_and_beside_and_a_broken_file_costs_its_frame(
+    shared: Path, tmp_path: Path, make_project
+) -> None:
+    root, folder = shared / "data" / "kitti", tmp_path / "kitti"
+    for name in ("image_2", "velodyne", "calib", "label_2"):
+        (folder / name).mkdir(parents=True)
+        for path in (root / "training" / name).glob("00001*"):
+            (folder / name / path.name).symlink_to(path)
+    broken = folder / "label_2" / "000011.txt"
+    broken.unlink()
+    broken.write_text("Car 0 0\n")
+    beside, given = (make_project(folder, classes=("Car", "Pedestrian")) for _ in range(2))
+    done = boxes_from_3d(beside, labels_beside(beside))
+    assert (done.chosen, done.frames, len(done.unreadable)) == (2, 1, 1)
+    assert "000011.txt:1" in done.unreadable[0]
+    labels = labels_from(given, read_labels(BoxFormat.KITTI, root / "training" / "label_2"))
+    assert len(labels.unmatched) == 8
+    ten = replace(labels, frames=labels.frames[:1])
+    assert replace(done, chosen=1, unreadable=[]) == boxes_from_3d(given, ten)
+    assert [x.boxes for x in given.boxes.on_images()] == [x.boxes for x in beside.boxes.on_images()]
+    assert {x.view_id for x in given.boxes.on_views()} == {x.view_id for x in beside.boxes.on_views()} != set()
+
+
+def test_without_labels_beside_the_recordings_the_error_names_them(own_copy, make_project) -> None:
+    folder = own_copy("people")
+    (folder / "truth" / "boxes.json").unlink()
+    with pytest.raises(ConfigError, match=r"no 3D boxes lie beside the recordings \(people\)"):
+        labels_beside(make_project(folder))
+
+
+def test_boxes_of_other_classes_are_an_error_that_names_them(people: Project) -> None:
+    people.configure(classes=["hand"])
+    with pytest.raises(ConfigError, match=r"none of 1 frames has a box of hand \(other classes there: person\)"):
+        boxes_from_3d(people, labels_beside(people), fraction=0.1)
+    assert people.boxes.on_views() == ()
+
+
+@pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, float("nan")])
+def test_a_fraction_is_a_share(fraction: float) -> None:
+    with pytest.raises(ConfigError, match="cannot take a fraction of"):
+        share_of([("a", "0")], fraction, 0)
+
+
+NAMES = st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 60).map(str)), min_size=1, max_size=90, unique=True)
+
+
+@given(NAMES, st.floats(0.01, 1), st.floats(0.01, 1), st.integers(0, 9), st.randoms(use_true_random=False))
+def test_a_share_is_the_same_in_any_order_and_of_each_recording(names, one, other, seed, random) -> None:
+    taken = share_of(names, one, seed)
+    assert len(taken) == max(1, round(one * len(names)))
+    shuffled = list(names)
+    random.shuffle(shuffled)
+    assert share_of(shuffled, one, seed) == taken
+    small, large = sorted((one, other))
+    assert share_of(names, small, seed) <= share_of(names, large, seed)
+    for recording, length in Counter(recording for recording, _ in names).items():
+        got = sum(name[0] == recording for name in taken)
+        assert abs(got - one * length) <= 2
+
+
+def test_seeds_choose_differently_and_no_recording_goes_first() -> None:
+    names = [("drive", f"{number:06d}") for number in range(200)]
+    shares = {share_of(names, 0.25, seed) for seed in range(5)}
+    assert len(shares) == 5
+    assert {len(share) for share in shares} == {50}
+    # a hundred recordings of two frames each: a quarter of all frames, and the recordings are drawn, too
+    pairs = [(f"{number:03d}", key) for number in range(100) for key in "01"]
+    numbers = sorted(int(recording) for recording, _ in share_of(pairs, 0.25, 0))
+    assert len(numbers) == 50
+    assert len(set(numbers)) == 50
+    assert sum(number < 50 for number in numbers) in range(13, 38)

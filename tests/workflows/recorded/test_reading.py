@@ -1,0 +1,150 @@
+"""True boxes and masks: each format's labels land on the points of their objects, and what is broken says so."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.kitti.label_files import read_tracking_labels
+from annotator.geometry.oriented_box import contains
+from annotator.recordings import open_recording
+from annotator.recordings.kitti.tracking_folder import KittiTracking
+from annotator.types.errors import FormatError, RecordingError
+from annotator.workflows.recorded import reading as truth_module
+from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
+
+WIDTH, HEIGHT = 8, 6
+BOX = {"label": "wall", "center": [0, 0, 1], "size": [2, 2, 0.1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+
+
+@pytest.fixture
+def wall(tmp_path: Path) -> Path:
+    """An RGB-D folder of two frames without labels: a wall at 1 m."""
+    for name in ("color", "depth"):
+        (tmp_path / name).mkdir()
+    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10, 0, 0, 0, 10, 0, 3.5, 2.5, 1]}
+    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera))
+    for key in ("a", "b"):
+        cv2.imwrite(str(tmp_path / f"color/{key}.png"), np.full((HEIGHT, WIDTH, 3), 128, np.uint8))
+        cv2.imwrite(str(tmp_path / f"depth/{key}.png"), np.full((HEIGHT, WIDTH), 1000, np.uint16))
+    return tmp_path
+
+
+def put(path: Path, content: Any) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("folder", ["kitti", "kitti_drive_0005", "human_turn", "hand_gesture"])
+def test_true_boxes_hold_points(shared: Path, folder: str) -> None:
+    """A wrong frame of reference, size order or frame number would leave boxes in empty space."""
+    recording = open_recording(shared / "data" / folder)
+    found = held = 0
+    for index in range(0, len(recording), 5):
+        frame = recording.frame(index)
+        for truth in load_truth(recording, index, frame):
+            found += 1
+            held += int(contains(truth.box, frame.cloud.xyz_m).sum()) >= 5
+    assert found >= 4
+    assert held >= 0.8 * found
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("folder", ["human_turn", "hand_gesture"])
+def test_true_boxes_hold_the_masks_points(shared: Path, folder: str) -> None:
+    recording = open_recording(shared / "data" / folder)
+    frame = recording.frame(3)
+    mask = load_mask(recording, frame)
+    assert mask is not None
+    assert frame.cloud.pixel_index is not None
+    (truth,) = load_truth(recording, 3, frame)
+    own = frame.cloud.xyz_m[mask.ravel()[frame.cloud.pixel_index] == 1]
+    assert contains(truth.box, own, 0.02).mean() > 0.9
+
+
+@pytest.mark.shared
+def test_a_recording_without_masks_has_none(shared: Path) -> None:
+    recording = open_recording(shared / "data" / "kitti_drive_0005")
+    assert load_mask(recording, recording.frame(0)) is None
+
+
+def test_no_labels_is_an_error_but_a_frame_without_objects_is_not(wall: Path) -> None:
+    recording = open_recording(wall)
+    frame = recording.frame(0)
+    assert not has_truth(recording)
+    with pytest.raises(RecordingError, match=r"no true boxes; looked for truth/boxes\.json or boxes\.json"):
+        load_truth(recording, 0, frame)
+    put(wall / "boxes.json", {"a": [BOX, {**BOX, "label": "shelf"}]})
+    assert has_truth(recording)
+    assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall", "shelf"]
+    assert load_truth(recording, 1, recording.frame(1)) == []
+
+
+def test_truth_apart_goes_first_and_a_changed_file_is_read_again(wall: Path) -> None:
+    recording = open_recording(wall)
+    frame = recording.frame(0)
+    put(wall / "boxes.json", {"a": {**BOX, "label": "beside"}})
+    put(wall / "truth/boxes.json", {"a": BOX})
+    assert [truth.label for truth in load_truth(recording, 0, frame)] == ["wall"]
+    put(wall / "truth/boxes.json", {"a": [BOX, BOX]})
+    assert len(load_truth(recording, 0, frame)) == 2
+
+
+def test_tracking_labels_are_parsed_once_and_moved_frame_by_frame(wall: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame has its own transform; a file that has changed is parsed anew."""
+    parsed: list[Path] = []
+
+    def counted(path: Path, T: RigidTransform | None) -> dict[int, list[Any]]:
+        parsed.append(path)
+        return read_tracking_labels(path, T)
+
+    monkeypatch.setattr(truth_module, "read_tracking_labels", counted)
+    row = "0 {} Car 0 0 0 0 0 9 9 1.5 1.6 4.0 1.0 1.5 10.0 0.3\n"
+    (wall / "label_02.txt").write_text("".join(f"{n} {row[2:].format(n)}" for n in range(3)))
+    frame = open_recording(wall).frame(0)
+    drive = KittiTracking(wall, ("0", "1", "2", "3"))
+    for index in range(3):
+        T = RigidTransform.from_translation([index, 0.0, 0.0])
+        (truth,) = load_truth(drive, index, replace(frame, T_camera_label=T))
+        assert truth.track_id == index
+        np.testing.assert_allclose(truth.box.center_m, [1 + index, 0.75, 10])
+    assert load_truth(drive, 3, frame) == []
+    assert len(parsed) == 1
+    far = RigidTransform.from_translation([1e9, 0.0, 0.0])
+    with pytest.raises(FormatError, match=r"label_02\.txt: frame 1: a box must be within .*; correct its boxes or its"):
+        load_truth(drive, 1, replace(frame, T_camera_label=far))
+    (wall / "label_02.txt").write_text(row.format(7) * 2)
+    assert len(load_truth(drive, 0, frame)) == 2
+    assert len(parsed) == 2
+
+
+def test_broken_labels_name_the_file(wall: Path) -> None:
+    recording = open_recording(wall)
+    put(wall / "boxes.json", {"a": {**BOX, "size": [1, 1, 0]}})
+    with pytest.raises(FormatError, match="frame a, wall"):
+        load_truth(recording, 0, recording.frame(0))
+
+
+@pytest.mark.parametrize("folder", ["mask", "truth/mask"])
+def test_masks(wall: Path, folder: str) -> None:
+    recording = open_recording(wall)
+    frame = recording.frame(0)
+    assert load_mask(recording, frame) is None
+    (wall / folder).mkdir(parents=True)
+    path = wall / folder / "a.png"
+    with pytest.raises(FormatError, match="cannot be read"):
+        load_mask(recording, frame)
+    cv2.imwrite(str(path), np.zeros((HEIGHT, WIDTH + 1), np.uint8))
+    with pytest.raises(FormatError, match=r"the mask is \(9, 6\) pixels, the image \(8, 6\)"):
+        load_mask(recording, frame)
+    numbers = np.arange(WIDTH * HEIGHT, dtype=np.uint8).reshape(HEIGHT, WIDTH) % 3
+    cv2.imwrite(str(path), numbers)
+    np.testing.assert_array_equal(load_mask(recording, frame), numbers)

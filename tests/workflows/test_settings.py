@@ -1,0 +1,197 @@
+"""Settings of the recursion: command line over file over project.json over defaults; mistakes are named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import pytest
+
+from annotator.cli.main import main
+from annotator.project import Project, ProjectSettings, create_project, open_project
+from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
+from annotator.types import BoxKind, DetectorKind
+from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.settings import editable, rcv_config
+from annotator.workflows.training import train
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Iterator[Project]:
+    with create_project(tmp_path, "p", ("thing",)) as created:
+        yield created
+
+
+def keep(project: Project, **rcv: object) -> None:
+    project.configure(settings=ProjectSettings.model_validate({"rcv": rcv}))
+
+
+def written(folder: Path, content: object) -> Path:
+    path = folder / "settings.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_defaults_where_nothing_is_said(project: Project) -> None:
+    assert rcv_config(project) == RcvConfig()
+
+
+def test_each_layer_wins_over_the_one_below(project: Project, tmp_path: Path) -> None:
+    keep(project, max_steps=7, min_points=9, coarse_box=True, view={"size_px": 96}, fit={"edge_noise": 0.05})
+    assert rcv_config(project).max_steps == 7
+    file = written(tmp_path, {"min_points": 11, "coarse_box": False, "view": {"padding": 0.1}, "strategy": "normals"})
+    config = rcv_config(project, file, {"strategy": "camera"})
+    assert config == RcvConfig(
+        max_steps=7,
+        min_points=11,
+        coarse_box=False,
+        view=ViewConfig(size_px=96, padding=0.1),
+        fit=FitConfig(edge_noise=0.05),
+        strategy=Strategy.CAMERA,
+    )
+
+
+def test_only_what_differs_is_kept(project: Project) -> None:
+    keep(project, max_steps=7)
+    content = json.loads((project.path / "project.json").read_text())
+    assert content["settings"]["rcv"] == {"max_steps": 7}
+    project.close()
+    with open_project(project.path) as again:
+        assert rcv_config(again).max_steps == 7
+
+
+def test_a_project_from_before_there_were_such_settings_opens(project: Project) -> None:
+    path = project.path / "project.json"
+    content = json.loads(path.read_text())
+    del content["settings"]["rcv"]
+    path.write_text(json.dumps(content))
+    assert rcv_config(project) == RcvConfig()
+
+
+def test_what_is_shown_can_be_given_back(project: Project, tmp_path: Path) -> None:
+    keep(project, max_steps=7, fit={"edge_noise": 0.05})
+    shown = editable(rcv_config(project))
+    assert json.loads(shown)["view"]["size_px"] == ViewConfig().size_px
+    keep(project)
+    assert rcv_config(project, written(tmp_path, shown)) == RcvConfig(max_steps=7, fit=FitConfig(edge_noise=0.05))
+
+
+WRONG = [
+    ({"max_step": 3}, "max_step: there is no such setting; did you mean 'max_steps'?"),
+    ({"xyzzy": 3}, "xyzzy: there is no such setting; the settings are strategy, view, axes,"),
+    ({"fit": {"hubersigmas": 3}}, "fit.hubersigmas: there is no such setting; did you mean 'huber_sigmas'?"),
+    ({"max_steps": 0}, "max_steps: must be greater than or equal to 1, not 0"),
+    ({"view": {"size_px": 9999}}, "view.size_px: must be less than or equal to 2048, not 9999"),
+    ({"max_steps": "7"}, "max_steps: must be a valid integer, not '7'"),
+    ({"coarse_box": 1}, "coarse_box: must be a valid boolean, not 1"),
+    ({"strategy": "magic"}, "strategy: must be 'camera', 'eigenvectors', 'normals' or 'consensus', not 'magic'"),
+    ({"view": 3}, "view: "),
+    ({"view": None}, "view: "),
+    ({"orientation": "free"}, "orientation: cannot be set: it follows from the rotation"),
+    ({"box_kind": "box"}, "box_kind: cannot be set: it follows from the boxes"),
+]
+
+
+@pytest.mark.parametrize(("settings", "says"), WRONG, ids=[json.dumps(settings) for settings, _ in WRONG])
+def test_a_mistake_is_told_with_its_file_and_field(
+    project: Project, tmp_path: Path, settings: dict[str, object], says: str
+) -> None:
+    file = written(tmp_path, settings)
+    with pytest.raises(ConfigError) as caught:
+        rcv_config(project, file)
+    assert str(caught.value).startswith(f"{file}: {says}")
+    keep(project, **settings)
+    with pytest.raises(ConfigError) as caught:
+        rcv_config(project)
+    assert str(caught.value).startswith(f"{project.path / 'project.json'}: settings.rcv.{says}")
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "{", "[1]", "3", '{"fit": {"edge_noise": Infinity}}', '{"fit": {"edge_noise": NaN}}', '{"a":' * 5000],
+    ids=["empty", "cut off", "list", "number", "infinity", "nan", "deep"],
+)
+def test_a_file_that_holds_no_settings_is_refused(project: Project, tmp_path: Path, content: str) -> None:
+    file = written(tmp_path, content)
+    with pytest.raises(AnnotatorError, match=r"settings\.json"):
+        rcv_config(project, file)
+    with pytest.raises(AnnotatorError, match=r"missing\.json"):
+        rcv_config(project, tmp_path / "missing.json")
+
+
+def test_the_command_shows_what_it_would_use(
+    project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is trained; and exits 0."""
+    keep(project, max_steps=7)
+    file = written(tmp_path, {"min_points": 11})
+    words = ["annotate", "p", "--projects", str(tmp_path), "--config", str(file), "--axes", "normals", "--show-config"]
+    assert main(words) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["max_steps"], shown["min_points"], shown["strategy"]) == (7, 11, "normals")
+    assert shown.keys() == RcvConfig.model_fields.keys() - {"orientation", "box_kind"}
+
+
+def run(project: Project, *words: str) -> int:
+    return main([words[0], project.config.name, *words[1:], "--projects", str(project.path.parent)])
+
+
+def test_drawing_training_and_annotating_follow_the_project(
+    people: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    keep(people, view={"size_px": 64}, max_steps=1)
+    taught: list[RcvConfig] = []
+    monkeypatch.setattr(train, "view_samples", lambda _, __, rcv, *rest: taught.append(rcv) or iter(()))
+    monkeypatch.setattr("annotator.cli.annotate.trained_detectors", lambda *_: GivenDetectors(knowing("people")))
+    (recording,) = people.recordings.all()
+    assert run(people, "simulate", recording.name, "--every", "5") == 0
+    assert {max(people.views.load(v.view_id).shape[:2]) for v in people.boxes.on_views()} == {64}
+    assert run(people, "views", str(tmp_path / "out")) == 0
+    assert {max(cv2.imread(str(path)).shape[:2]) for path in (tmp_path / "out").glob("*.png")} == {64}
+    assert run(people, "train", "--only", "view") == 2  # there is nothing to learn from in no samples
+    assert taught == [RcvConfig(max_steps=1, view=ViewConfig(size_px=64))]
+    assert run(people, "annotate", "--limit", "1") == 0
+    kept = json.loads(people.jobs.all()[-1].config)
+    assert (kept["max_steps"], kept["view"]["size_px"]) == (1, 64)
+
+
+@pytest.mark.parametrize("command", [["annotate", "p"], ["train", "p"], ["simulate", "p", "r"], ["views", "p", "out"]])
+def test_every_command_that_draws_views_refuses_broken_settings(
+    project: Project,
+    tmp_path: Path,
+    command: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keep(project, view={"size_px": 1})
+    project.close()
+    monkeypatch.chdir(tmp_path)
+    if command[0] == "simulate":
+        monkeypatch.setattr("annotator.project.recordings.Recordings.find", lambda *_: type("Found", (), {"id": 1})())
+    assert main([*command, "--projects", str(tmp_path)]) == 2
+    assert "project.json: settings.rcv.view.size_px: must be greater than or equal to 32" in capsys.readouterr().err
+
+
+def test_pseudo_views_have_the_size_that_the_detector_was_trained_at_unless_the_project_says_another(
+    project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = tmp_path / "detector.pt"
+    weights.write_bytes(b"weights")
+    assert rcv_config(project).view.size_px == ViewConfig().size_px
+    assert rcv_config(project, view_px=96).view.size_px == 96
+    project.models.register(
+        DetectorKind.VIEW, weights, labels=["hand"], box_kind=BoxKind.BOX, metrics={}, fingerprint="of the weights"
+    )
+    monkeypatch.setattr("annotator.workflows.settings.read_trained", lambda folder: SimpleNamespace(image_size_px=320))
+    assert rcv_config(project).view.size_px == 320
+    # a training that is about to begin decides for itself
+    assert rcv_config(project, view_px=96).view.size_px == 96
+    assert rcv_config(project, options={"view": {"size_px": 64}}, view_px=96).view.size_px == 64
+    monkeypatch.undo()
+    # a model that cannot be read is told of by who wants to run it
+    assert rcv_config(project).view.size_px == ViewConfig().size_px

@@ -1,0 +1,271 @@
+"""Objects over a recording: linked, carried on, and filled in between key frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.event_types import LabelProposed
+from annotator.project.schema import recordings
+from annotator.rcv.config import RcvConfig
+from annotator.recordings import open_recording
+from annotator.tracking.relabel import relabelled
+from annotator.tracking.smooth import FLIP
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
+from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.fit_boxes import box_fitter
+from annotator.workflows.tracks.follow import copy_next, propose_next
+from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
+from annotator.workflows.tracks.link import AUTHOR, link_tracks
+from annotator.workflows.tracks.previous_boxes import seeds_of
+from annotator.workflows.workbench.open_frame import OpenFrame
+
+ANN = "ann"
+
+
+@pytest.fixture(scope="module")
+def truths(generated: Path) -> list[list[Truth]]:
+    """Three people in each of five frames, in one order."""
+    recording = open_recording(generated / "people")
+    return [list(load_truth(recording, index, recording.frame(index))) for index in range(5)]
+
+
+def by_hand(project: Project, frame: StoredFrame) -> WriteContext:
+    return WriteContext(project.frames.get(frame.id).revision, ANN)
+
+
+def by_machine(project: Project, frame: StoredFrame) -> WriteContext:
+    return WriteContext(project.frames.get(frame.id).revision, "rcv", Source.AUTO)
+
+
+def proposal(box: OrientedBox, label: str = "person") -> Proposal:
+    return Proposal(label, 0.8, box, Box2D(label, 0.0, 0.0, 9.0, 9.0), (), Quality(0.1, 0.9, 0.01))
+
+
+def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
+    """As a detector finds it: 5 % off in size, two degrees in rotation, and at times with its front behind."""
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.03 * rng.standard_normal()]).as_matrix()
+    size = box.size_m * (1 + 0.05 * rng.standard_normal(3))
+    found = OrientedBox.from_parts(box.center_m, box.rotation @ turn, size)
+    return relabelled(found, FLIP) if rng.random() < 0.3 else found
+
+
+@pytest.fixture
+def proposed(people: Project, truths: list[list[Truth]]) -> tuple[Project, dict[str, Truth]]:
+    """Proposals in every frame, in another order each time; and what is true of each label."""
+    rng, owner = np.random.default_rng(5), {}
+    for frame, objects in zip(people.frames.of(), truths, strict=True):
+        # rigid: what changes in time by itself has no one size
+        rigid = [
+            replace(o, box=OrientedBox(o.box.T_camera_box, r.box.size_m))
+            for o, r in zip(objects, truths[0], strict=True)
+        ]
+        shuffled = [rigid[int(place)] for place in rng.permutation(len(objects))]
+        found = [proposal(put_off(truth.box, rng)) for truth in shuffled]
+        uids = people.proposals.replace(frame.id, found, by_machine(people, frame)).uids
+        owner |= {uid: truth for uid, truth in zip(uids, shuffled, strict=True) if uid is not None}
+    return people, owner
+
+
+def test_boxes_are_linked_and_smoothed_once_and_for_all(proposed: tuple[Project, dict[str, Truth]]) -> None:
+    project, owner = proposed
+    frames = project.frames.of()
+    before = {label.uid: label.box for frame in frames for label in project.labels.of_frame(frame.id)}
+    # one box is right as it stands, one was given a track, one is none
+    accepted, named = (project.labels.of_frame(frames[n].id)[0] for n in (1, 3))
+    for frame, label, number in ((frames[1], accepted, None), (frames[3], named, 40)):
+        before[label.uid] = owner[label.uid].box
+        edit = {"label": "person", "box": owner[label.uid].box, "track_id": number}
+        project.labels.edit(frame.id, label.uid, by_hand(project, frame), **edit)
+    done = link_tracks(project)
+    assert (done.recordings, done.boxes, done.tracks, done.left, done.busy) == (1, 15, 3, 0, ())
+    labels = project.labels.select()
+    ids = {(stored.label.track_id, owner[stored.label.uid].track_id) for stored in labels}
+    assert len(ids) == 3, "one track a person"
+    assert {stored.label.track_id for stored in labels} == {40, 41, 42}
+    after = {stored.label.uid: stored.label.box for stored in labels}
+    untouched = (accepted.uid, named.uid)
+    assert all(np.array_equal(after[uid].rotation, before[uid].rotation) for uid in untouched)
+    others = [uid for uid in after if uid not in untouched]
+    gain = [iou_3d(after[uid], owner[uid].box) - iou_3d(before[uid], owner[uid].box) for uid in others]
+    assert np.mean(gain) > 0.02
+    assert {project.labels.get(uid).label.state for uid in others} == {ReviewState.PROPOSED}
+    # the same again: nothing is written
+    last = project.log.last()
+    assert link_tracks(project).changed == 0
+    assert project.log.last() == last
+    # the proposals come back as they were
+    link_tracks(project, smooth=False)
+    assert all(iou_3d(project.labels.get(uid).label.box, before[uid]) == pytest.approx(1) for uid in others)
+    assert project.labels.get(named.uid).label.track_id == 40
+    kept = [(s.label.uid, s.label.track_id, s.track_linked, s.label.author) for s in project.labels.select()]
+    project.log.rebuild()
+    assert kept == [(s.label.uid, s.label.track_id, s.track_linked, s.label.author) for s in project.labels.select()]
+    # a person who says otherwise is followed by all boxes of the object
+    uid = others[0]
+    stored = project.labels.get(uid)
+    frame = project.frames.get(stored.frame_id)
+    edit = {"label": "person", "box": stored.label.box, "track_id": 9}
+    project.labels.edit(frame.id, uid, by_hand(project, frame), **edit)
+    link_tracks(project)
+    mine = [s.label for s in project.labels.select() if owner[s.label.uid].track_id == owner[uid].track_id]
+    given = {9, 40} if named.uid in {label.uid for label in mine} else {9}
+    assert {label.track_id for label in mine} == given
+
+
+def test_finalised_frames_stay_and_say_how_their_objects_are_called(
+    proposed: tuple[Project, dict[str, Truth]],
+) -> None:
+    project = proposed[0]
+    frames = project.frames.of()
+    project.frames.finalise(frames[0].id, by_hand(project, frames[0]))
+    done = link_tracks(project)
+    assert (done.tracks, done.left) == (3, 3)
+    assert all(label.track_id is None for label in project.labels.of_frame(frames[0].id))
+    assert [e.author for e in project.log.of_frame(frames[0].id)] == ["rcv", ANN]
+    assert [e.author for e in project.log.of_frame(frames[1].id)] == ["rcv", AUTHOR]
+    assert project.history.next(ANN)[0] == "finalise frame 000000"
+
+
+def accept_truth(project: Project, frame: StoredFrame, truths: list[Truth], track_id: int | None = 3) -> list[str]:
+    """Accepted labels of true boxes; the first one in a track."""
+    new = [NewLabel("person", truth.box, track_id=None if place else track_id) for place, truth in enumerate(truths)]
+    return list(project.labels.create(frame.id, new, by_hand(project, frame)).uids)
+
+
+def test_seeds_are_the_reviewed_boxes_of_the_frame_before(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    uids = accept_truth(people, frames[1], truths[1])
+    people.labels.reject(frames[1].id, uids[1], by_hand(people, frames[1]))
+    assert [seed.label for seed in seeds_of(people, frames[2])] == ["person", "person"]
+    assert iou_3d(seeds_of(people, frames[2])[1].box, truths[1][2].box) == pytest.approx(1)
+    assert seeds_of(people, frames[1]) == seeds_of(people, frames[0]) == ()
+
+
+def test_frames_between_key_frames_are_filled_as_one_action(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    first, last = (accept_truth(people, frames[n], truths[n][:1])[0] for n in (0, 4))
+    # frame 1 has an open proposal of the person and one of another; in frame 2 somebody says there is nobody
+    there, other = (proposal(truth.box) for truth in truths[1][:2])
+    old = people.proposals.replace(frames[1].id, [there, other], by_machine(people, frames[1])).uids
+    (nobody,) = people.proposals.replace(frames[2].id, [proposal(truths[2][0].box)], by_machine(people, frames[2])).uids
+    assert nobody is not None
+    people.labels.reject(frames[2].id, nobody, by_hand(people, frames[2]))
+    recording = people.recordings.all()[0].id
+    done = interpolate(people, recording, 3, ANN)
+    assert ([frame for frame, _ in done.filled], done.covered) == ([frames[1].id, frames[3].id], 1)
+    new = {frame.id: [label for label in people.labels.of_frame(frame.id) if label.track_id == 3] for frame in frames}
+    assert [len(new[frame.id]) for frame in frames] == [1, 1, 0, 1, 1]
+    assert old[0] not in {label.uid for label in people.labels.of_frame(frames[1].id)}
+    assert old[1] in {label.uid for label in people.labels.of_frame(frames[1].id)}
+    for n in (1, 3):
+        (label,) = new[frames[n].id]
+        assert (label.state, label.source) == (ReviewState.PROPOSED, Source.AUTO)
+        expected = (1 - n / 4) * truths[0][0].box.center_m + n / 4 * truths[4][0].box.center_m
+        assert np.allclose(label.box.center_m, expected)
+    assert people.history.next(ANN)[0] == "propose 2 labels (frames 000001 to 000003)"
+    people.history.undo(ANN)
+    assert {label.uid for label in people.labels.of_frame(frames[1].id)} == set(old)
+    assert people.labels.of_frame(frames[3].id) == ()
+    # the same from the page, up to the box at hand
+    back = interpolate_back(people, frames[4].id, last, people.frames.get(frames[4].id).revision, ANN)
+    assert back.filled and back.track_id == 3
+    with pytest.raises(StaleRevisionError):
+        interpolate_back(people, frames[4].id, last, 0, ANN)
+    with pytest.raises(ConfigError, match="no reviewed box in an earlier frame"):
+        interpolate_back(people, frames[0].id, first, people.frames.get(frames[0].id).revision, ANN)
+    for n in (1, 3):
+        people.frames.finalise(frames[n].id, by_hand(people, frames[n]))
+    with pytest.raises(ConfigError, match=r"no frame to fill .*\(2 finalised, 1 reviewed or rejected\)"):
+        interpolate(people, recording, 3, ANN)
+    with pytest.raises(ConfigError, match="track 5 has 0 reviewed boxes"):
+        interpolate(people, recording, 5, ANN)
+    with pytest.raises(ConfigError, match="track ids are at most 9007199254740992, not 1e\\+20"):
+        interpolate(people, recording, 10**20, ANN)
+    with pytest.raises(ConfigError, match="frame 000001 has no reviewed box of track 3"):
+        interpolate(people, recording, 3, ANN, first="000001")
+
+
+def test_the_next_frame_starts_from_this_one(
+    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
+) -> None:
+    frames = people.frames.of()
+    source = FrameSource(people)
+    opened: Callable[[StoredFrame], OpenFrame] = lambda frame: OpenFrame(source.read(frame))  # noqa: E731
+    with pytest.raises(ConfigError, match="no reviewed box"):
+        propose_next(people, frames[0].id, 0, ANN, knowing("people"), opened)
+    uids = accept_truth(people, frames[0], truths[0])
+    done = propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
+    assert (done.frame_id, done.proposed, done.lost) == (frames[1].id, 3, 0)
+    ids = [people.labels.get(uid).label.track_id for uid in uids]
+    assert ids[0] == 3 and len(set(ids)) == 3, "an object that is followed has a track"
+    payloads = [event.payload for event in people.log.of_frame(frames[1].id)]
+    proposals = {entry.uid: entry.proposal for entry in payloads if isinstance(entry, LabelProposed)}
+    for label in people.labels.of_frame(frames[1].id):
+        true = truths[1][ids.index(label.track_id)].box
+        assert iou_3d(label.box, true) > 0.8
+        proposal = proposals[label.uid]
+        assert proposal is not None and proposal.trace
+    assert [frame for frame, _ in done.changed] == [frames[1].id, frames[0].id]
+    people.history.undo(ANN)
+    assert people.labels.of_frame(frames[1].id) == ()
+    assert people.labels.get(uids[1]).label.track_id is None
+    with pytest.raises(StaleRevisionError):
+        propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
+
+
+def test_a_batch_gives_proposals_the_tracks_of_the_reviewed_boxes_before(
+    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
+) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:2])
+    annotate(people, knowing("people"), RcvConfig(), limit=2)
+    found = {label.track_id: label for label in people.labels.of_frame(frames[1].id)}
+    assert set(found) == {3, None}
+    assert iou_3d(found[3].box, truths[1][0].box) > 0.8
+    assert people.labels.get(found[3].uid).track_linked
+
+
+def test_boxes_are_copied_to_where_their_motion_leads(
+    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
+) -> None:
+    frames = people.frames.of()
+    for n in (0, 1):
+        accept_truth(people, frames[n], truths[n][:1])
+    done = copy_next(people, frames[1].id, 1, ANN)
+    (label,) = people.labels.of_frame(frames[2].id)
+    assert done.proposed == 1
+    assert (label.track_id, label.state) == (3, ReviewState.PROPOSED)
+    assert np.allclose(label.box.center_m, 2 * truths[1][0].box.center_m - truths[0][0].box.center_m)
+    people.history.undo(ANN)
+    # fitted to the points that are there
+    detectors, source = knowing("people"), FrameSource(people)
+    fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), detectors.view, detectors.box_kind)
+    copy_next(people, frames[1].id, people.frames.get(frames[1].id).revision, ANN, fit=fit)
+    (label,) = people.labels.of_frame(frames[2].id)
+    assert iou_3d(label.box, truths[2][0].box) > 0.9
+    with pytest.raises(ConfigError, match="last of its recording"):
+        copy_next(people, frames[4].id, 0, ANN)
+
+
+def test_frames_without_an_order_in_time_are_followed_by_none(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1], track_id=None)
+    with people.store.write() as connection:
+        connection.execute(recordings.update().values(is_sequence=False))
+    with pytest.raises(ConfigError, match="the frames of people do not follow each other in time"):
+        copy_next(people, frames[0].id, 1, ANN)
+    assert people.labels.of_frame(frames[0].id)[0].track_id is None
+    assert people.labels.of_frame(frames[1].id) == ()
+    assert link_tracks(people).unordered == ("people",)

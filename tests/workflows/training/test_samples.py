@@ -1,0 +1,368 @@
+"""What the detectors learn from: which pictures, with which boxes, said to come from where."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.detection.dataset import TrainingSample
+from annotator.geometry.oriented_box import contains
+from annotator.geometry.outline import box_on_image
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.rcv.config import RcvConfig
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, DetectorKind, Proposal, Quality, Source
+from annotator.types.errors import DetectionError, FrameError, RecordingError
+from annotator.workflows.add_recordings import add_recordings
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.simulate import simulate_recording, visible_objects
+from annotator.workflows.training.samples import (
+    DRAWN,
+    PROJECTED,
+    TAUGHT,
+    Material,
+    SampleConfig,
+    drawn_objects,
+    gather,
+    image_samples,
+    taught_by_drags,
+    view_samples,
+)
+
+CONFIG = RcvConfig()
+SOME = Box2D("person", 1.0, 1.0, 9.0, 9.0)
+
+
+def never(stored: StoredFrame, error: FrameError) -> None:
+    raise AssertionError(f"{stored.key} was skipped: {error}")
+
+
+def simulate(project: Project, kind: BoxKind, every: int = 2) -> Material:
+    (recording,) = project.recordings.all()
+    simulate_recording(project, recording.id, kind, CONFIG, every)
+    return gather(project)
+
+
+def views(
+    project: Project, material: Material, number: int = 24, seed: int = 0, config: RcvConfig = CONFIG
+) -> list[TrainingSample]:
+    return list(view_samples(project, material, config, SampleConfig(views=number, seed=seed), never))
+
+
+def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
+    """Puts the first true boxes of a frame into the project as accepted labels; their uids."""
+    recording = open_recording(project.recordings.all()[0].path)
+    truths = load_truth(recording, index, recording.frame(index))[:count]
+    stored = project.frames.of()[index]
+    new = [NewLabel(truth.label, truth.box) for truth in truths]
+    return project.labels.create(stored.id, new, WriteContext(stored.revision, "me")).uids
+
+
+# --- gather ----------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_to_learn_from(people: Project) -> None:
+    with pytest.raises(
+        DetectionError, match=r"no boxes on camera images or pseudo-views to learn from; draw some.*import.*simulate"
+    ):
+        gather(people)
+
+
+def test_what_one_detector_lacks_does_not_matter_to_the_other(people: Project) -> None:
+    stored = people.frames.of()[0]
+    people.boxes.set_on_image(stored.id, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
+    with pytest.raises(DetectionError, match="no boxes on pseudo-views to learn from"):
+        gather(people)
+    assert len(gather(people, [DetectorKind.IMAGE]).images) == 1
+    view = people.views.store(np.zeros((40, 40, 3), np.uint8))
+    people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
+    assert len(gather(people).views) == 1
+
+
+def test_views_alone_do_for_the_view_detector(people: Project) -> None:
+    view = people.views.store(np.zeros((40, 40, 3), np.uint8))
+    people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
+    with pytest.raises(DetectionError, match="no boxes on camera images to learn from"):
+        gather(people)
+    material = gather(people, [DetectorKind.VIEW])
+    assert (len(material.views), material.kind, material.left_out) == (1, BoxKind.SILHOUETTE, 0)
+
+
+def test_3d_labels_do_for_both(people: Project) -> None:
+    accept(people, 0)
+    material = gather(people)
+    assert (material.kind, material.image_kind) == (BoxKind.BOX, BoxKind.BOX)
+    assert [len(labels) for labels in material.labels.values()] == [3]
+
+
+def test_proposed_and_rejected_boxes_teach_nothing(people: Project) -> None:
+    uids = accept(people, 0)
+    stored = people.frames.of()[0]
+    for uid in uids:
+        people.labels.reject(stored.id, uid, WriteContext(people.frames.get(stored.id).revision, "me"))
+    with pytest.raises(DetectionError, match="to learn from"):
+        gather(people)
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_the_kind_that_most_boxes_have_wins_and_the_others_are_left_out(people: Project, kind: BoxKind) -> None:
+    other = BoxKind.SILHOUETTE if kind is BoxKind.BOX else BoxKind.BOX
+    rng = np.random.default_rng(0)
+    for number, (of, boxes) in enumerate([(kind, 2), (other, 1), (kind, 0), (other, 0)]):
+        view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
+        drawn = [replace(SOME, x_min=10.0 * k, x_max=10.0 * k + 9) for k in range(boxes)]
+        people.boxes.set_on_view(view, drawn, of, WriteContext(0, f"author {number}"))
+    material = gather(people, [DetectorKind.VIEW])
+    assert material.kind is kind
+    assert material.left_out == 1, "pictures that show nothing are of either kind"
+    assert len(material.views) == 3
+
+
+def test_a_few_accepted_boxes_do_not_turn_a_project_of_silhouettes(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=3)  # 2 frames of 3 objects: 24 drawn views
+    accept(people, 1)
+    assert gather(people).kind is BoxKind.SILHOUETTE
+    accept(people, 2)
+    accept(people, 4)
+    assert gather(people).kind is BoxKind.BOX
+
+
+# --- camera images ---------------------------------------------------------------------------------------------------
+
+
+def test_drawn_boxes_go_before_the_outlines_of_their_objects(people: Project) -> None:
+    """Of three accepted boxes one has a drawn one, which is a bit smaller; the others were accepted in Review."""
+    uids = accept(people, 1)
+    known = accept(people, 0)
+    stored = people.frames.of()[0]
+    camera = FrameSource(people).read(stored).camera
+    own = {u: box_on_image(camera, people.labels.get(u).label.box, "person") for u in known}
+    around = own[known[1]]
+    assert around is not None
+    drawn = replace(around, y_max=around.y_max - 0.3 * around.height_px)
+    people.boxes.set_on_image(
+        stored.id, [drawn], BoxKind.BOX, WriteContext(people.frames.get(stored.id).revision, "me")
+    )
+    first, second = image_samples(people, gather(people), never)
+    assert (first.origin, first.group) == (DRAWN, "1/000000")
+    assert first.boxes == (drawn, own[known[0]], own[known[2]])
+    assert first.label_uids[1:] == (known[0], known[2])
+    assert (second.origin, len(second.boxes), second.group) == (PROJECTED, 3, "1/000001")
+    assert second.label_uids == uids
+    frame = FrameSource(people).read(people.frames.of()[1])
+    np.testing.assert_array_equal(second.load(), frame.rgb)
+
+
+def test_projected_boxes_are_those_of_the_visible_part(people: Project) -> None:
+    accept(people, 0)
+    (sample,) = image_samples(people, gather(people), never)
+    camera = FrameSource(people).read(people.frames.of()[0]).camera
+    labels = [stored.label for stored in people.labels.select()]
+    assert list(sample.boxes) == [box_on_image(camera, label.box, label.label) for label in labels]
+
+
+def propose_true(project: Project, index: int, place: int) -> str:
+    """One object of a frame, the `place`-th, as a proposal that nobody has reviewed; its uid."""
+    recording = open_recording(project.recordings.all()[0].path)
+    truth = load_truth(recording, index, recording.frame(index))[place]
+    stored = project.frames.of()[index]
+    found = Proposal(truth.label, 0.9, truth.box, SOME, (), Quality(0.0, 1.0, 0.0))
+    context = WriteContext(project.frames.get(stored.id).revision, "rcv", Source.AUTO)
+    (uid,) = project.proposals.replace(stored.id, [found], context).uids
+    assert uid is not None
+    return uid
+
+
+def test_a_frame_reviewed_in_part_does_not_teach_its_other_objects_as_background(people: Project) -> None:
+    accept(people, 0, count=2)
+    uid = propose_true(people, 0, 2)
+    with pytest.raises(DetectionError, match="every frame with reviewed boxes also has unreviewed proposals"):
+        gather(people)
+    assert gather(people, [DetectorKind.VIEW]).labels, "its pseudo-views can still teach"
+    accept(people, 1)
+    material = gather(people)
+    assert material.unreviewed_images == 1
+    assert [sample.group for sample in image_samples(people, material, never)] == ["1/000001"]
+    stored = people.frames.of()[0]
+    people.labels.reject(stored.id, uid, WriteContext(people.frames.get(stored.id).revision, "me"))
+    material = gather(people)
+    assert material.unreviewed_images == 0
+    assert len(list(image_samples(people, material, never))) == 2
+
+
+def test_boxes_drawn_on_the_image_teach_whatever_is_proposed(people: Project) -> None:
+    stored = people.frames.of()[0]
+    people.boxes.set_on_image(stored.id, [SOME], BoxKind.BOX, WriteContext(0, "me"))
+    reviewed = accept(people, 0, count=2)
+    propose_true(people, 0, 2)
+    material = gather(people)
+    assert material.unreviewed_images == 0
+    (sample,) = image_samples(people, material, never)
+    (event,) = {boxes.event_id for boxes in material.images.values()}
+    assert (sample.origin, sample.label_uids) == (DRAWN, (f"event {event}, box 0", *reviewed))
+
+
+def test_no_taught_view_shows_an_object_that_nobody_has_reviewed(people: Project) -> None:
+    accept(people, 0, count=1)
+    before = views(people, gather(people), 40)
+    propose_true(people, 0, 1)
+    propose_true(people, 0, 2)  # a pass replaces the one before: only this one is open
+    after = views(people, gather(people, [DetectorKind.VIEW]), 40)
+    assert 0 < len(after) < len(before)
+
+
+# --- pseudo-views ----------------------------------------------------------------------------------------------------
+
+
+def test_3d_labels_teach_views_and_the_manifest_learns_which(people: Project) -> None:
+    uids = {*accept(people, 0), *accept(people, 2)}
+    samples = views(people, gather(people), 24)
+    assert {sample.origin for sample in samples} == {TAUGHT}
+    assert 0.8 * 24 <= len(samples) <= 24
+    assert {sample.group for sample in samples} == {"1/000000", "1/000002"}
+    assert {uid for sample in samples for uid in sample.label_uids} == uids
+    for sample in samples:
+        assert len(sample.label_uids) == len(sample.boxes)
+
+
+def test_drawn_views_come_as_they_were_drawn(people: Project) -> None:
+    material = simulate(people, BoxKind.BOX)
+    samples = views(people, material, 18)
+    origins = Counter(sample.origin for sample in samples)
+    assert origins[DRAWN] == 36
+    assert origins[TAUGHT] == 18, "one pair for each of nine objects"
+    for sample, view in zip(samples, material.views, strict=False):
+        assert sample.origin == DRAWN
+        assert len(sample.label_uids) == len(sample.boxes)
+        assert sample.boxes == view.boxes
+        np.testing.assert_array_equal(sample.load(), people.views.load(view.view_id))
+        assert view.frame_id is not None
+        assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
+
+
+def test_views_of_deep_frustums_are_taught_as_they_are_looked_at(people: Project) -> None:
+    deep = CONFIG.model_copy(update={"view": CONFIG.view.model_copy(update={"deep": 0.1})})
+    (recording,) = people.recordings.all()
+    simulate_recording(people, recording.id, BoxKind.BOX, deep, 2)
+    samples = views(people, gather(people), 120, config=deep)
+    for origin in (DRAWN, TAUGHT):
+        looked_at = {sample.look_px: sample for sample in samples if sample.origin == origin}
+        assert set(looked_at) == {0, CONFIG.view.deep_size_px}
+        sizes = {look_px: max(sample.load().shape) for look_px, sample in looked_at.items()}
+        assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
+
+
+def test_views_from_elsewhere_are_groups_of_their_own(people: Project) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
+        people.boxes.set_on_view(view, [SOME], BoxKind.BOX, WriteContext(0, "me"))
+    samples = views(people, gather(people, [DetectorKind.VIEW]))
+    assert len({sample.group for sample in samples}) == 2
+
+
+@pytest.mark.parametrize(("asked", "draws"), [(1, 1), (6, 1), (24, 4), (10**6, 20)])
+def test_few_objects_are_seen_more_often_but_not_without_end(people: Project, asked: int, draws: int) -> None:
+    accept(people, 0)
+    samples = views(people, gather(people), asked)
+    assert 0.8 * 2 * 3 * draws <= len(samples) <= 2 * 3 * draws
+
+
+def test_the_same_project_gives_the_same_pictures(people: Project) -> None:
+    accept(people, 0)
+    first, again, other = (views(people, gather(people), 12, seed) for seed in (1, 1, 2))
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a.load(), b.load())
+        assert (a.boxes, a.group) == (b.boxes, b.group)
+    assert [sample.boxes for sample in first] != [sample.boxes for sample in other]
+
+
+def test_drags_cut_out_the_object_and_teach_its_silhouette(people: Project) -> None:
+    material = simulate(people, BoxKind.SILHOUETTE, every=5)
+    frame = FrameSource(people).read(people.frames.of()[0])
+    recording = open_recording(people.recordings.all()[0].path)
+    truths = visible_objects(recording, 0, frame, ["person"])
+    ((_, objects),) = drawn_objects(material).items()
+    assert len(objects) == 3
+    for truth, drags in zip(truths, objects, strict=True):
+        taught = taught_by_drags(frame, drags)
+        assert taught is not None
+        assert taught.points is not None
+        assert truth.points is not None
+        assert (taught.points & truth.points).sum() > 0.97 * truth.points.sum()
+        assert contains(taught.box, frame.cloud.xyz_m[taught.points], 1e-6).all()
+    samples = views(people, material, 12)
+    assert Counter(sample.origin for sample in samples) == {DRAWN: 12, TAUGHT: 12}
+    assert all(sample.boxes for sample in samples)
+
+
+def test_boxes_of_the_other_kind_are_cut_out_of_nothing(people: Project) -> None:
+    assert drawn_objects(simulate(people, BoxKind.BOX, every=5)) == {}
+
+
+def test_an_object_that_was_drawn_and_then_accepted_is_one_object(people: Project) -> None:
+    """Known twice, it would have two boxes on each of its pictures."""
+    simulate(people, BoxKind.SILHOUETTE, every=3)
+    accept(people, 0)
+    material = gather(people)
+    assert material.kind is BoxKind.SILHOUETTE
+    taught = [sample for sample in views(people, material, 60) if sample.origin == TAUGHT]
+    assert len(taught) > 20
+    for sample in taught:
+        edges = np.array([box.xyxy for box in sample.boxes])
+        apart = np.abs(edges[:, None] - edges).max(axis=2) + 100 * np.eye(len(edges))
+        assert apart.min() > 3, "two boxes around one object"
+
+
+def test_an_object_whose_drags_leave_nothing_is_not_taught(people: Project) -> None:
+    material = simulate(people, BoxKind.SILHOUETTE, every=5)
+    frame = FrameSource(people).read(people.frames.of()[0])
+    ((_, objects),) = drawn_objects(material).items()
+    far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
+    assert taught_by_drags(frame, [replace(v, geometry=g) for v, g in zip(objects[0], far, strict=True)]) is None
+
+
+# --- frames that cannot be read --------------------------------------------------------------------------------------
+
+
+def test_an_unreadable_frame_costs_only_itself(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    for index in range(3):
+        accept(project, index)
+    (folder / "depth" / "000000.png").write_bytes(b"\x89PNG")
+    for path in (folder / "color" / "000001.jpg", folder / "depth" / "000001.png"):
+        path.unlink()
+    add_recordings(project, [folder])
+    material, skipped = gather(project), []
+
+    def skip(stored: StoredFrame, error: FrameError) -> None:
+        skipped.append(f"{stored.key} {error}")
+
+    samples = [
+        *image_samples(project, material, skip),
+        *view_samples(project, material, CONFIG, SampleConfig(views=18), skip),
+    ]
+    assert {(sample.origin, sample.group) for sample in samples} == {(PROJECTED, "1/000002"), (TAUGHT, "1/000002")}
+    assert [text.split()[0] for text in skipped] == ["000000", "000001"] * 2
+    assert "depth/000000.png" in skipped[0]
+    assert "no longer there" in skipped[1]
+
+
+def test_a_recording_that_was_moved_is_an_error(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    accept(project, 0)
+    folder.rename(folder.with_name("elsewhere"))
+    with pytest.raises(RecordingError, match="people: no such file or folder"):
+        list(image_samples(project, gather(project), never))

@@ -1,0 +1,442 @@
+"""Pseudo-views labelled elsewhere, in two rounds; COCO boxes on camera images; and all that can be wrong with them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from annotator.formats.coco import CocoImage, read_coco, write_coco
+from annotator.project import Project, WriteContext
+from annotator.project.event_types import FrameFinalised
+from annotator.project.overview import FramePage
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.teach import span_on_view
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source
+from annotator.types.errors import ConfigError, FormatError, ProjectError
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing import Imported, image_boxes, import_image_boxes, import_view_boxes
+from annotator.workflows.simulate import draw_frame, visible_objects
+from annotator.workflows.training.samples import drawn_objects, gather, taught_by_drags
+from annotator.workflows.views.places import read_places
+from annotator.workflows.views.write_pictures import write_views
+
+CONFIG = RcvConfig()
+SIZE = (320, 240)
+
+
+def true_image_boxes(project: Project, index: int) -> list[Box2D]:
+    """What a person would draw on the camera image of a frame."""
+    recording, frame = first_recording(project), read(project, index)
+    objects = visible_objects(recording, index, frame, project.config.classes)
+    return draw_frame(frame, objects, BoxKind.SILHOUETTE, CONFIG)[0]
+
+
+def first_recording(project: Project):
+    return open_recording(project.recordings.all()[0].path)
+
+
+def read(project: Project, index: int) -> Frame:
+    return FrameSource(project).read(project.frames.of()[index])
+
+
+def coco_of_frames(path: Path, project: Project, indices: list[int], label: str | None = None) -> Path:
+    images = []
+    for index in indices:
+        boxes = true_image_boxes(project, index)
+        boxes = boxes if label is None else [replace(box, label=label) for box in boxes]
+        images.append(CocoImage(f"color/{project.frames.of()[index].key}.jpg", *SIZE, tuple(boxes)))
+    write_coco(path, images)
+    return path
+
+
+def draw_on(pictures: Path, project: Project, backwards: bool = False) -> Path:
+    """What an annotation tool would bring back: each picture with the box of its object."""
+    places = read_places(pictures)
+    recording = first_recording(project)
+    keys = {frame.key: index for index, frame in enumerate(project.frames.of())}
+    drawn = []
+    for image in read_coco(pictures / "coco.json"):
+        place = places[image.file_name]
+        frame = read(project, keys[place.frame])
+        objects = visible_objects(recording, keys[place.frame], frame, project.config.classes)
+        boxes, _ = draw_frame(frame, objects, BoxKind.SILHOUETTE, CONFIG)
+        (target,) = [o for o, box in zip(objects, boxes, strict=True) if box == place.geometry.image_box]
+        picture = cv2.imread(str(pictures / image.file_name))[:, :, ::-1]
+        geometry = place.geometry
+        view = PseudoView(
+            picture,
+            np.array(geometry.axes),
+            geometry.metres_per_px,
+            np.array(geometry.origin_m),
+            np.zeros((1, 3), np.float32),
+        )
+        box = span_on_view(view, frame.cloud.xyz_m[target.points], target.label)
+        assert box is not None
+        drawn.append(replace(image, boxes=(box,)))
+    write_coco(pictures / "drawn.json", drawn[::-1] if backwards else drawn)
+    return pictures / "drawn.json"
+
+
+@pytest.mark.parametrize("backwards", [False, True], ids=["in order", "side before front"])
+def test_two_rounds_of_pictures_teach_silhouettes(hands: Project, tmp_path: Path, backwards: bool) -> None:
+    on_images = import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0, 3]), BoxKind.SILHOUETTE)
+    assert (on_images.pictures, on_images.boxes) == (2, 4)
+    for step in (1, 2):
+        pictures = tmp_path / f"step{step}"
+        assert write_views(hands, pictures, step, CONFIG).pictures == 8
+        done = import_view_boxes(hands, draw_on(pictures, hands, backwards), pictures, BoxKind.SILHOUETTE)
+        assert done == Imported(8, 8, {}, (), views=8)
+    assert hands.statistics().view_boxes.boxes == 16
+    assert {view.source for view in hands.boxes.on_views()} == {Source.IMPORTED}
+
+    finished = drawn_objects(gather(hands))
+    assert sorted(map(len, finished.values())) == [2, 2]
+    recording = first_recording(hands)
+    for index in (0, 3):
+        frame = read(hands, index)
+        truths = visible_objects(recording, index, frame, ["hand"])
+        for views in finished[hands.frames.of()[index].id]:
+            taught = taught_by_drags(frame, views)
+            assert taught is not None
+            assert taught.points is not None
+            truth = max(truths, key=lambda known: (known.points & taught.points).sum())
+            both = (taught.points & truth.points).sum()
+            assert both > 0.97 * truth.points.sum()
+            assert both > 0.9 * taught.points.sum(), "the drags leave the hand and little else"
+
+
+def test_boxes_on_images_that_come_again_take_their_views_along(hands: Project, tmp_path: Path) -> None:
+    file = coco_of_frames(tmp_path / "c.json", hands, [0])
+    import_image_boxes(hands, file, BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "one", 1, CONFIG)
+    import_view_boxes(hands, draw_on(tmp_path / "one", hands), tmp_path / "one", BoxKind.SILHOUETTE)
+    (first,) = hands.boxes.on_images()
+    import_image_boxes(hands, file, BoxKind.BOX)
+    assert hands.boxes.on_images()[0].boxes == first.boxes, "a file only rounds them"
+    assert [view.box_kind for view in hands.boxes.on_views()] == [BoxKind.BOX] * 4
+    (image,) = read_coco(file)
+    moved = replace(image.boxes[0], x_max=image.boxes[0].x_max + 3)
+    write_coco(file, [replace(image, boxes=(moved, image.boxes[1]))])
+    import_image_boxes(hands, file, BoxKind.BOX)
+    left = {view.geometry.image_box for view in hands.boxes.on_views() if view.geometry is not None}
+    assert (left, len(hands.boxes.on_views())) == ({first.boxes[1]}, 2)
+
+
+def test_pictures_hold_what_the_sidecar_says(hands: Project, tmp_path: Path) -> None:
+    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [1]), BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "out", 1, CONFIG)
+    images = read_coco(tmp_path / "out" / "coco.json")
+    places = read_places(tmp_path / "out")
+    assert {image.file_name for image in images} == set(places)
+    assert json.loads((tmp_path / "out" / "coco.json").read_text())["categories"][0]["name"] == "hand"
+    for image in images:
+        picture = cv2.imread(str(tmp_path / "out" / image.file_name))
+        assert picture.shape[:2] == (image.height_px, image.width_px)
+        assert image.boxes == ()
+        place = places[image.file_name]
+        assert (place.recording, place.frame, place.step) == ("hands", "000001", 0)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*places, "coco.json", "views.json"])
+
+
+def test_relabelling_a_view_keeps_front_and_side_apart(hands: Project, tmp_path: Path) -> None:
+    """The store lists what was labelled last at the end: the front view then comes after the side view."""
+    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "one", 1, CONFIG)
+    import_view_boxes(hands, draw_on(tmp_path / "one", hands), tmp_path / "one", BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "two", 2, CONFIG)
+    front = hands.boxes.on_views()[0]
+    assert front.geometry is not None
+    context = WriteContext(hands.frames.of()[0].revision, "me")
+    hands.boxes.set_on_view(
+        front.view_id, front.boxes, front.box_kind, context, frame_id=front.frame_id, step=0, geometry=front.geometry
+    )
+    assert hands.boxes.on_views()[-1].view_id == front.view_id
+    write_views(hands, tmp_path / "again", 2, CONFIG)
+    for path in sorted((tmp_path / "two").glob("*.png")):
+        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_no_object_is_ready(hands: Project, tmp_path: Path, step: int) -> None:
+    needed = {1: "boxes on camera images", 2: "boxes on both views of the first step"}[step]
+    with pytest.raises(ConfigError, match=f"no object with {needed} yet"):
+        write_views(hands, tmp_path / "out", step, CONFIG)
+    assert list(tmp_path.glob("*out*")) == []
+
+
+def test_a_view_without_its_partner_is_not_ready(hands: Project, tmp_path: Path) -> None:
+    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "one", 1, CONFIG)
+    file = draw_on(tmp_path / "one", hands)
+    only_fronts = [replace(i, boxes=() if "side" in i.file_name else i.boxes) for i in read_coco(file)]
+    write_coco(file, only_fronts)
+    done = import_view_boxes(hands, file, tmp_path / "one", BoxKind.SILHOUETTE)
+    assert (done.pictures, done.boxes) == (2, 2), "a picture that nobody labelled is not an empty one"
+    with pytest.raises(ConfigError, match="both views of the first step"):
+        write_views(hands, tmp_path / "two", 2, CONFIG)
+
+
+def test_the_folder_of_pictures_must_be_new(hands: Project, tmp_path: Path) -> None:
+    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
+    (tmp_path / "out").mkdir()
+    write_views(hands, tmp_path / "out", 1, CONFIG)
+    for taken in (tmp_path / "out", tmp_path / "c.json"):
+        with pytest.raises(ConfigError, match="exists already; choose a new folder"):
+            write_views(hands, taken, 1, CONFIG)
+    with pytest.raises(ConfigError, match="there is no step 3"):
+        write_views(hands, tmp_path / "new", 3, CONFIG)
+
+
+def test_an_unreadable_frame_is_told_and_the_others_get_their_pictures(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = own_copy("hands")
+    project = make_project(folder, classes=("hand",))
+    import_image_boxes(project, coco_of_frames(tmp_path / "c.json", project, [0, 1]), BoxKind.SILHOUETTE)
+    (folder / "depth" / "000000.png").write_bytes(b"\x89PNG nonsense")
+    written = write_views(project, tmp_path / "out", 1, CONFIG)
+    assert written.pictures == 4
+    (line,) = written.unreadable
+    assert line.startswith("000000: ")
+    assert "depth/000000.png" in line
+
+
+def test_pictures_from_elsewhere_teach_and_no_more(hands: Project, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(tmp_path / name), rng.integers(0, 255, (40, 60, 3), np.uint8))
+    box = Box2D("hand", 3.5, 4.5, 20.5, 30.5)
+    file = tmp_path / "views.coco.json"
+    for boxes in ((box,), (box, replace(box, x_max=10.5))):  # a second import replaces the first
+        write_coco(file, [CocoImage("a.png", 60, 40, boxes), CocoImage("b.png", 60, 40, ())])
+        assert import_view_boxes(hands, file, tmp_path, BoxKind.BOX).boxes == len(boxes)
+    a, b = sorted(hands.boxes.on_views(), key=lambda view: -len(view.boxes))
+    assert (len(a.boxes), b.boxes) == (2, ())
+    assert (a.frame_id, a.geometry, a.step, a.box_kind) == (None, None, None, BoxKind.BOX)
+    np.testing.assert_array_equal(hands.views.load(a.view_id)[:, :, ::-1], cv2.imread(str(tmp_path / "a.png")))
+
+
+def test_a_view_of_a_frame_may_come_again_without_its_place(hands: Project, tmp_path: Path) -> None:
+    """Without `views.json` beside it, the same picture is one from elsewhere, with a revision of its own."""
+    import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
+    write_views(hands, tmp_path / "out", 1, CONFIG)
+    file = draw_on(tmp_path / "out", hands)
+    import_view_boxes(hands, file, tmp_path / "out", BoxKind.SILHOUETTE)
+    (tmp_path / "out" / "views.json").unlink()
+    import_view_boxes(hands, file, tmp_path / "out", BoxKind.SILHOUETTE)
+    assert [view.frame_id is None for view in hands.boxes.on_views()] == [False] * 4 + [True] * 4
+
+
+def good_views(project: Project, tmp_path: Path) -> tuple[Path, Path]:
+    pictures = tmp_path / "pictures"
+    import_image_boxes(project, coco_of_frames(tmp_path / "c.json", project, [0]), BoxKind.SILHOUETTE)
+    write_views(project, pictures, 1, CONFIG)
+    return draw_on(pictures, project), pictures
+
+
+def remove_last(file: Path, pictures: Path) -> None:
+    (pictures / read_coco(file)[-1].file_name).unlink()
+
+
+def scale_last(file: Path, pictures: Path) -> None:
+    path = pictures / read_coco(file)[-1].file_name
+    cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=2, fy=2))
+
+
+def cut_last(file: Path, pictures: Path) -> None:
+    path = pictures / read_coco(file)[-1].file_name
+    path.write_bytes(path.read_bytes()[:40])
+
+
+def empty_last(file: Path, pictures: Path) -> None:
+    (pictures / read_coco(file)[-1].file_name).write_bytes(b"")
+
+
+def promising_png(side_px: int) -> bytes:
+    """A whole PNG file whose header promises a square picture."""
+    header = struct.pack(">IIBBBBB", side_px, side_px, 8, 2, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(b"")), (b"IEND", b""))
+    chunks = [struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in parts]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def promise_much_last(file: Path, pictures: Path) -> None:
+    (pictures / read_coco(file)[-1].file_name).write_bytes(promising_png(100_000))
+
+
+def jpeg_last(file: Path, pictures: Path) -> None:
+    path = pictures / read_coco(file)[-1].file_name
+    path.write_bytes(cv2.imencode(".jpg", cv2.imread(str(path)))[1].tobytes())
+
+
+def repeat_last(file: Path, pictures: Path) -> None:
+    images = read_coco(file)
+    shutil.copyfile(pictures / images[-1].file_name, pictures / images[0].file_name)
+    size = {"width_px": images[-1].width_px, "height_px": images[-1].height_px}
+    write_coco(file, [replace(images[0], boxes=images[-1].boxes, **size), *images[1:]])
+
+
+def rename_class(file: Path, pictures: Path) -> None:
+    images = [replace(i, boxes=tuple(replace(b, label="Hand") for b in i.boxes)) for i in read_coco(file)]
+    write_coco(file, images)
+
+
+def break_sidecar(file: Path, pictures: Path) -> None:
+    (pictures / "views.json").write_text('[{"file_name": "a.png"}]')
+
+
+def break_json(file: Path, pictures: Path) -> None:
+    file.write_text("{")
+
+
+@pytest.mark.parametrize(
+    ("damage", "problem"),
+    [
+        (remove_last, "step1_side.png is not in"),
+        (scale_last, "label the image itself, not a scaled copy"),
+        (cut_last, "step1_side.png: is not a readable image: the PNG image is truncated"),
+        (empty_last, "step1_side.png: is not a readable image: the file is empty"),
+        (promise_much_last, "step1_side.png: is not a readable image: .* 100000 x 100000 pixels"),
+        (jpeg_last, "step1_side.png: is not a PNG image"),
+        (repeat_last, "are the same image"),
+        (rename_class, "the project has none of its classes: they are Hand"),
+        (break_sidecar, r"views.json: is damaged"),
+        (break_json, "drawn.json"),
+    ],
+)
+def test_pictures_that_do_not_fit_change_nothing(
+    hands: Project, tmp_path: Path, damage: Callable[[Path, Path], None], problem: str
+) -> None:
+    file, pictures = good_views(hands, tmp_path)
+    damage(file, pictures)
+    with pytest.raises(FormatError, match=problem):
+        import_view_boxes(hands, file, pictures, BoxKind.SILHOUETTE)
+    assert hands.boxes.on_views() == ()
+
+
+def test_a_view_of_a_recording_that_the_project_does_not_have(hands: Project, people: Project, tmp_path: Path) -> None:
+    file, pictures = good_views(hands, tmp_path)
+    people.configure(classes=["person", "hand"])
+    with pytest.raises(ProjectError, match="no recording 'hands'"):
+        import_view_boxes(people, file, pictures, BoxKind.SILHOUETTE)
+
+
+# --- camera images ---------------------------------------------------------------------------------------------------
+
+
+def image(name: str, *boxes: Box2D, size: tuple[int, int] = SIZE) -> CocoImage:
+    return CocoImage(name, *size, boxes)
+
+
+BOX = Box2D("person", 10.5, 20.5, 60.5, 90.5)
+OTHER = Box2D("dog", 100.5, 20.5, 160.5, 90.5)
+
+
+def imported(project: Project, tmp_path: Path, *images: CocoImage, **options: str) -> Imported:
+    write_coco(tmp_path / "boxes.json", images)
+    return import_image_boxes(project, tmp_path / "boxes.json", BoxKind.SILHOUETTE, **options)
+
+
+def test_boxes_on_camera_images(people: Project, tmp_path: Path) -> None:
+    done = imported(
+        people,
+        tmp_path,
+        image("images/train/000001.jpg", BOX, OTHER),
+        image("000002.png"),
+        image("000099.jpg", BOX),
+        image("cat.jpg"),
+    )
+    assert done == Imported(2, 1, {"dog": 1}, ("000099.jpg", "cat.jpg"))
+    one, two = people.boxes.on_images()
+    assert (one.frame_id, one.boxes, one.box_kind, one.source) == (
+        people.frames.of()[1].id,
+        (BOX,),
+        BoxKind.SILHOUETTE,
+        Source.IMPORTED,
+    )
+    assert two.boxes == ()
+    # again, with another box: what was there is replaced
+    imported(people, tmp_path, image("000001.jpg", replace(BOX, x_max=70.5)))
+    assert people.boxes.on_images()[0].boxes == (replace(BOX, x_max=70.5),)
+
+
+def test_what_people_drew_is_told_and_finalised_frames_stay(
+    people: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second, third = people.frames.of()[:3]
+    mine = Box2D("person", 1.5, 2.5, 30.5, 40.5)
+    for frame in (first, second):
+        people.boxes.set_on_image(frame.id, [mine], BoxKind.SILHOUETTE, WriteContext(0, "ann", Source.MANUAL))
+    people.log.append(second.id, [FrameFinalised()], WriteContext(1, "ann", Source.MANUAL))
+    read, changed = image_boxes.read_page, []
+
+    def read_and_change(project: Project, frame_id: int) -> FramePage:
+        page = read(project, frame_id)
+        if frame_id == third.id and not changed:
+            changed.append(project.boxes.set_on_image(frame_id, [mine], BoxKind.SILHOUETTE, WriteContext(0, "bob")))
+        return page
+
+    monkeypatch.setattr(image_boxes, "read_page", read_and_change)
+    done = imported(people, tmp_path, *(image(f"{frame.key}.jpg", BOX) for frame in (first, second, third)))
+    assert done == Imported(2, 2, {}, replaced=2, finalised=1)
+    assert changed
+    assert [found.boxes for found in people.boxes.on_images()] == [(BOX,), (mine,), (BOX,)]
+    # nothing is replaced by the same, and nothing of ours is somebody's
+    assert imported(people, tmp_path, image(f"{first.key}.jpg", BOX)).replaced == 0
+
+
+@pytest.mark.parametrize(
+    ("images", "problem"),
+    [
+        ([image("000000.jpg", OTHER), image("000001.jpg", OTHER)], "the project has none of its classes: they are dog"),
+        ([image("x.jpg", BOX)], "none of its images has a frame in the project"),
+        (
+            [image("a/000000.jpg", BOX), image("b/000000.jpg")],
+            "a/000000.jpg and b/000000.jpg are both the frame 000000",
+        ),
+        (
+            [image("000000.jpg", BOX), image("000001.jpg", BOX, size=(640, 480))],
+            "640 x 480 pixels, but the frame is 320 x 240",
+        ),
+    ],
+    ids=["only other classes", "no frame", "one frame twice", "another size"],
+)
+def test_a_file_that_does_not_fit_changes_nothing(
+    people: Project, tmp_path: Path, images: list[CocoImage], problem: str
+) -> None:
+    with pytest.raises(FormatError, match=problem):
+        imported(people, tmp_path, *images)
+    assert people.boxes.on_images() == ()
+
+
+def test_frames_of_one_name_in_two_recordings(people: Project, own_copy: Callable[[str], Path], tmp_path: Path) -> None:
+    second = register_recording(people, open_recording(own_copy("people")), name="second")
+    load = partial(imported, people, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX))
+    with pytest.raises(FormatError, match=r"000000\.jpg: 2 recordings have a frame 000000; choose one"):
+        load()
+    assert people.boxes.on_images() == ()
+    assert load(recording="second").boxes == 2
+    assert people.boxes.on_images([second.id]) == people.boxes.on_images()
+    with pytest.raises(ProjectError, match="no recording 'third'; it has: people, second"):
+        load(recording="third")
+
+
+def test_boxes_on_a_frame_that_cannot_be_read_now_are_taken(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = own_copy("people")
+    project = make_project(folder)
+    (folder / "depth" / "000001.png").write_bytes(b"")
+    assert imported(project, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX)).boxes == 2

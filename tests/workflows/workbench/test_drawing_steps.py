@@ -1,0 +1,323 @@
+"""Five drags, step by step, without anything being kept between them; and keeping them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import Origin, Project, WriteContext
+from annotator.project.efforts import draft_id
+from annotator.project.events import Effort
+from annotator.rcv.cross_view import box_iou
+from annotator.rcv.operator import draw_object
+from annotator.rcv.teach import TaughtObject
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
+from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.simulate import _draw, _image_box, visible_objects
+from annotator.workflows.training.samples import gather
+from annotator.workflows.workbench.drawing_steps import (
+    LABEL_VIEW_PX,
+    Labelling,
+    frame_config,
+    label_config,
+    label_steps,
+)
+from annotator.workflows.workbench.frame_state import show_frame
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
+
+
+class Desk:
+    """The first frame of a project, its true objects, and a hand that draws them."""
+
+    def __init__(self, project: Project, folder: Path, kind: BoxKind = BoxKind.SILHOUETTE) -> None:
+        recording = open_recording(folder)
+        self.project, self.kind = project, kind
+        self.frame: Frame = recording.frame(0)
+        self.frame_id = project.frames.of()[0].id
+        self.objects: list[TaughtObject] = visible_objects(recording, 0, self.frame, project.config.classes)
+        self.opened = OpenFrame(self.frame)
+        self.config = label_config(project, self.frame)
+
+    def image_box(self, number: int = 0) -> Box2D:
+        box = _image_box(self.frame, self.objects[number], self.kind)
+        assert box is not None
+        return box
+
+    def draw(self, view: PseudoView, number: int = 0) -> Box2D:
+        box = _draw(view, frame=self.frame, item=self.objects[number], kind=self.kind)
+        assert box is not None
+        return box
+
+    def steps(self, boxes: Sequence[Box2D | None], number: int = 0) -> Labelling:
+        return label_steps(self.opened, self.image_box(number), boxes, self.config, self.kind)
+
+    def four(self, number: int = 0) -> list[Box2D]:
+        boxes: list[Box2D] = []
+        for place in range(4):
+            boxes.append(self.draw(self.steps(boxes, number).views[place], number))
+        return boxes
+
+    @property
+    def revision(self) -> int:
+        return self.project.frames.get(self.frame_id).revision
+
+    def save(self, image_boxes: Sequence[Box2D], drawn: ObjectDrawn | None, revision: int | None = None) -> str | None:
+        context = WriteContext(self.revision if revision is None else revision, "ann", effort=Effort(1, 2.0))
+        return save_object(self.project, self.frame_id, self.opened, image_boxes, self.kind, drawn, context).uid
+
+
+@pytest.fixture
+def desk(people: Project, generated: Path) -> Desk:
+    return Desk(people, generated / "people")
+
+
+def test_the_steps_are_those_of_the_labelling_procedure(desk: Desk) -> None:
+    whole = draw_object(desk.opened.with_normals, desk.image_box(), desk.draw, desk.config)
+    assert whole is not None
+    found = desk.steps(desk.four())
+    assert len(found.views) == len(whole.views) == 4
+    for view, drawn in zip(found.views, whole.views, strict=True):
+        assert (view.rgb == drawn.view.rgb).all()
+        assert (view.axes == drawn.view.axes).all()
+
+
+def test_each_drag_leads_on(desk: Desk) -> None:
+    four = desk.four()
+    begun = desk.steps([])
+    assert (len(begun.steps), begun.box, begun.stop) == (1, None, None)
+    assert begun.points > 100
+    assert len(desk.steps(four[:1]).steps) == 1
+    assert len(desk.steps([None, four[1]]).steps) == 1, "both boxes of a step lead to the next"
+    second = desk.steps(four[:2])
+    assert len(second.steps) == 2
+    assert second.box is not None
+    assert len(desk.steps(four[:3]).steps) == 2
+    done = desk.steps(four)
+    assert done.box is not None
+    truth = desk.objects[0].box
+    assert iou_3d(done.box, truth) > 0.4
+    assert iou_3d(done.box, truth) > iou_3d(second.box, truth) - 0.1
+    assert len(done.outline) > 6
+    assert done.points > 50
+
+
+def test_a_later_look_at_the_same_boxes_draws_nothing_anew(desk: Desk) -> None:
+    four = desk.four()
+    assert all(a is b for a, b in zip(desk.steps(four).views, desk.steps(four).views, strict=True))
+    moved = [Box2D("person", four[0].x_min + 9, *four[0].xyxy[1:]), *four[1:]]
+    assert desk.steps(moved).views[2] is not desk.steps(four).views[2]
+
+
+def test_boxes_that_mean_the_whole_object_are_fitted_together(people: Project, generated: Path) -> None:
+    desk = Desk(people, generated / "people", BoxKind.BOX)
+    ious = []
+    for number in range(len(desk.objects)):
+        box = desk.steps(desk.four(number), number).box
+        assert box is not None
+        ious.append(iou_3d(box, desk.objects[number].box))
+    assert np.mean(ious) > 0.9
+
+
+def test_a_frustum_without_points_says_why(desk: Desk) -> None:
+    far = Box2D("person", -900.0, -900.0, -800.0, -800.0)
+    found = label_steps(desk.opened, far, [], desk.config)
+    assert (found.steps, found.points) == ((), 0)
+    assert found.stop is not None and "points lie in this box's frustum" in found.stop
+
+
+def test_boxes_that_miss_each_other_say_why(desk: Desk) -> None:
+    views = desk.steps([]).views
+    height, width = views[0].rgb.shape[:2]
+    corner = Box2D("person", -0.5, -0.5, 0.4, 0.4)
+    other = Box2D("person", width - 1.5, height - 1.5, width - 0.6, height - 0.6)
+    found = desk.steps([corner, other])
+    assert len(found.steps) == 1
+    assert found.stop is not None and "lie in both boxes" in found.stop
+
+
+def test_more_than_four_boxes_are_refused(desk: Desk) -> None:
+    with pytest.raises(ConfigError, match="4 boxes on its views, not 5"):
+        desk.steps([None] * 5)
+
+
+def test_a_detector_suggests_what_would_be_drawn(desk: Desk, knowing: Callable[..., Detectors]) -> None:
+    detector = knowing("people", BoxKind.SILHOUETTE).view
+    boxes: list[Box2D | None] = []
+    for place in range(4):
+        found = label_steps(desk.opened, desk.image_box(), boxes, desk.config, BoxKind.SILHOUETTE, detector)
+        suggested = found.steps[place // 2].suggested[place % 2]
+        assert suggested is not None
+        drawn = desk.draw(found.views[place])
+        # it takes all points in the true box for the object's, also those of the floor
+        assert box_iou(suggested, drawn) > 0.6
+        boxes.append(drawn)
+
+
+def test_an_object_is_kept_drag_by_drag_and_becomes_a_label(desk: Desk) -> None:
+    image_box, four = desk.image_box(), desk.four()
+    for count in range(5):
+        uid = desk.save([image_box], ObjectDrawn(image_box, four[:count]))
+        assert (uid is None) == (count < 4)
+    (stored,) = desk.project.labels.select()
+    assert stored.label.uid == uid
+    assert (stored.label.state, stored.label.source) == (ReviewState.ACCEPTED, Source.MANUAL)
+    assert (stored.origin, stored.image_box) == (Origin.DRAWN, image_box)
+    views = desk.project.boxes.on_views_of(desk.frame_id)
+    assert [view.step for view in views] == [0, 0, 1, 1]
+    assert [view.boxes for view in views] == [(box,) for box in four]
+    assert all(view.box_kind is BoxKind.SILHOUETTE for view in views)
+    targets = {event.effort_target for event in desk.project.log.since()}
+    assert targets == {draft_id(desk.frame_id, image_box)}
+    numbers = desk.project.statistics().effort
+    assert (numbers.boxes, numbers.actions_a_box, numbers.seconds_a_box) == (1, 5.0, 10.0)
+    assert numbers.by_origin["from nothing"].boxes == 1
+
+
+def test_the_same_again_writes_nothing(desk: Desk) -> None:
+    image_box, four = desk.image_box(), desk.four()
+    uid = desk.save([image_box], ObjectDrawn(image_box, four))
+    before = desk.revision
+    assert desk.save([image_box], ObjectDrawn(image_box, four)) == uid
+    assert desk.save([image_box], ObjectDrawn(image_box, four, uid)) == uid
+    assert desk.revision == before
+
+
+def test_boxes_of_other_objects_on_a_view_stay(desk: Desk) -> None:
+    """Views that came from 3D boxes show whatever else is there."""
+    image_box, four = desk.image_box(), desk.four()
+    desk.save([image_box], ObjectDrawn(image_box, four[:2]))
+    view = next(view for view in desk.project.boxes.on_views_of(desk.frame_id) if view.boxes == (four[1],))
+    other = Box2D("person", 1.0, 2.0, 9.0, 12.0)
+    placed = {"frame_id": desk.frame_id, "step": view.step, "geometry": view.geometry}
+    context = WriteContext(desk.revision, "import")
+    desk.project.boxes.set_on_view(view.view_id, [four[1], other], desk.kind, context, **placed)
+    before = desk.revision
+    desk.save([image_box], ObjectDrawn(image_box, four[:2]))
+    assert desk.revision == before, "nothing is new"
+    wider = Box2D("person", *four[1].xyxy[:3], four[1].y_max + 2)
+    desk.save([image_box], ObjectDrawn(image_box, [four[0], wider]))
+    assert {view.boxes for view in desk.project.boxes.on_views_of(desk.frame_id)} == {(four[0],), (wider, other)}
+
+
+def test_another_box_on_the_first_step_replaces_what_followed_from_it(desk: Desk) -> None:
+    image_box, four = desk.image_box(), desk.four()
+    uid = desk.save([image_box], ObjectDrawn(image_box, four))
+    wider = Box2D("person", four[0].x_min - 8, four[0].y_min, four[0].x_max + 8, four[0].y_max)
+    desk.save([image_box], ObjectDrawn(image_box, [wider, four[1]], uid))
+    views = desk.project.boxes.on_views_of(desk.frame_id)
+    assert sorted(view.step or 0 for view in views) == [0, 0]
+    assert {view.boxes for view in views} == {(wider,), (four[1],)}
+    assert desk.project.labels.get(uid or "").label.state is ReviewState.ACCEPTED, "the label waits for the new boxes"
+    again = desk.steps([wider, four[1]])
+    last = [desk.draw(view) for view in again.views[2:]]
+    assert desk.save([image_box], ObjectDrawn(image_box, [wider, four[1], *last], uid)) == uid
+    assert desk.project.labels.get(uid or "").label.state is ReviewState.EDITED
+
+
+def test_a_moved_image_box_takes_its_object_along(desk: Desk) -> None:
+    image_box, four = desk.image_box(), desk.four()
+    uid = desk.save([image_box], ObjectDrawn(image_box, four))
+    x_min, y_min, x_max, y_max = image_box.xyxy
+    moved = Box2D("person", x_min - 30, y_min - 2, x_max + 30, y_max + 2)
+    assert desk.save([moved], ObjectDrawn(moved, [], uid)) == uid
+    (shown,) = show_frame(desk.project, desk.frame_id, desk.opened).objects
+    assert (shown.image_box, shown.uid) == (moved, uid), "it is still the same object, also after a reload"
+    assert desk.project.boxes.on_views_of(desk.frame_id) == (), "views of a frustum that is gone teach nothing"
+    boxes: list[Box2D] = []
+    for place in range(4):
+        views = label_steps(desk.opened, moved, boxes, desk.config).views
+        boxes.append(desk.draw(views[place]))
+    assert desk.save([moved], ObjectDrawn(moved, boxes, uid)) == uid
+    (stored,) = desk.project.labels.select()
+    assert stored.image_box == moved
+    assert stored.label.state is ReviewState.EDITED
+
+
+def test_another_class_leaves_a_corrected_box_as_it_is(desk: Desk) -> None:
+    desk.project.configure(classes=["person", "robot"])
+    image_box, four = desk.image_box(), desk.four()
+    uid = desk.save([image_box], ObjectDrawn(image_box, four)) or ""
+    better = OrientedBox.from_parts(np.array([0.5, 0.1, 3.0]), np.eye(3), np.array([0.7, 0.4, 1.8]))
+    desk.project.labels.edit(
+        desk.frame_id, uid, WriteContext(desk.revision, "bob"), label="person", box=better, track_id=7
+    )
+
+    def present() -> tuple[str, bool, int | None, Box2D | None]:
+        stored = desk.project.labels.get(uid)
+        label = stored.label
+        return label.label, iou_3d(label.box, better) > 1 - 1e-9, label.track_id, stored.image_box
+
+    before = desk.revision
+    assert desk.save([image_box], ObjectDrawn(image_box, four, uid)) == uid
+    assert desk.revision == before, "the same again writes nothing over it, either"
+    renamed, boxes = replace(image_box, label="robot"), [replace(box, label="robot") for box in four]
+    assert desk.save([renamed], ObjectDrawn(renamed, boxes, uid)) == uid
+    assert present() == ("robot", True, 7, renamed)
+    desk.project.history.undo("ann")
+    assert present() == ("person", True, 7, image_box)
+    desk.project.history.redo("ann")
+    wider = replace(boxes[3], x_max=boxes[3].x_max + 2)
+    desk.save([renamed], ObjectDrawn(renamed, [*boxes[:3], wider], uid))
+    assert present()[1] is False, "another drag leads to another box"
+
+
+def test_effort_follows_a_begun_object_whose_image_box_is_changed(desk: Desk) -> None:
+    image_box = desk.image_box()
+    x_min, y_min, x_max, y_max = image_box.xyxy
+    sloppy = Box2D("person", x_min - 20, y_min - 20, x_max + 20, y_max)
+    desk.save([sloppy], None)
+    desk.save([image_box], None)
+    desk.save([image_box], ObjectDrawn(image_box, desk.four()))
+    numbers = desk.project.statistics().effort
+    assert (numbers.boxes, numbers.actions_a_box) == (1, 3.0)
+
+
+def test_boxes_that_measure_something_else_do_so_on_the_views_of_all_objects(desk: Desk) -> None:
+    objects = [ObjectDrawn(desk.image_box(number), desk.four(number)) for number in range(2)]
+    image_boxes = [drawn.image_box for drawn in objects]
+    for drawn in objects:
+        desk.save(image_boxes, drawn)
+    desk.kind = BoxKind.BOX
+    desk.save(image_boxes, objects[0])
+    assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.BOX] * 8
+    assert gather(desk.project).left_out == 0
+    desk.project.history.undo("ann")
+    assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.SILHOUETTE] * 8
+
+
+def test_one_undo_takes_one_drag_back(desk: Desk) -> None:
+    image_box, four = desk.image_box(), desk.four()
+    for count in range(5):
+        desk.save([image_box], ObjectDrawn(image_box, four[:count]))
+    desk.project.history.undo("ann")
+    assert desk.project.labels.select() == ()
+    assert len(desk.project.boxes.on_views_of(desk.frame_id)) == 3
+    for _ in range(4):
+        desk.project.history.undo("ann")
+    assert desk.project.boxes.on_image(desk.frame_id) is None
+    assert desk.project.boxes.on_views_of(desk.frame_id) == ()
+
+
+def test_what_cannot_be_kept_is_said_and_changes_nothing(desk: Desk) -> None:
+    image_box = desk.image_box()
+    with pytest.raises(ConfigError, match="is not among image_boxes"):
+        desk.save([], ObjectDrawn(image_box, []))
+    with pytest.raises(NotFoundError, match="has no label ab"):
+        desk.save([image_box], ObjectDrawn(image_box, desk.four(), "ab"))
+    with pytest.raises(StaleRevisionError, match="is at revision 0, the change was made on revision 3"):
+        desk.save([image_box], None, revision=3)
+    assert desk.revision == 0
+
+
+def test_views_to_draw_on_are_large_however_small_the_detectors_are(desk: Desk) -> None:
+    assert frame_config(desk.project, desk.frame).view.size_px < LABEL_VIEW_PX
+    views = label_steps(desk.opened, desk.image_box(), [], desk.config).views
+    assert {max(view.rgb.shape) for view in views} == {LABEL_VIEW_PX}

@@ -1,0 +1,158 @@
+"""The frames that are looked at are read once, and the next one ahead."""
+
+from __future__ import annotations
+
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from live_server import wait_until
+
+from annotator.project import Project, create_project
+from annotator.recordings import open_recording
+from annotator.types import Frame
+from annotator.types.errors import FrameError, NotFoundError
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.workbench import frame_cache
+from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache
+
+
+@pytest.fixture
+def project(tmp_path: Path, generated: Path) -> Iterator[Project]:
+    with create_project(tmp_path, "room", ("person",)) as project:
+        register_recording(project, open_recording(generated / "people"))
+        yield project
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Keys of the frames that are read from the disk, in order."""
+    found: list[str] = []
+    read = FrameSource.read
+
+    def counted(self: FrameSource, stored: object) -> Frame:
+        found.append(vars(stored)["key"])
+        return read(self, stored)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(FrameSource, "read", counted)
+    return found
+
+
+def _wait(reads: list[str], count: int) -> None:
+    wait_until(lambda: len(reads) >= count)
+
+
+def test_a_frame_is_read_once_and_the_next_ahead(project: Project, reads: list[str]) -> None:
+    cache = FrameCache()
+    first = cache.read(project, 1)
+    assert cache.read(project, 1) is first
+    _wait(reads, 2)
+    assert reads == ["000000", "000001"]
+    assert cache.read(project, 2).key == "000001"
+    _wait(reads, 3)
+    assert reads == ["000000", "000001", "000002"]
+    cache.close()
+    assert cache.read(project, 5).key == "000004", "after the end frames are still read, but not ahead"
+
+
+def test_only_a_few_are_kept(project: Project, reads: list[str]) -> None:
+    cache = FrameCache(max_frames=2)
+    cache.close()
+    for frame in (1, 2, 3, 1):
+        cache.read(project, frame)
+    assert reads == ["000000", "000001", "000002", "000000"]
+
+
+def test_reading_ahead_follows_an_operator_at_once_and_keeps_no_frame(
+    project: Project, reads: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(frame_cache, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    cache = FrameCache(max_frames=3)
+    left = weakref.ref(cache.open(project, 1, "Ada"))
+    for frame in (2, 3, 4, 5, 2, 3, 4, 5, 2, 3, 4, 5, 2, 3):
+        cache.open(project, frame, "Ada")
+    assert left() is None, "a frame that was left waits for nothing"
+    last = len(reads)
+    now_s[0] = PAUSE_S
+    _wait(reads, last + 1)
+    assert reads[last] == "000003", "the one after the last"
+    cache.close()
+
+
+def test_reading_ahead_is_each_operators_own(project: Project, reads: list[str]) -> None:
+    cache = FrameCache()
+    cache.open(project, 1, "Ada")
+    cache.open(project, 5, "Bob")
+    _wait(reads, 4)
+    assert sorted(reads) == ["000000", "000001", "000003", "000004"]
+    cache.close()
+
+
+def test_many_threads_read_a_frame_once(project: Project, reads: list[str]) -> None:
+    cache = FrameCache()
+    cache.close()
+    found: list[Frame] = []
+    threads = [threading.Thread(target=lambda: found.append(cache.read(project, 3))) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 8 and len(set(map(id, found))) == 1
+    assert reads == ["000002"]
+
+
+def test_a_thread_that_waited_finds_the_frame_in_the_cache(
+    project: Project, reads: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even if it gets the lock at the moment at which another thread has read the frame."""
+    cache = FrameCache()
+    cache.close()
+    _, source = cache._source(project)
+
+    class Yielding:
+        """A lock that lets another thread run when it is released."""
+
+        own = threading.Lock()
+
+        def __enter__(self) -> None:
+            self.own.acquire()
+
+        def __exit__(self, *_: object) -> None:
+            self.own.release()
+            time.sleep(0.05)
+
+    shared = (Yielding(), source)
+    monkeypatch.setattr(cache, "_source", lambda _: shared)
+    threads = [threading.Thread(target=cache.read, args=(project, 3)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert reads == ["000002"]
+
+
+def test_what_cannot_be_read_is_told_each_time(project: Project, reads: list[str]) -> None:
+    cache = FrameCache()
+    cache.close()
+    project.recordings.rescan(1, ["000000", "gone"])
+    gone = project.frames.find(1, "gone").id
+    for _ in range(2):
+        with pytest.raises(FrameError, match="frame gone is no longer there"):
+            cache.read(project, gone)
+    with pytest.raises(NotFoundError):
+        cache.read(project, 99)
+
+
+def test_forgotten_frames_are_read_anew(project: Project, reads: list[str]) -> None:
+    cache = FrameCache()
+    cache.close()
+    cache.read(project, 1)
+    cache.forget(project)
+    cache.read(project, 1)
+    assert reads == ["000000", "000000"]

@@ -1,0 +1,140 @@
+"""Detectors are loaded in the background, once, and anew when another model becomes the active one."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.project import Project
+from annotator.types import BoxKind, DetectorKind, PseudoView
+from annotator.types.errors import DetectionError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.workbench import loaded_detectors as detectors_ready
+from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
+
+
+def register(project: Project, role: DetectorKind, fingerprint: str) -> None:
+    weights = project.path / "models" / f"{fingerprint}.pt"
+    weights.parent.mkdir(exist_ok=True)
+    weights.write_bytes(b"w")
+    project.models.register(role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=fingerprint)
+
+
+class Blank:
+    """A detector that counts how many calls run at once."""
+
+    labels = ("person",)
+    fingerprint = "blank"
+
+    def __init__(self) -> None:
+        self.running = self.most = 0
+
+    def detect(self, images: object) -> list[list[object]]:
+        self.running += 1
+        self.most = max(self.most, self.running)
+        time.sleep(0.01)
+        self.running -= 1
+        return [[]]
+
+
+@pytest.fixture
+def loads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    found: list[Path] = []
+
+    def load(weights: Path) -> Blank:
+        found.append(weights)
+        if weights.name.startswith("bad"):
+            raise DetectionError("no weights")
+        return Blank()
+
+    monkeypatch.setattr(detectors_ready, "load_detector", load)
+    return found
+
+
+def test_loaded_once_and_anew_for_another_model(people: Project, loads: list[Path]) -> None:
+    ready = ReadyDetectors()
+    assert ready.get(people, DetectorKind.VIEW) is None
+    register(people, DetectorKind.VIEW, "a")
+    ready.warm(people)
+    first = ready.get(people, DetectorKind.VIEW)
+    assert first is not None and first.labels == ("person",)
+    assert ready.get(people, DetectorKind.VIEW) is first
+    register(people, DetectorKind.VIEW, "b")
+    second = ready.get(people, DetectorKind.VIEW)
+    assert second is not None and second is not first
+    assert [path.name for path in loads] == ["a.pt", "b.pt"]
+    ready.close()
+
+
+def test_nobody_waits_longer_than_they_say(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    go = threading.Event()
+
+    def load(weights: Path) -> Blank:
+        go.wait(240)
+        return Blank()
+
+    monkeypatch.setattr(detectors_ready, "load_detector", load)
+    register(people, DetectorKind.VIEW, "slow")
+    ready = ReadyDetectors()
+    assert ready.get(people, DetectorKind.VIEW, wait_s=0.05) is None
+    assert not go.is_set()
+    go.set()
+    assert ready.get(people, DetectorKind.VIEW) is not None
+    ready.close()
+
+
+def test_one_that_cannot_be_loaded_is_as_if_it_were_not_there(
+    people: Project, loads: list[Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    register(people, DetectorKind.VIEW, "bad")
+    ready = ReadyDetectors()
+    assert ready.get(people, DetectorKind.VIEW) is None
+    assert "no weights" in caplog.text
+    ready.close()
+
+
+def test_how_far_it_is_and_why_it_failed(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    go = threading.Event()
+
+    def load(weights: Path) -> Blank:
+        go.wait(240)
+        if weights.name.startswith("odd"):
+            raise ValueError("secret")
+        if weights.name.startswith("bad"):
+            raise DetectionError("no weights")
+        return Blank()
+
+    monkeypatch.setattr(detectors_ready, "load_detector", load)
+    ready = ReadyDetectors()
+    assert ready.look(people, DetectorKind.VIEW).state == "none"
+    register(people, DetectorKind.VIEW, "bad")
+    assert ready.look(people, DetectorKind.VIEW, wait_s=0.0).state == "loading"
+    go.set()
+    failed = ready.look(people, DetectorKind.VIEW)
+    assert (failed.state, failed.detector, failed.problem) == ("failed", None, "no weights")
+    register(people, DetectorKind.VIEW, "odd")
+    problem = ready.look(people, DetectorKind.VIEW).problem
+    assert problem is not None and "secret" not in problem and "log" in problem
+    register(people, DetectorKind.VIEW, "good")
+    assert ready.look(people, DetectorKind.VIEW).state == "ready"
+    ready.close()
+
+
+def test_calls_wait_for_each_other(people: Project, loads: list[Path], knowing: Callable[..., Detectors]) -> None:
+    register(people, DetectorKind.VIEW, "a")
+    ready = ReadyDetectors()
+    detector = ready.get(people, DetectorKind.VIEW)
+    assert detector is not None
+    view = PseudoView(np.zeros((8, 8, 3), np.uint8), np.eye(3), 0.1, np.zeros(2), np.zeros((0, 3), np.float32))
+    threads = [threading.Thread(target=lambda: detector.detect([view])) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert isinstance(detector.detector, Blank) and detector.detector.most == 1
+    ready.close()

@@ -1,0 +1,252 @@
+"""What to look at next, and what looks wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.cli.main import main
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.event_types import LinkedLabel, TracksLinked
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
+from annotator.types.errors import NotFoundError
+from annotator.workflows.checking.point_counts import PointCounts
+from annotator.workflows.checking.project_labels import Kind, check, check_project
+from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.workbench.review_queue import Order, _spread, queue
+
+
+def box_at(x: float, yaw_rad: float = 0.0, size: Sequence[float] = (0.8, 0.5, 1.7)) -> OrientedBox:
+    rotation = Rotation.from_rotvec([0, 0, yaw_rad]).as_matrix()
+    return OrientedBox.from_parts(np.array([x, 0.0, 3.0]), rotation, np.array(size, np.float64))
+
+
+def proposed(x: float, score: float, label: str = "person") -> Proposal:
+    return Proposal(label, score, box_at(x), Box2D(label, 0.0, 0.0, 9.0, 9.0), (), Quality(0.0, 1.0, 0.0, 1.0))
+
+
+def propose(project: Project, frame: StoredFrame, *proposals: Proposal) -> None:
+    context = WriteContext(project.frames.get(frame.id).revision, "rcv", Source.AUTO)
+    project.proposals.replace(frame.id, proposals, context)
+
+
+@pytest.mark.parametrize(
+    ("quality", "score", "low", "high"),
+    [
+        (None, 0.3, None, None),
+        (Quality(0.0, 1.0, 0.0), 1.0, 0.0, 0.0),
+        (Quality(0.5, 1.0, 0.0), 1.0, 0.69, 0.71),
+        (Quality(0.0, 0.2, 0.9, 0.1), 0.0, 0.97, 1.0),
+        (Quality(float("nan"), 1.0, float("nan"), None), 0.5, 0.3, 0.4),
+    ],
+)
+def test_doubt(quality: Quality | None, score: float, low: float | None, high: float | None) -> None:
+    found = doubt(quality, score)
+    if low is None or high is None:
+        assert found is None
+    else:
+        assert found is not None and low <= found <= high
+
+
+def test_each_signal_raises_the_doubt() -> None:
+    fine = Quality(0.05, 0.9, 0.05, 0.9)
+    base = doubt(fine, 0.9) or 0.0
+    worse = [Quality(0.1, 0.9, 0.05, 0.9), Quality(0.05, 0.7, 0.05, 0.9), Quality(0.05, 0.9, 0.2, 0.9)]
+    worse += [Quality(0.05, 0.9, 0.05, 0.6)]
+    assert all((doubt(quality, 0.9) or 0.0) > base for quality in worse)
+    assert (doubt(fine, 0.5) or 0.0) > base
+
+
+def test_proposals_in_order(people: Project) -> None:
+    people.configure(classes=["person", "dog"])
+    frames = people.frames.of()
+    propose(people, frames[0], proposed(0, 0.9), proposed(3, 0.2, "dog"))
+    propose(people, frames[1], proposed(0, 0.5))
+    propose(people, frames[2], proposed(0, 0.1))
+    people.frames.finalise(frames[2].id, WriteContext(1, "ann"))
+
+    def shown(order: Order, **options: object) -> list[tuple[int, str | None]]:
+        return [(item.frame.index or 0, item.label) for item in queue(people, order, **options)]  # type: ignore[arg-type]
+
+    assert shown(Order.WORST) == [(0, "dog"), (1, "person"), (0, "person")]
+    assert shown(Order.TIME) == [(0, "person"), (0, "dog"), (1, "person")]
+    assert shown(Order.CLASS) == [(0, "dog"), (1, "person"), (0, "person")]
+    assert shown(Order.TRACK) == shown(Order.TIME), "boxes without a track come frame by frame"
+    late = people.labels.of_frame(people.frames.of()[1].id)[0]
+    edit = TracksLinked(labels=(LinkedLabel(uid=late.uid, track_id=4),))
+    people.log.append(
+        people.frames.of()[1].id, [edit], WriteContext(people.frames.of()[1].revision, "tracks", Source.AUTO)
+    )
+    assert shown(Order.TRACK) == [(1, "person"), (0, "person"), (0, "dog")]
+    assert shown(Order.WORST, label="person") == [(1, "person"), (0, "person")]
+    assert shown(Order.WORST, recording=1) == shown(Order.WORST)
+    with pytest.raises(NotFoundError, match="no recording with id 9"):
+        queue(people, Order.WORST, recording=9)
+    for uid in [item.uid for item in queue(people, Order.WORST)]:
+        assert uid is not None
+        frame = people.labels.get(uid).frame_id
+        people.labels.accept(frame, uid, WriteContext(people.frames.get(frame).revision, "ann"))
+    assert queue(people, Order.WORST) == ()
+
+
+def test_frames_that_teach_most_come_first(people: Project) -> None:
+    frames = people.frames.of()
+
+    def shown() -> list[int]:
+        return [item.frame.index or 0 for item in queue(people, Order.TEACH)]
+
+    assert shown()[0] == 0, "an operator begins at the beginning"
+    assert shown()[1] == 4, "and goes on where it looks most different"
+    assert sorted(shown()) == [0, 1, 2, 3, 4]
+    people.boxes.set_on_image(frames[0].id, [], BoxKind.SILHOUETTE, WriteContext(0, "ann"))
+    assert shown()[0] == 4
+    propose(people, frames[1], proposed(0, 0.95))
+    propose(people, frames[2], proposed(0, 0.05))
+    assert shown()[0] == 2, "what the detectors are least sure of"
+    assert shown()[-1] == 1, "what they know already"
+    assert all(item.uid is None for item in queue(people, Order.TEACH))
+
+
+def naive_spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:
+    """The order in plain words: again and again the best frame that is left of each recording in turn."""
+    left = {frame.recording_id: [] for frame in frames}  # type: dict[int, list[StoredFrame]]
+    for recording, own in left.items():
+        here = sorted((f for f in frames if f.recording_id == recording), key=lambda f: f.index or 0)
+        labelled = [f.index or 0 for f in seen if f.recording_id == recording]
+        halves = naive_halving(len(here))
+        while halves:
+            far = [
+                min((abs((here[n].index or 0) - place).bit_length() for place in labelled), default=0) for n in halves
+            ]
+            own.append(here[halves.pop(far.index(max(far)))])
+    turns = max(map(len, left.values()), default=0)
+    return [own[turn] for turn in range(turns) for own in left.values() if turn < len(own)]
+
+
+def naive_halving(count: int) -> list[int]:
+    """Both ends, then the middles of the gaps, level by level."""
+    order, level = list(range(count))[:1] + list(range(count))[1:][-1:], [(0, count - 1)]
+    while level:
+        inner = [(low, high, (low + high) // 2) for low, high in level if high - low >= 2]
+        order += [middle for _, _, middle in inner]
+        level = [gap for low, high, middle in inner for gap in ((low, middle), (middle, high))]
+    return order
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 3), st.integers(0, 60), st.booleans()), unique_by=lambda f: f[:2], max_size=60),
+    st.randoms(use_true_random=False),
+)
+def test_the_quick_order_is_the_plain_one(places: list[tuple[int, int, bool]], random: Random) -> None:
+    frames = [StoredFrame(n, recording, str(at), at, 0, False) for n, (recording, at, _) in enumerate(places)]
+    known = [frame for frame, (_, _, is_known) in zip(frames, places, strict=True) if is_known]
+    rest = [frame for frame in frames if frame not in known]
+    assert _spread(rest, known) == naive_spread(rest, known)
+    random.shuffle(known)
+    assert _spread(rest, known) == naive_spread(rest, known)
+
+
+def label(box: OrientedBox, name: str = "person", track: int | None = None) -> NewLabel:
+    return NewLabel(name, box, track_id=track)
+
+
+def warned(project: Project, frame: int | None = None) -> list[tuple[Kind, int]]:
+    found = check(project, lambda frame, boxes: [100] * len(boxes), frame)
+    return [(warning.kind, warning.frame.index or 0) for warning in found]
+
+
+def test_odd_sizes(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [label(box_at(3.0 * n)) for n in range(5)], WriteContext(0, "ann"))
+    assert warned(people) == []
+    turned = box_at(0.0, size=(0.5, 0.8, 1.7))
+    people.labels.create(second.id, [label(turned), label(box_at(9.0, size=(1.8, 0.5, 1.7)))], WriteContext(0, "ann"))
+    assert warned(people) == [(Kind.SIZE, 1)]
+    (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
+    assert message == "person of 1.80 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+
+
+def test_odd_sizes_and_boxes_within_a_track(people: Project) -> None:
+    people.configure(classes=["person", "dog"])
+    frames = people.frames.of()
+    for number, frame in enumerate(frames):
+        # within the class sizes differ by themselves; those of one track do not
+        size = (1.2, 0.5, 1.7) if number == 4 else (0.8, 0.5, 1.7)
+        others = [label(box_at(9.0 + n, size=(0.6 + 0.2 * n, 0.5, 1.7)), track=10 + n) for n in (0, 4)]
+        people.labels.create(frame.id, [label(box_at(0.0, size=size), track=1), *others], WriteContext(0, "ann"))
+    assert warned(people) == [(Kind.SIZE, 4)]
+    (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
+    assert message == "track 1: person of 1.20 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+    more = [label(box_at(5.0), track=1), label(box_at(20.0), "dog", track=10)]
+    people.labels.create(frames[2].id, more, WriteContext(people.frames.get(frames[2].id).revision, "ann"))
+    told = [(w.kind, w.message) for w in check(people, lambda frame, boxes: None, frames[2].id)]
+    assert told == [
+        (Kind.TRACK, "track 1 has two boxes in this frame"),
+        (Kind.TRACK, "track 10 has two boxes in this frame"),
+        (Kind.TRACK, "track 10 is mostly person, but dog here"),
+    ]
+
+
+def test_heading_jumps_in_sequences(people: Project) -> None:
+    frames = people.frames.of()
+    people.labels.create(frames[0].id, [label(box_at(0.0), track=1), label(box_at(5.0))], WriteContext(0, "ann"))
+    near, far = label(box_at(5.1, np.pi)), label(box_at(0.1, 0.5), track=1)
+    people.labels.create(frames[1].id, [near, far], WriteContext(0, "ann"))
+    assert warned(people) == [(Kind.HEADING, 1)]
+    # another track in the same place is another object
+    people.labels.create(frames[2].id, [label(box_at(0.1, 2.5), track=2)], WriteContext(0, "ann"))
+    assert warned(people, frames[2].id) == []
+
+
+def test_duplicates(people: Project) -> None:
+    people.configure(classes=["person", "dog"])
+    frame = people.frames.of()[0]
+    boxes = [label(box_at(0.0)), label(box_at(0.1)), label(box_at(0.0), "dog"), label(box_at(0.7))]
+    people.labels.create(frame.id, boxes, WriteContext(0, "ann"))
+    assert warned(people) == [(Kind.DUPLICATE, 0)]
+
+
+def test_empty_boxes_are_found_in_the_recording_and_counted_once(people: Project) -> None:
+    import_own_labels(people, 1)
+    frame = people.frames.of()[1]
+    nothing = OrientedBox.from_parts(np.array([0.0, -40.0, 3.0]), np.eye(3), np.array([0.7, 0.5, 1.7]))
+    people.labels.create(frame.id, [label(nothing)], WriteContext(frame.revision, "ann"))
+    report = check_project(people)
+    assert [(row.kind, row.key) for row in report.warnings if row.kind is Kind.EMPTY] == [(Kind.EMPTY, frame.key)]
+    assert report.labels == 16
+    again = PointCounts(people, budget_s=0.0)
+    assert check_project(people, budget_s=0.0).uncounted == 0, "all of it was counted before"
+    assert again(frame, [nothing]) == [0]
+    assert again(frame, [box_at(0.0)]) is None
+    assert again.unknown == 1
+
+
+def test_a_frame_that_cannot_be_read_is_told(people: Project, generated: Path) -> None:
+    people.recordings.rescan(1, ["000000", "gone"])
+    gone = people.frames.find(1, "gone")
+    people.labels.create(gone.id, [label(box_at(0.0))], WriteContext(0, "ann"))
+    report = check_project(people)
+    assert len(report.unreadable) == 1 and report.unreadable[0].startswith("gone: ")
+
+
+def test_the_command(people: Project, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = people.frames.of()[0]
+    people.labels.create(frame.id, [label(box_at(0.0)), label(box_at(0.1))], WriteContext(0, "ann"))
+    root = str(people.path.parent)
+    assert main(["check", people.path.name, "--json", "--projects", root]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {row["kind"] for row in told["warnings"]} >= {"duplicate"}
+    assert told["labels"] == 2
+    assert main(["check", people.path.name, "--projects", root]) == 0
+    out = capsys.readouterr().out
+    assert f"{frame.key}: duplicate: two boxes of person overlap by" in out
+    assert "warnings about 2 labels" in out

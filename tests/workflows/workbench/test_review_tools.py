@@ -1,0 +1,160 @@
+"""Pictures along a box's own axes, fitting it anew, and boxes of the frame before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.project import NewLabel, Origin, Project, WriteContext
+from annotator.project.event_types import LabelRejected
+from annotator.rcv.config import Orientation, RcvConfig
+from annotator.rcv.drawing import BACKGROUND
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, OrientedBox, Truth
+from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.ortho_views import ortho_views
+from annotator.workflows.workbench.refit import POINTS, RCV, refit, renamed
+
+
+@pytest.fixture(scope="module")
+def opened(generated: Path) -> OpenFrame:
+    return OpenFrame(open_recording(generated / "people").frame(0))
+
+
+@pytest.fixture(scope="module")
+def truths(generated: Path, opened: OpenFrame) -> list[Truth]:
+    return list(load_truth(open_recording(generated / "people"), 0, opened.frame))
+
+
+def test_each_picture_shows_its_plane_of_the_box(opened: OpenFrame, truths: list[Truth]) -> None:
+    box = truths[0].box
+    views = ortho_views(opened, box, 200)
+    assert [item.name for item in views] == ["top", "front", "side"]
+    for item, (right, down) in zip(views, [(1, 0), (1, 2), (0, 2)], strict=True):
+        view = item.view
+        assert view.rgb.shape == (200, 200, 3)
+        assert np.allclose(view.axes @ view.axes.T, np.eye(3))
+        assert np.linalg.det(view.axes) > 0
+        assert abs(view.axes[0] @ box.rotation[:, right]) == pytest.approx(1)
+        assert abs(view.axes[1] @ box.rotation[:, down]) == pytest.approx(1)
+        px = (box_corners(box) @ view.axes[:2].T - view.origin_m) / view.metres_per_px
+        assert np.allclose((px.min(axis=0) + px.max(axis=0)) / 2, 99.5), "the box is in the middle"
+        assert (px > 20).all() and (px < 180).all(), "with room around it"
+    # heights grow upwards, the heading points up in the top view
+    assert views[1].view.axes[1] @ box.rotation[:, 2] == pytest.approx(-1)
+    assert views[0].view.axes[1] @ box.rotation[:, 0] == pytest.approx(-1)
+
+
+def test_what_lies_around_the_box_is_dimmed(opened: OpenFrame, truths: list[Truth]) -> None:
+    box = truths[0].box
+    view = ortho_views(opened, box, 200)[1].view
+    contrast = np.abs(view.rgb.astype(int) - BACKGROUND).max(axis=2)
+    px = np.rint((view.xyz_m @ view.axes[:2].T - view.origin_m) / view.metres_per_px).astype(int)
+    inside = contains(box, view.xyz_m)
+    assert inside.any() and (~inside).any()
+    low, high = px[inside].min(axis=0), px[inside].max(axis=0)
+    beside = np.ones_like(contrast, bool)
+    beside[low[1] - 4 : high[1] + 5, low[0] - 4 : high[0] + 5] = False
+    assert contrast[beside].max() <= 0.31 * 140
+    assert contrast[~beside].max() > 60
+
+
+def test_a_box_around_nothing_still_has_pictures(opened: OpenFrame) -> None:
+    nowhere = OrientedBox.from_parts(np.array([0.0, 0.0, -50.0]), np.eye(3), np.ones(3))
+    assert all((item.view.rgb == BACKGROUND).all() for item in ortho_views(opened, nowhere, 64))
+
+
+def put_off(box: OrientedBox, up: np.ndarray | None, seed: int = 1) -> OrientedBox:
+    rng = np.random.default_rng(seed)
+    vector = 0.3 * up if up is not None else rng.normal(0, 0.15, 3)
+    turn = Rotation.from_rotvec(vector).as_matrix()
+    center = box.center_m + rng.normal(0, 0.06, 3) * box.size_m
+    return OrientedBox.from_parts(center, turn @ box.rotation, box.size_m * 1.1)
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_a_box_that_is_a_little_off_is_put_right(
+    opened: OpenFrame, truths: list[Truth], knowing: Callable[..., Detectors], kind: BoxKind
+) -> None:
+    config = RcvConfig(orientation=Orientation.UPRIGHT, box_kind=kind)
+    better = []
+    for number, truth in enumerate(truths):
+        off = put_off(truth.box, opened.frame.up, number)
+        found = refit(opened, off, truth.label, config, knowing("people", kind).view)
+        assert found.method == RCV and found.note is None and found.quality is not None
+        better.append(iou_3d(found.box, truth.box) - iou_3d(off, truth.box))
+        # the heading stays on its side
+        assert found.box.rotation[:, 0] @ off.rotation[:, 0] > 0.7
+        assert found.box.rotation[:, 2] @ off.rotation[:, 2] > 0.7
+    assert np.mean(better) > (0.2 if kind is BoxKind.BOX else 0.05)
+
+
+def test_without_a_detector_the_points_decide_and_it_is_said(opened: OpenFrame, truths: list[Truth]) -> None:
+    box = truths[0].box
+    wide = OrientedBox(box.T_camera_box, box.size_m + 0.02)
+    found = refit(opened, wide, "person", RcvConfig(), None)
+    assert found.method == POINTS
+    assert found.note is not None and "no pseudo-view detector yet" in found.note
+    assert np.allclose(found.box.rotation, box.rotation)
+    assert (found.box.size_m <= wide.size_m + 1e-6).all()
+    inside = opened.frame.cloud.xyz_m[contains(wide, opened.frame.cloud.xyz_m)]
+    assert contains(found.box, inside, 1e-4).all()
+
+
+def test_a_class_or_an_object_that_the_detector_does_not_know(
+    opened: OpenFrame, truths: list[Truth], knowing: Callable[..., Detectors]
+) -> None:
+    detector = knowing("people").view
+    found = refit(opened, truths[0].box, "horse", RcvConfig(), detector)
+    assert found.note is not None and "has not learned horse" in found.note
+    empty = OrientedBox.from_parts(np.array([0.0, 0.0, -5.0]), np.eye(3), np.ones(3))
+    found = refit(opened, empty, "person", RcvConfig(), detector)
+    assert found.note is not None and "does not see the object" in found.note and "stays as it was" in found.note
+    assert found.box is empty
+
+
+def test_renaming_axes_keeps_the_box() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        rotation = Rotation.random(rng=rng).as_matrix()
+        box = OrientedBox.from_parts(rng.normal(size=3), rotation, rng.uniform(0.3, 2, 3))
+        reference = OrientedBox.from_parts(np.zeros(3), Rotation.random(rng=rng).as_matrix(), np.ones(3))
+        new = renamed(box, reference)
+        assert iou_3d(new, box) == pytest.approx(1, abs=1e-6)
+        assert np.trace(new.rotation.T @ reference.rotation) >= np.trace(box.rotation.T @ reference.rotation) - 1e-9
+
+
+def label_at(x: float, track: int | None = None) -> NewLabel:
+    box = OrientedBox.from_parts(np.array([x, 0.0, 3.0]), np.eye(3), np.array([0.6, 0.5, 1.7]))
+    return NewLabel("person", box, track_id=track)
+
+
+def test_boxes_of_the_frame_before_are_copied_once(people: Project) -> None:
+    first, second, third = people.frames.of()[:3]
+    made = people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
+    people.log.append(first.id, [LabelRejected(uid=made.uids[2])], WriteContext(made.receipt.revision, "ann"))
+    people.labels.create(second.id, [label_at(9.0, 7)], WriteContext(0, "bob"))
+    receipt = copy_boxes(people, second.id, None, WriteContext(1, "ann"))
+    assert receipt.revision == 2
+    (copied,) = [s for s in people.labels.select() if s.frame_id == second.id and s.label.author == "ann"]
+    assert copied.origin is Origin.COPIED
+    assert copied.label.box.center_m[0] == 2.0
+    with pytest.raises(ConfigError, match="has no boxes that this frame does not have already"):
+        copy_boxes(people, second.id, None, WriteContext(2, "ann"))
+    with pytest.raises(ConfigError, match="is the first of its recording"):
+        copy_boxes(people, first.id, None, WriteContext(4, "ann"))
+    with pytest.raises(ConfigError, match="cannot be copied into itself"):
+        copy_boxes(people, first.id, first.id, WriteContext(4, "ann"))
+    with pytest.raises(StaleRevisionError):
+        copy_boxes(people, third.id, first.id, WriteContext(5, "ann"))
+    assert copy_boxes(people, third.id, first.id, WriteContext(0, "ann")).revision == 2
