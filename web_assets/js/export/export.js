@@ -86,6 +86,22 @@ async function begin(app, body, stop, isOver) {
     }
   });
 
+  /** The job whose result is shown, as text. */
+  let shown = "";
+
+  /**
+   * Builds the result again only if the job changed: a link that is replaced while it is pressed is not clicked.
+   *
+   * @param {Api.Job | undefined} job
+   */
+  function showResult(job) {
+    result.hidden = !job;
+    const next = JSON.stringify(job ?? null);
+    if (next === shown) return;
+    shown = next;
+    if (job) result.replaceChildren(...describe(job));
+  }
+
   function show() {
     if (!app.state.project) return;
     asked.show();
@@ -101,9 +117,7 @@ async function begin(app, body, stop, isOver) {
     const done = app.state.jobs.filter(
       ({ kind, project, state }) => kind === "export" && project === app.state.route.project && state === "done",
     );
-    const newest = done.toSorted((a, b) => b.created_ns - a.created_ns)[0];
-    result.hidden = !newest;
-    if (newest) result.replaceChildren(...describe(newest));
+    showResult(done.toSorted((a, b) => b.created_ns - a.created_ns)[0]);
   }
 
   stop.push(app.state.on("jobs", show), app.state.on("project", show));
