@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -37,16 +38,41 @@ def test_there_are_eight_from_simple_to_rich() -> None:
         assert f"examples/{path.name}" in text, f"docs/python.md does not mention {path.name}"
 
 
+# Runs scripts one after the other in one process, so that torch is loaded once.
+RUN = """
+import contextlib, pathlib, os, runpy, sys, traceback
+scripts = list(zip(sys.argv[1::2], sys.argv[2::2]))
+for script, folder in scripts:
+    os.chdir(folder)
+    sys.argv = [script]
+    with open("printed.txt", "w", encoding="utf-8") as printed, contextlib.redirect_stdout(printed):
+        try:
+            runpy.run_path(script, run_name="__main__")
+        except BaseException:
+            pathlib.Path("error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+"""
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Path]:
+    """The folder in which each example has run."""
+    if find_spec("ray") is None:
+        pytest.skip("ray is not installed; run scripts/setup test")
+    made = {path: tmp_path_factory.mktemp(path.stem) for path in EXAMPLES}
+    arguments = [part for pair in made.items() for part in pair]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", RUN, *arguments], env=environment, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    return made
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_every_example_runs(path: Path, tmp_path: Path) -> None:
-    if path.name.startswith("08"):
-        pytest.importorskip("ray")
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    ran = subprocess.run([sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
-    assert re.search(SAYS[path.name[:2]], ran.stdout), ran.stdout
-    written = sorted(tmp_path.glob("*.png"))
+def test_every_example_runs(path: Path, folders: dict[Path, Path]) -> None:
+    error, printed = folders[path] / "error.txt", (folders[path] / "printed.txt").read_text(encoding="utf-8")
+    assert not error.exists(), error.read_text(encoding="utf-8")
+    assert re.search(SAYS[path.name[:2]], printed), printed
+    written = sorted(folders[path].glob("*.png"))
     assert [picture.name for picture in written] == re.findall(r"Writes (\S+\.png)", path.read_text(encoding="utf-8"))
     for picture in written:
         # green edges of a box, or the red ones on pseudo-views

@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from annotator.cli.main import main
 from annotator.formats.rcv import read_rcv
 from annotator.types import Source
 
 
 @pytest.mark.slow
-def test_from_a_recording_to_a_dataset(generated: Path, tmp_path: Path) -> None:
-    environment = {**os.environ, "ANNOTATOR_PROJECTS": str(tmp_path / "projects"), "OMP_NUM_THREADS": "1"}
+def test_from_a_recording_to_a_dataset(
+    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
+    monkeypatch.chdir(tmp_path)
 
-    def annotator(*words: str | Path, code: int = 0) -> str:
-        done = subprocess.run(
-            [sys.executable, "-m", "annotator", *map(str, words)],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=400,
-        )
-        assert done.returncode == code, done.stderr
-        assert "Traceback" not in done.stderr
-        return done.stdout
+    def annotator(*words: str | Path) -> str:
+        code, printed = main([str(word) for word in words]), capsys.readouterr()
+        assert code == 0, printed.err
+        return printed.out
 
     annotator("new", "room", "--classes", "person")
     assert "15 boxes of class person imported as labels" in annotator("add", "room", generated / "people")

@@ -254,6 +254,7 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
     operator.sign_in("Ada")
     operator.make_project(generated.name)
     drawn = operator.label_frames()
+    monkeypatch.setitem(WORK, "train", "knowing_jobs:train")
     operator.train()
     operator.propose_by_what_was_learned()
     monkeypatch.setitem(WORK, "propose", "knowing_jobs:propose")
