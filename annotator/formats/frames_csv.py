@@ -66,7 +66,9 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
             raise FormatError(path, f"must begin with {','.join(HEADER)}, not {','.join(header)}", 1)
         for row in rows:
             if len(row) != len(HEADER) or not row[0] or not row[2]:
-                raise FormatError(path, f"needs {', '.join(HEADER)} (the last may be empty)", rows.line_num)
+                raise FormatError(
+                    path, f"needs the fields {', '.join(HEADER)}; id and key must not be empty", rows.line_num
+                )
             if row[0] in origins:
                 raise FormatError(path, f"the id {row[0]} occurs twice; keep one of its lines", rows.line_num)
             origins[row[0]] = FrameOrigin(row[0], row[1], row[2], row[3] or None)

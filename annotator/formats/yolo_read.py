@@ -27,7 +27,7 @@ from annotator.types.errors import FormatError
 
 CLASSES = "classes.txt"
 READABLE = (".png", ".jpg", ".jpeg")
-# Ultralytics reads these, too; here they are reported as faults.
+# Image types that Ultralytics also reads; here they are reported as faults.
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
 LEADS_OUT = "leads out of the dataset's folder, or is not a valid path"
@@ -73,7 +73,7 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
         on_fault: called with the fault of a label file or an image of another type; see `OnFault`.
 
     Raises:
-        FormatError: `path` is none of these, `data.yaml` is damaged, a part is missing or leads out of the folder, a
+        FormatError: `path` is not one of these, `data.yaml` is damaged, a part is missing or is outside the folder, a
             label file does not follow the format, or an image is neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
@@ -104,7 +104,8 @@ def _read_yaml(file: Path) -> _DataYaml:
         raise FormatError(file, f"is not valid YAML: {error.problem}", line) from error
     except ValidationError as error:
         raise FormatError(
-            file, f"{first_problem(error)}; names must be texts, in quotes where YAML needs them"
+            file,
+            f"{first_problem(error)}; write class names and paths as text, in quotes if YAML reads them as numbers",
         ) from error
     # a wrong type tag (`!!int x`) makes PyYAML raise errors that it does not document
     except (
@@ -121,7 +122,7 @@ def _read_yaml(file: Path) -> _DataYaml:
 
 def _require_different(file: Path, names: Mapping[int, str]) -> None:
     if not names or len(set(names.values())) != len(names) or not all(names.values()) or min(names) < 0:
-        raise FormatError(file, f"names must be different texts, numbered from 0, not {dict(names)}"[:200])
+        raise FormatError(file, f"names must be unique and not empty, numbered from 0, not {dict(names)}"[:200])
 
 
 def _placed(file: Path, part: str, base: str | None, entry: str) -> Path:
@@ -192,7 +193,9 @@ def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault
 
 def _require_readable(picture: Path, on_fault: OnFault) -> None:
     if picture.suffix.lower() in OTHERS:
-        on_fault(FormatError(picture, "only PNG and JPEG images are read; save it as PNG or JPEG under the same name"))
+        on_fault(
+            FormatError(picture, "only PNG and JPEG images are supported; save it as PNG or JPEG under the same name")
+        )
 
 
 def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[YoloBox, ...]:

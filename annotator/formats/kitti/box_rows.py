@@ -31,12 +31,12 @@ NOT_IN_THE_PICTURE = (0.0, 0.0, 0.0, 0.0)
 VISIBLE, PARTLY_HIDDEN, LARGELY_HIDDEN, UNKNOWN = 0, 1, 2, 3
 # Hidden fraction above which an object is partly and largely hidden.
 PARTLY_SHARE, LARGELY_SHARE = 0.1, 0.55
-# Points this close in front of a box, as a fraction of its mean side, do not hide it: boxes are tight, and the ground
-# begins there.
+# Points closer than this to the front of a box, as a fraction of its mean side, do not count as hiding it: they are the
+# object's own surface or the ground.
 MARGIN = 0.13
-# With fewer lines of sight the occlusion is unknown.
+# Minimum number of lines of sight; with fewer, the occlusion is unknown.
 LEAST_RAYS = 3
-# A smaller rotation is rounding error, radians.
+# Largest rotation that counts as rounding error, radians.
 NO_TURN_RAD = 1e-9
 
 
@@ -121,7 +121,7 @@ class DerivedBox:
     """The 2D box of a 3D box, pixels: left, top, right, bottom.
 
     Attributes:
-        unclipped: the whole box, also outside the image.
+        unclipped: the whole box, including its part outside the image.
         clipped: the part within the image; without extent if the box is outside.
     """
 

@@ -97,7 +97,7 @@ def write_kitti(
 
 
 def _check_part(name: str | None) -> None:
-    """Raises ConfigError for a part that KITTI does not have; no program would read its list."""
+    """Raises ConfigError for a part that KITTI does not have, since KITTI's tools would ignore it."""
     if name is not None and name not in SPLITS:
         raise ConfigError(
             f"KITTI's parts are called {', '.join(SPLITS)}, not {name}; divide with --split train=0.8,val=0.2"

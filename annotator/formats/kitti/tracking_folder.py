@@ -44,8 +44,8 @@ class Sequence02:
         name: four digits.
         rows: rows of its label file so far.
         calibration: calibration of its first frame.
-        fresh: the next track id that no object of the recording has.
-        owners: class of the object of each track id.
+        fresh: the next unused track id.
+        owners: the class of each track id.
         untracked: number of boxes that had no track id of their own and got a new one.
     """
 
@@ -94,7 +94,7 @@ def write_kitti_tracking(
     """
     words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
     sequences: dict[str, Sequence02] = {}
-    held = tuple(kind for kind in NOT_HELD if kind is not Lost.TRACK)
+    not_held = tuple(kind for kind in NOT_HELD if kind is not Lost.TRACK)
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
         root = part / TRAINING
         for item in items:
@@ -106,7 +106,7 @@ def write_kitti_tracking(
                         (root / folder / name).mkdir(parents=True)
             sequence = sequences[name]
             origins.append(FrameOrigin(f"{name}/{number:06d}", item.recording, item.frame.key, item.split))
-            count_lost(losses, item, held)
+            count_lost(losses, item, not_held)
             _add_rows(sequence, number, item, words, counts, losses, areas(item))
             with writing(out):
                 _write_frame(out, root, sequence, number, item.frame)
@@ -145,7 +145,9 @@ def _write_frame(out: Path, root: Path, sequence: Sequence02, number: int, frame
     calibration = calibration_text(camera, T)
     if sequence.calibration not in (None, calibration):
         raise FormatError(
-            out, f"frame {frame.key} has another calibration than the frames before; a KITTI sequence has only one"
+            out,
+            f"frame {frame.key} has a different calibration from earlier frames, but a KITTI sequence has only one; "
+            "export as kitti",
         )
     sequence.calibration = calibration
     (root / IMAGES / sequence.name / f"{number:06d}.png").write_bytes(encoded_image(rgb, "png"))
@@ -169,7 +171,9 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     """
     names = list(dict.fromkeys(recording for recording, _, _ in places))
     if len(names) > MOST_SEQUENCES:
-        raise ValueError(f"at most {MOST_SEQUENCES} sequences have names of four digits")
+        raise ValueError(
+            f"KITTI tracking has at most {MOST_SEQUENCES} sequences (four digits); export fewer recordings"
+        )
     ids: dict[tuple[str, str], tuple[str, int]] = {}
     for number, name in enumerate(names):
         frames = [(key, place) for recording, key, place in places if recording == name]

@@ -54,8 +54,8 @@ class NuScenesBox:
 def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[NuScenesBox, ...]]:
     """Returns the boxes of each camera's key frames, by frame name.
 
-    In datasets of several cameras each camera has the boxes in its image. Names are "RECORDING/KEY" if the dataset has
-    a frames.csv, else the stem of the image file.
+    In a dataset with several cameras, each camera gets the boxes that its image shows. Names are "RECORDING/KEY" if the
+    dataset has a frames.csv, else the stem of the image file.
 
     Args:
         path: the dataset's root, or its folder of tables.
@@ -75,7 +75,10 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
         stem = PurePosixPath(row.filename).stem
         name = origins[stem].name if stem in origins else stem
         if name in frames:
-            raise FormatError(folder / "sample_data.json", f"{place}: two camera images are called {name}")
+            raise FormatError(
+                folder / "sample_data.json",
+                f"{place}: a second camera image is called {name}; file names must be unique",
+            )
         frames[name] = tuple(labels.boxes(place, row, origins, on_fault))
     if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
@@ -147,7 +150,7 @@ class _Labels:
         by_token: dict[str, Row] = {}
         for place, row in enumerate(rows):
             if row.token in by_token:
-                raise FormatError(path, f"{place}: the token {row.token} occurs twice")
+                raise FormatError(path, f"{place}: the token {row.token} occurs twice; tokens must be unique")
             by_token[row.token] = row
         return by_token
 
@@ -155,7 +158,7 @@ class _Labels:
         if token not in rows:
             raise FormatError(
                 self._folder / f"{table}.json",
-                f"{place}: refers to the token {token}, which {other}.json does not have",
+                f"{place}: refers to the token {token}, which is not in {other}.json",
             )
         return rows[token]
 

@@ -247,7 +247,7 @@ def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
         (with_box(coeffs=np.ones(2)), "frame 1, object 1, coeffs must have 3 numbers"),
         (with_box(coeffs=np.zeros(3)), "frame 1, object 1: box sizes must be positive"),
         (with_box(centroid=np.full(3, np.nan)), "object 1, centroid has a number that is not finite"),
-        (with_box(classname=3.0), "object 1, classname must be a text"),
+        (with_box(classname=3.0), "object 1, classname must be text"),
         (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
     ],
 )
