@@ -197,7 +197,7 @@ ROW = "bed 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (ROW + "bed 1 2\n", r"000001\.txt:2: a label has 13 fields"),
+        (ROW + "bed 1 2\n", r"000001\.txt:2: a label row has 13 fields"),
         (ROW.replace("0.3 0.5", "-0.3 0.5"), r"000001\.txt:1: bed: box sizes must be positive"),
         (ROW.replace("0.6 0.8", "0 0"), r"000001\.txt:1: the orientation of 'bed' has length 0"),
     ],
