@@ -120,7 +120,7 @@ def read_config(folder: Path) -> ProjectConfig:
         version = _Version.model_validate_json(content).format_version
         if version > FORMAT_VERSION:
             raise ProjectError(
-                f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update it"
+                f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update annotator"
             )
         return ProjectConfig.model_validate_json(content)
     except ValidationError as error:

@@ -18,7 +18,7 @@ FILE_SUFFIXES = (".mkv",)
 
 
 def open_recording(path: Path) -> Recording:
-    """Opens the recording at `path`; its frames are listed, none is read.
+    """Opens the recording at `path`; its frames are listed but not read.
 
     Raises:
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
@@ -73,7 +73,7 @@ def _explain(path: Path, looked_for: list[str]) -> str:
     lines += [f"  {line}" for line in looked_for]
     nested = _openable_children(path)
     if nested:
-        lines.append("give one of these in it instead: " + ", ".join(nested))
+        lines.append("it contains recordings; give the path of one of them: " + ", ".join(nested))
     return "\n".join(lines)
 
 
@@ -85,7 +85,7 @@ def _openable_children(path: Path) -> list[str]:
     for child in sorted(child for child in path.iterdir() if child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
         try:
             is_known = detect_format(child) is not None
-        except RecordingError:  # without frames or unreadable: not suggested
+        except RecordingError:  # without frames or unreadable, so not suggested
             continue
         if is_known:
             names.append(child.name)

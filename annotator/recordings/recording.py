@@ -27,7 +27,7 @@ class Recording(Protocol):
 
     @property
     def name(self) -> str:
-        """A short name to display: the folder's."""
+        """A short name to display: that of the folder or file."""
 
     @property
     def keys(self) -> tuple[str, ...]:

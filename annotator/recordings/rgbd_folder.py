@@ -75,7 +75,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     """Opens the RGB-D folder at `path`; `NotFound` if it is not one.
 
     `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
-    another encoding of depth.
+    a different encoding of depth.
 
     Raises:
         RecordingError: the folders exist but have no image, or `timestamps.csv` is invalid.

@@ -36,7 +36,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     except IndexError:
         raise ValueError("a reference is truncated") from None
     if len(out) != size:
-        raise ValueError(f"they decompress to {len(out)} bytes or more instead of {size}")
+        raise ValueError(f"they decompress to at least {len(out)} bytes instead of {size}")
     return bytes(out)
 
 

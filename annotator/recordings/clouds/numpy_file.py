@@ -48,7 +48,9 @@ def parse_npz(path: Path, data: bytes) -> RawCloud:
             names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             points = next((names[name] for name in POINT_NAMES if name in names), None)
             if points is None:
-                raise FrameError(path, f"has no array {' or '.join(POINT_NAMES)} (it has {_some(names)})", CLOUD_REMEDY)
+                raise FrameError(
+                    path, f"has no array {' or '.join(POINT_NAMES)} (its arrays: {_some(names)})", CLOUD_REMEDY
+                )
             columns = _columns(path, _member(path, archive, points))
             colors = next((names[name] for name in COLOR_ARRAY_NAMES if name in names), None)
             if colors is not None:
@@ -62,7 +64,7 @@ def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.n
     if info.file_size > MOST_BYTES:
         raise FrameError(
             path,
-            f"its array {info.filename} has {info.file_size} bytes; at most {MOST_BYTES} are read",
+            f"its array {info.filename} has {info.file_size} bytes; at most {MOST_BYTES} are supported",
             "save fewer points",
         )
     with archive.open(info) as file:
@@ -112,7 +114,9 @@ def _header(file: Stream) -> tuple[tuple[int, ...], bool, np.dtype]:
 def _columns(path: Path, array: np.ndarray) -> dict[str, np.ndarray]:
     if array.dtype.names is not None:
         if array.ndim != 1:
-            raise FrameError(path, f"its array of points has the shape {array.shape}", "save n rows")
+            raise FrameError(
+                path, f"its array of points has the shape {array.shape}", "save a one-dimensional array of rows"
+            )
         fields = {name.lower(): array[name] for name in array.dtype.names}
         return {name: values for name, values in fields.items() if values.ndim == 1 and values.dtype.kind in "fiu"}
     if array.ndim != 2 or array.shape[1] not in COLUMNS:

@@ -4,7 +4,7 @@ SCENE/intrinsics.txt  SCENE/image/*.jpg  SCENE/depth/*.png  SCENE/depth_bfx/*.pn
 [SCENE/annotation3Dfinal/index.json, read by annotator.formats]
 
 Depth images store millimetres, rotated left by three bits. The sensor's own images (`depth/`) are read, as in VoteNet;
-those with filled holes (`depth_bfx/`) only if there are no others.
+those with filled holes (`depth_bfx/`) only if `depth/` has none.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ class SunRgbdScenes(KeyedFrames):
         raw = read_depth(depth_path)
         if raw.shape != rgb.shape[:2]:
             raise FrameError(
-                depth_path, f"has {raw.shape[::-1]} pixels, but the image {rgb.shape[1::-1]}", "copy both again"
+                depth_path,
+                f"is {raw.shape[1]} x {raw.shape[0]} pixels, but the image is {rgb.shape[1]} x {rgb.shape[0]}",
+                "copy both again",
             )
         camera, depth_m = calibration.camera(rgb.shape[1], rgb.shape[0]), decode_depth(raw)
         xyz_m, pixel = unproject_depth(camera, depth_m)
@@ -136,7 +138,7 @@ def _latest(scene: Path, folders: tuple[str, ...], suffixes: tuple[str, ...]) ->
     """Returns the file of a scene's subfolder; the last one if there are several (they are named by date).
 
     Raises:
-        FrameError: there is none, or the folder cannot be read.
+        FrameError: no such file, or the folder cannot be read.
     """
     for name in folders:
         folder = scene / name

@@ -135,12 +135,12 @@ OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
 # Each would end the program, or let it wait for hours, were it believed.
 LIES = [
     (b"", "is not a LAS file"),
-    (b"LASF" + bytes(300), "points begin at byte 0"),
+    (b"LASF" + bytes(300), "position of the points, byte 0"),
     (written("1.2", 3, 0, False)[:-1], "declares 300 points of 34 bytes"),
     (patched(written("1.2", 3, 0, False), 107, "I", HUGE), f"declares {HUGE} points"),
     (patched(written("1.4", 6, 0, False), 247, "Q", 2**63), f"declares {2**63} points"),
     (patched(OLD, 100, "I", HUGE), "records before its points"),
-    (patched(OLD, 96, "I", HUGE), "points begin at byte"),
+    (patched(OLD, 96, "I", HUGE), "position of the points, byte"),
     (patched(OLD, 107, "I", 2**25 + 1), "are read; save fewer"),
     (patched(OLD, 107, "I", 2**25), "chunks, too many|fill whole buffer"),
     (patched(OLD, chunks(OLD) + 4, "I", HUGE), "lists too many chunks"),
@@ -149,10 +149,10 @@ LIES = [
     # the first layer of the first chunk, after a point of 38 bytes and the number of points
     (patched(NEW, start_of(NEW) + 8 + 38 + 4, "I", HUGE), "chunk 0 of 1 is longer than the file"),
     (patched(NEW, 247, "Q", 50_001), "chunk 1 of 2 is "),
-    (patched(NEW, record_at(NEW) + 32, "H", 0), "are not those of its point format"),
+    (patched(NEW, record_at(NEW) + 32, "H", 0), "but their point format requires"),
     (patched(NEW, record_at(NEW) + 32, "H", 99), "is truncated"),
-    (patched(NEW, record_at(NEW) + 12, "I", 0), "does not exist for point format"),
-    (patched(OLD, record_at(OLD), "H", 3), "does not exist for point format"),
+    (patched(NEW, record_at(NEW) + 12, "I", 0), "is not valid for point format"),
+    (patched(OLD, record_at(OLD), "H", 3), "is not valid for point format"),
     (OLD[: len(OLD) // 2], "lists too many|truncated"),
     (patched(OLD, 105, "H", 33), "cannot be read as LAS or LAZ"),
     (patched(OLD, 104, "B", 0x80 | 99), "cannot be read as LAS or LAZ"),

@@ -41,7 +41,7 @@ def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
         expected = [(packet.stream.index, packet.pts, bytes(packet)) for packet in container.demux() if packet.size]
     found = [(b.track - 1, b.time_ns // 1_000_000, content[b.offset : b.offset + b.size]) for b in index.blocks]
     assert found == expected
-    assert not index.is_cut
+    assert not index.is_truncated
     assert [(track.name, track.width_px, track.height_px) for track in index.tracks] == [
         ("COLOR", 1280, 720), ("DEPTH", 320, 288), ("IR", 320, 288)
     ]  # fmt: skip
@@ -78,7 +78,7 @@ def test_a_damaged_size_costs_no_more_than_its_cluster(tmp_path: Path):
         len(head + cluster) + 5 + 3 + 6, len(head + cluster) + 5 + 3 + 6 + 8,
         len(head + 2 * cluster) + 5 + 3 + 6, len(head + 2 * cluster) + 5 + 3 + 6 + 8,
     ]  # fmt: skip
-    assert not index.is_cut
+    assert not index.is_truncated
 
 
 def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
@@ -89,7 +89,7 @@ def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
     huge = b"\xa3\x01\xff\xff\xff\xff\xff\xff\xf0\x82\x00\x09\x86"
     path.write_bytes(head + cluster + block + huge)
     index = read_index(path)
-    assert index.is_cut
+    assert index.is_truncated
     first, second = index.blocks
     assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)

@@ -72,12 +72,12 @@ DAMAGES = [
         "P_rect_02 is mis",
     ),
     (calibration("calib_velo_to_cam.txt"), lambda p: p.write_text(LIDAR.replace("T: ", "T: 1 ")), "T must have 3 numb"),
-    (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_text("noon\n"), "line 1 has no time"),
+    (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_text("noon\n"), "line 1 must be the time"),
     (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_bytes(b"\xff"), "cannot be read"),
     (
         lambda drive: drive / "image_02" / "timestamps.txt",
         lambda p: p.write_text("2011-02-31 13:02:25.9\n"),
-        "line 1 has no time",
+        "line 1 must be the time",
     ),
 ]
 
