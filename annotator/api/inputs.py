@@ -29,7 +29,7 @@ def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
     """An image as (H, W, 3) uint8.
 
     Raises:
-        ArgumentError: another shape, another type, or values out of range.
+        ArgumentError: a wrong shape or type, or values out of range.
     """
     image = np.asarray(rgb)
     if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
@@ -117,7 +117,7 @@ def depth_of(depth: Any, depth_scale: float | None, image_shape: Sequence[int]) 
     """A depth image in metres, 0 where a pixel has no depth.
 
     Raises:
-        ArgumentError: a size other than the image's, an ambiguous unit, or no depth at all.
+        ArgumentError: a size other than the image's, an ambiguous unit, or no pixel with a depth.
     """
     values = np.asarray(depth)
     if values.ndim == 3 and values.shape[2] == 1:
@@ -164,7 +164,7 @@ def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
     """The finite points of an array (N, 3), and the indices of their rows.
 
     Raises:
-        ArgumentError: another shape, no finite point, or points that seem to be in millimetres.
+        ArgumentError: a wrong shape, no finite point, or points that seem to be in millimetres.
     """
     try:
         points = np.asarray(xyz_m, np.float64)

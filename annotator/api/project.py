@@ -304,7 +304,7 @@ class Project:
         return Detectors(detector, view, active_model(self.stored, DetectorKind.VIEW).box_kind)
 
     def _detector(self, kind: DetectorKind) -> Detector:
-        """The project's active detector; loaded once, and again after another one was activated."""
+        """The project's active detector; loaded once, and reloaded after another one is activated."""
         model = active_model(self.stored, kind)
         if kind not in self._loaded or self._loaded[kind][0] != model.fingerprint:
             self._loaded[kind] = (model.fingerprint, load_detector(model.path))

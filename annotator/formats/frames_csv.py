@@ -56,7 +56,7 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
     """Returns the lines of the file, by id; `path` is for error messages.
 
     Raises:
-        FormatError: another header, a line with too few or too many fields, an empty id or key, or an id that occurs
+        FormatError: a wrong header, a line with too few or too many fields, an empty id or key, or an id that occurs
             twice; names the line.
     """
     origins: dict[str, FrameOrigin] = {}

@@ -41,7 +41,7 @@ class YoloBox:
         x_min, y_min, x_max, y_max = map(float, edges)
         box = Box2D(self.label, x_min, y_min, x_max, y_max, self.score)
         cut = clip_to_image(box, width_px, height_px)
-        assert cut is not None  # `parse_boxes` refuses boxes outside the image
+        assert cut is not None  # `parse_boxes` rejects boxes outside the image
         return cut
 
 

@@ -206,14 +206,14 @@ def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, in
     if not missing:
         return
     unknown = [key for key in keys if key not in known]
-    also = f" and also has {_some(unknown)}" if unknown else ""
+    also = f" and also has {_frame_list(unknown)}" if unknown else ""
     raise ProjectError(
-        f"{path} is not {recording.name}: it lacks {_some(missing)}{also}; nothing was changed; "
+        f"{path} is not {recording.name}: it lacks {_frame_list(missing)}{also}; nothing was changed; "
         f"give the folder with the same {recording.frames} frames"
     )
 
 
-def _some(keys: Sequence[str]) -> str:
+def _frame_list(keys: Sequence[str]) -> str:
     more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
     return f"{'frame' if len(keys) == 1 else 'frames'} {', '.join(keys[:MOST_NAMED])}{more}"
 

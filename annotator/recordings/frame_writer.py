@@ -97,7 +97,7 @@ class FrameWriter:
         assert self._camera is not None
         if camera_key(frame.camera) != camera_key(self._camera) or (frame.depth_m is not None) != self._has_depth:
             raise RecordingError(
-                f"{self.folder}: frame {frame.key} has another camera than the first frame; a recording has only one; "
+                f"{self.folder}: frame {frame.key} has a different camera; a recording has only one; "
                 "stop recording before the camera changes"
             )
 

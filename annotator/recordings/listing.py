@@ -22,7 +22,7 @@ REMEDIES = {
 
 
 @contextmanager
-def looking_at(path: Path) -> Iterator[None]:
+def path_errors(path: Path) -> Iterator[None]:
     """Converts an OSError while `path` is inspected into a RecordingError.
 
     Raises:
@@ -44,7 +44,7 @@ def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
         RecordingError: the folder cannot be read.
     """
     # scandir instead of a stat per file: data sets have ten thousand frames
-    with looking_at(folder), os.scandir(folder) as entries:
+    with path_errors(folder), os.scandir(folder) as entries:
         files = (entry.name for entry in entries if entry.name[0] != "." and entry.is_file())
         named = map(os.path.splitext, files)
         return {stem for stem, suffix in named if suffix.lower() in suffixes}

@@ -23,7 +23,7 @@ from typing import Any
 
 from annotator.recordings.open import open_recording
 from annotator.recordings.recording import Recording
-from annotator.recordings.sunrgbd.scenes import BETWEEN
+from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
@@ -259,7 +259,7 @@ def _owner(path: str, keys: set[str]) -> str | None:
     if pure.stem in keys:
         return pure.stem
     folders = pure.parts[:-1]
-    joined = (BETWEEN.join(folders[:count]) for count in range(len(folders), 0, -1))
+    joined = (KEY_SEPARATOR.join(folders[:count]) for count in range(len(folders), 0, -1))
     return next((key for key in joined if key in keys), None)
 
 

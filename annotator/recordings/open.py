@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from annotator.recordings.listing import looking_at
+from annotator.recordings.listing import path_errors
 from annotator.recordings.recording import NotFound, Recording
-from annotator.recordings.table import LOOKS, READERS
+from annotator.recordings.table import QUICK_CHECKS, READERS
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 MOST_HINTS = 5
@@ -26,7 +26,7 @@ def open_recording(path: Path) -> Recording:
     """
     result = _try_readers(path)
     if isinstance(result, list):
-        with looking_at(path):
+        with path_errors(path):
             message = _explain(path, result)
         raise UnknownFormatError(message)
     return result
@@ -39,10 +39,10 @@ def detect_format(path: Path) -> str | None:
         RecordingError: the recording has no frames, or the path cannot be read.
     """
     for name, target in READERS.items():
-        look: Callable[[Path], Recording | NotFound | bool] = _load(LOOKS.get(name, target))
-        with looking_at(path):
-            answer = look(path)
-        if answer is not False and not isinstance(answer, NotFound):
+        recognise: Callable[[Path], Recording | NotFound | bool] = _load(QUICK_CHECKS.get(name, target))
+        with path_errors(path):
+            result = recognise(path)
+        if result is not False and not isinstance(result, NotFound):
             return name
     return None
 
@@ -52,11 +52,11 @@ def _try_readers(path: Path) -> Recording | list[str]:
     looked_for = []
     for name, target in READERS.items():
         reader: Callable[[Path], Recording | NotFound] = _load(target)
-        with looking_at(path):
-            answer = reader(path)
-        if not isinstance(answer, NotFound):
-            return answer
-        looked_for.append(f"{name}: {answer.looked_for}")
+        with path_errors(path):
+            result = reader(path)
+        if not isinstance(result, NotFound):
+            return result
+        looked_for.append(f"{name}: {result.looked_for}")
     return looked_for
 
 

@@ -17,6 +17,6 @@ READERS: dict[str, str] = {
 }
 
 # Faster recognition checks, for formats that are slow to open.
-LOOKS: dict[str, str] = {
+QUICK_CHECKS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
 }

@@ -123,13 +123,13 @@ class _Reader:
         self.parser.EndElementHandler = self._end
         self.parser.CharacterDataHandler = self._add
         self.parser.StartDoctypeDeclHandler = self._doctype
-        self.parser.EntityDeclHandler = self._refuse
+        self.parser.EntityDeclHandler = self._reject_dtd
 
     def _doctype(self, name: str, system: str | None, public: str | None, has_content: int) -> None:
         if system or public or has_content:
-            self._refuse()
+            self._reject_dtd()
 
-    def _refuse(self, *_: object) -> None:
+    def _reject_dtd(self, *_: object) -> None:
         raise FormatError(
             self.path, "contains a document type definition (DTD), which is not supported; remove it", self._line
         )

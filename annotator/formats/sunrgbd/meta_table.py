@@ -35,8 +35,8 @@ FRAME_FIELDS = (
     *("sensorType", "valid", "groundtruth3DBB"),
 )
 BOX_FIELDS = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label", "gtBb2D")
-# The data set's paths begin with ROOT; the rest, joined by BETWEEN, is a frame's key in recordings of its scenes.
-ROOT, BETWEEN = "SUNRGBD/", "__"
+# The data set's paths begin with ROOT; the rest, joined by KEY_SEPARATOR, is a frame's key in recordings of its scenes.
+ROOT, KEY_SEPARATOR = "SUNRGBD/", "__"
 # Tolerance of right angles between axes (cosine).
 MOST_SKEW = 0.1
 # The data set's own table, with some ten thousand frames, is smaller.
@@ -50,7 +50,7 @@ class MetaFrame:
     """One frame of the table.
 
     Attributes:
-        name: `RECORDING/KEY`, or a scene's path in the data set joined by `BETWEEN`.
+        name: `RECORDING/KEY`, or a scene's path in the data set joined by `KEY_SEPARATOR`.
         T_camera_upright: from upright depth to the camera.
         truths: the objects, in upright depth.
     """
@@ -143,7 +143,7 @@ def _frame(path: Path, where: str, entry: dict[str, Any]) -> MetaFrame:
 
 
 def _key(name: str) -> str:
-    return name.removeprefix(ROOT).strip("/").replace("/", BETWEEN) if name.startswith(ROOT) else name
+    return name.removeprefix(ROOT).strip("/").replace("/", KEY_SEPARATOR) if name.startswith(ROOT) else name
 
 
 def _truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:

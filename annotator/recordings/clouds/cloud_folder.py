@@ -125,7 +125,7 @@ class CloudFolder(KeyedFrames):
         else:
             image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
             rgb = read_rgb(image_path)
-            source = self._cloud_camera(key, rgb) or self._refuse(key)
+            source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = _seen(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:
                 raise FrameError(
@@ -152,7 +152,7 @@ class CloudFolder(KeyedFrames):
         path = self.path / FILE_NAME
         return _json_camera(path, rgb) if path.is_file() else None
 
-    def _refuse(self, key: str) -> Never:
+    def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
             self.path / FILE_NAME,
             "the calibration of the images is missing",

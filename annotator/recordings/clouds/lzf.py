@@ -10,7 +10,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     """Returns the `size` decompressed bytes.
 
     Raises:
-        ValueError: the data are damaged, or have another decompressed size.
+        ValueError: the data are damaged, or the decompressed size is not `size`.
     """
     out = bytearray()
     at, end = 0, len(data)

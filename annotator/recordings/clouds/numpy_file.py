@@ -32,7 +32,7 @@ def parse_npy(path: Path, data: bytes) -> RawCloud:
     """Parses the points of an `.npy` file.
 
     Raises:
-        FrameError: a damaged header, fewer values than declared, another shape, or no valid point.
+        FrameError: a damaged header, fewer values than declared, an unsupported shape, or no valid point.
     """
     return from_columns(path, _columns(path, _array(path, io.BytesIO(data), len(data))))
 
@@ -49,7 +49,7 @@ def parse_npz(path: Path, data: bytes) -> RawCloud:
             points = next((names[name] for name in POINT_NAMES if name in names), None)
             if points is None:
                 raise FrameError(
-                    path, f"has no array {' or '.join(POINT_NAMES)} (its arrays: {_some(names)})", CLOUD_REMEDY
+                    path, f"has no array {' or '.join(POINT_NAMES)} (its arrays: {_first_names(names)})", CLOUD_REMEDY
                 )
             columns = _columns(path, _member(path, archive, points))
             colors = next((names[name] for name in COLOR_ARRAY_NAMES if name in names), None)
@@ -137,5 +137,5 @@ def _color_columns(path: Path, colors: np.ndarray, points: int) -> dict[str, np.
     return dict(zip(("red", "green", "blue"), eight_bits(colors).T, strict=True))
 
 
-def _some(names: dict[str, zipfile.ZipInfo]) -> str:
+def _first_names(names: dict[str, zipfile.ZipInfo]) -> str:
     return ", ".join(sorted(names)[:5]) or "none"

@@ -86,7 +86,7 @@ def read_index(path: Path) -> MatroskaIndex | None:
     with path.open("rb", buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
-        return _Walk(path, file).index()
+        return _IndexReader(path, file).index()
 
 
 def read_tracks(path: Path) -> tuple[Track, ...] | None:
@@ -98,12 +98,12 @@ def read_tracks(path: Path) -> tuple[Track, ...] | None:
     with path.open("rb", buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
-        return _Walk(path, file).head()
+        return _IndexReader(path, file).head()
 
 
 @dataclass
-class _Walk:
-    """The state of reading one file."""
+class _IndexReader:
+    """Reads one file; holds the tracks and blocks read so far."""
 
     path: Path
     file: BinaryIO
@@ -217,7 +217,7 @@ def element_head(data: bytes) -> tuple[int, int | None, int] | None:
 
 
 def children(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yields id and content of the elements in another one's content, up to the first damaged one."""
+    """Yields id and content of an element's children, up to the first damaged one."""
     at = 0
     while element := element_head(data[at : at + LONGEST_HEAD]):
         kind, size, length = element

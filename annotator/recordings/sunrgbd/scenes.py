@@ -21,7 +21,7 @@ from jaxtyping import Float32, UInt16
 
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, looking_at, sorted_keys
+from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd.calibration import read_scene_calibration
 from annotator.types import Frame, PointCloud
@@ -34,7 +34,7 @@ CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
 MOST_LEVELS = 5
 SCENE_MARKS = ("image", "extrinsics")
 DEPTH_FOLDERS = ("depth", "depth_bfx")
-BETWEEN = "__"
+KEY_SEPARATOR = "__"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +103,9 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
         return NotFound(LOOKED_FOR)
     if _is_scene(str(path)):
         return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
-    with looking_at(path):
-        is_of_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
-        levels = MOST_LEVELS if is_of_set else 1
+    with path_errors(path):
+        is_data_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
+        levels = MOST_LEVELS if is_data_set else 1
         folders = dict(_scenes(str(path), levels))
     if not folders:
         return NotFound(LOOKED_FOR)
@@ -126,7 +126,7 @@ def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
                 if _is_scene(entry.path):
                     yield key, entry.path
                 elif level < levels:
-                    waiting.append((entry.path, key + BETWEEN, level + 1))
+                    waiting.append((entry.path, key + KEY_SEPARATOR, level + 1))
 
 
 def _is_scene(folder: str) -> bool:

@@ -100,15 +100,15 @@ def test_many_damaged_places_cost_little_each(tmp_path: Path, monkeypatch: pytes
     # a cluster, and in it what is none of its elements, again and again
     path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + b"\x1f\x43\xb6\x75\xff\x42\x42\x42" * 5000)
     read = 0
-    whole = matroska._Walk._read
+    whole = matroska._IndexReader._read
 
-    def counted(self: matroska._Walk, at: int, size: int) -> bytes:
+    def counted(self: matroska._IndexReader, at: int, size: int) -> bytes:
         nonlocal read
         content = whole(self, at, size)
         read += len(content)
         return content
 
-    monkeypatch.setattr(matroska._Walk, "_read", counted)
+    monkeypatch.setattr(matroska._IndexReader, "_read", counted)
     index = read_index(path)
     assert index is not None and not index.blocks
     assert read < 5000 * 5000
