@@ -87,7 +87,7 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
     for part in PARTS:
         value = getattr(data, part)
         for entry in [value] if isinstance(value, str) else value or []:
-            for picture in _of_part(_placed(file, part, data.path, entry), root, names, on_fault):
+            for picture in _of_part(_part_path(file, part, data.path, entry), root, names, on_fault):
                 by_label_file.setdefault(picture.label_file, picture)
     if not by_label_file:
         raise FormatError(file, "names no image: train, val and test are empty")
@@ -125,7 +125,7 @@ def _require_different(file: Path, names: Mapping[int, str]) -> None:
         raise FormatError(file, f"names must be unique and not empty, numbered from 0, not {dict(names)}"[:200])
 
 
-def _placed(file: Path, part: str, base: str | None, entry: str) -> Path:
+def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
     """Returns the image folder or image list that a part's entry names."""
     root = file.parent
     # some services export ../train/images where train/images is right
@@ -169,7 +169,7 @@ def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFaul
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_alone(_inside(label_file, root), place, names, on_fault)
+            yield _labels_without_image(_inside(label_file, root), place, names, on_fault)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -207,7 +207,7 @@ def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tup
     return parse_boxes(label_file, text, names, on_fault)
 
 
-def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
+def _labels_without_image(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
     return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, on_fault))
 
 

@@ -37,7 +37,7 @@ MOST_SEQUENCES = 10_000
 
 
 @dataclass
-class Sequence02:
+class TrackingSequence:
     """One sequence while it is written.
 
     Attributes:
@@ -93,14 +93,14 @@ def write_kitti_tracking(
         FormatError: `out` exists, there is no frame, a recording has several calibrations, or writing fails.
     """
     words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
-    sequences: dict[str, Sequence02] = {}
+    sequences: dict[str, TrackingSequence] = {}
     not_held = tuple(kind for kind in NOT_HELD if kind is not Lost.TRACK)
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
         root = part / TRAINING
         for item in items:
             name, number = ids[item.recording, item.frame.key]
             if name not in sequences:
-                sequences[name] = Sequence02(name, first_free[item.recording])
+                sequences[name] = TrackingSequence(name, first_free[item.recording])
                 with writing(out):
                     for folder in (IMAGES, SCANS):
                         (root / folder / name).mkdir(parents=True)
@@ -125,7 +125,7 @@ def write_kitti_tracking(
 
 
 def _add_rows(
-    sequence: Sequence02,
+    sequence: TrackingSequence,
     number: int,
     item: DatasetItem,
     words: ClassWords,
@@ -139,7 +139,7 @@ def _add_rows(
     sequence.rows += [f"{number} {NO_TRACK} {dump_label_line(row)}\n" for row in areas]
 
 
-def _write_frame(out: Path, root: Path, sequence: Sequence02, number: int, frame: Frame) -> None:
+def _write_frame(out: Path, root: Path, sequence: TrackingSequence, number: int, frame: Frame) -> None:
     camera, rgb = straightened(frame.camera, frame.rgb)
     T = label_frame(frame)
     calibration = calibration_text(camera, T)

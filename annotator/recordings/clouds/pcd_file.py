@@ -14,7 +14,7 @@ LONGEST_HEADER = 1 << 16
 KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 KEYWORDS = {"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
-MOST_VALUES_A_FIELD = 10_000
+MOST_VALUES_PER_FIELD = 10_000
 
 
 def parse_pcd(path: Path, data: bytes) -> RawCloud:
@@ -65,7 +65,7 @@ def _dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
     fields: list[tuple[str, str, tuple[int, ...]]] = []
     for position, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         values = _number(path, "COUNT", count)
-        if kind not in KINDS or _number(path, "SIZE", size) not in SIZES[kind] or values > MOST_VALUES_A_FIELD:
+        if kind not in KINDS or _number(path, "SIZE", size) not in SIZES[kind] or values > MOST_VALUES_PER_FIELD:
             raise FrameError(
                 path, f"the PCD header's field {name[:40]} has the invalid type {kind}{size} x {count}", CLOUD_REMEDY
             )
