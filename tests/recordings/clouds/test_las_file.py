@@ -141,7 +141,7 @@ LIES = [
     (patched(written("1.4", 6, 0, False), 247, "Q", 2**63), f"declares {2**63} points"),
     (patched(OLD, 100, "I", HUGE), "records before its points"),
     (patched(OLD, 96, "I", HUGE), "position of the points, byte"),
-    (patched(OLD, 107, "I", 2**25 + 1), "are read; save fewer"),
+    (patched(OLD, 107, "I", 2**25 + 1), "are supported; save fewer"),
     (patched(OLD, 107, "I", 2**25), "chunks, too many|fill whole buffer"),
     (patched(OLD, chunks(OLD) + 4, "I", HUGE), "lists too many chunks"),
     (patched(NEW, chunks(NEW) + 4, "I", HUGE), "lists too many chunks"),

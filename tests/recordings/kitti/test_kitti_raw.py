@@ -99,7 +99,7 @@ def test_no_calibration_anywhere_says_where_to_put_it(drive: Path):
 
 
 def test_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
-    with pytest.raises(RecordingError, match=f"instead: {drive.name}$"):
+    with pytest.raises(RecordingError, match=f"one of them: {drive.name}$"):
         open_recording(drive.parent)
     for path in (*drive.glob("*/data/*.png"), *drive.glob("*/data/*.bin")):
         path.unlink()

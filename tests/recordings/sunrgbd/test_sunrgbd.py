@@ -191,7 +191,7 @@ def test_filled_depth_is_read_where_there_is_no_other(scene: Path):
         ("\nbed 0 0 9 9 0 3 -0.5 1 x 0.5 -1 0\n", ":2: 'x' is not a number"),
         ("bed 0 0 9 9 0 3 -0.5 1 -1 0.5 -1 0\n", "sizes must be positive"),
         ("bed 0 0 9 9 0 3 -0.5 1 1 0.5 0 0\n", "has length 0"),
-        ("bed 0 0 9 9 0 3 nan 1 1 0.5 0 1\n", "not finite"),
+        ("bed 0 0 9 9 0 3 nan 1 1 0.5 0 1\n", "not a finite number"),
     ],
 )
 def test_broken_extracted_labels_name_the_line(extracted: Path, text: str, complaint: str):
