@@ -47,8 +47,8 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["generate", "n" * 300], "File name too long; choose another path"),
         (["inspect", "n" * 300], "File name too long; give a shorter path"),
         (["add", "p", "n" * 300], "File name too long; give a shorter path"),
-        (["new", "q", "--classes", ""], "error: project q: classes: '' cannot be a class name"),
-        (["stats", "p/../p"], "'p/../p' is not a project name"),
+        (["new", "q", "--classes", ""], "error: project q: classes: '' is not a valid class name"),
+        (["stats", "p/../p"], "'p/../p' is not a valid project name"),
     ],
 )
 def test_one_line_says_what_is_wrong(
@@ -62,7 +62,7 @@ def test_one_line_says_what_is_wrong(
 
 def test_a_path_is_no_project_name(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stats", str(project)]) == 2
-    assert "is not a project name" in capsys.readouterr().err
+    assert "is not a valid project name" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,9 @@ else:
     # run-time type checks reject a tuple of numbers as an ArrayLike; `inputs` checks the arguments instead
     ArrayLike = Any
 
-# Points nearer than this belong to the sensor's own housing.
+# Nearer points are dropped: they belong to the sensor's housing.
 NEAREST_Z_M = 0.1
-# A cloud with a smaller share of its points on the image is refused: its transform or the intrinsics must be wrong.
+# A cloud with a smaller share of its points on the image is rejected: its transform or the intrinsics must be wrong.
 LEAST_SHARE_ON_IMAGE = 0.01
 Intrinsics = ArrayLike | Camera
 """A matrix K (3, 3), the numbers (fx, fy, cx, cy), or a `Camera`; pixels, with the centre of the first at (0, 0)."""
@@ -57,7 +57,7 @@ def frame_from_rgbd(
         timestamp_ns: capture time.
 
     Raises:
-        ArgumentError: an argument with a wrong shape, type or unit, or no depth at all.
+        ArgumentError: an argument with a wrong shape, type or unit, or a depth image in which no pixel has a depth.
     """
     image = image_of(rgb)
     camera = camera_of(intrinsics, image.shape, distortion)
@@ -80,7 +80,7 @@ def frame_from_points(
     index: int = 0,
     timestamp_ns: int | None = None,
 ) -> Frame:
-    """A frame of a camera and a LiDAR, or of any other point cloud.
+    """A frame from a camera image and a point cloud, such as a LiDAR scan.
 
     Points that are not finite, are nearer than 0.1 m, or lie outside the image are dropped. The others get the colour
     of their pixel.
@@ -94,7 +94,7 @@ def frame_from_points(
 
     Raises:
         ArgumentError: an argument with a wrong shape, type or unit, a transform that is not rigid, or a cloud with
-            almost no points on the image.
+            less than 1% of its points on the image.
     """
     image = image_of(rgb)
     camera = camera_of(intrinsics, image.shape, distortion)

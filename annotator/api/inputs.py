@@ -1,4 +1,4 @@
-"""Checks and converts the arrays that callers pass to the API; ambiguous ones are refused."""
+"""Checks and converts the arrays that callers pass to the API; ambiguous ones are rejected."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from annotator.types.errors import ArgumentError
 
 # Depths with a larger median cannot be metres, since no RGB-D camera reaches so far; they are probably millimetres.
 LONGEST_MEDIAN_DEPTH_M = 200.0
-# Integer depths that are all at most this are taken for rounded metres, not millimetres.
+# If no integer depth is larger, the values are rejected: they are probably rounded metres, not millimetres.
 LARGEST_ROUNDED_M = 100
 # Points with a larger median distance cannot be in metres, since no LiDAR reaches so far.
 LONGEST_MEDIAN_RANGE_M = 1000.0
 MILLIMETRES_PER_METRE = 1000.0
-# Minimum focal length, share of the longer side of the image; it corresponds to a field of view of 170 degrees.
+# Minimum focal length as a fraction of the longer side of the image; it gives a field of view of 170 degrees.
 LEAST_FOCAL_SHARE = 0.04
-# Tolerance for the rounded matrices of calibration files.
+# Tolerance for R R^T = identity; calibration files hold rounded matrices.
 MOST_OFF_ROTATION = 1e-3
 
 
@@ -29,7 +29,7 @@ def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
     """An image as (H, W, 3) uint8.
 
     Raises:
-        ArgumentError: another shape, another type, or values out of range.
+        ArgumentError: a wrong shape or type, or values out of range.
     """
     image = np.asarray(rgb)
     if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
@@ -57,7 +57,7 @@ def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[
     """The camera of an image, from a `Camera`, (fx, fy, cx, cy) or a matrix K.
 
     Raises:
-        ArgumentError: the values cannot be those of the camera of this image.
+        ArgumentError: the values cannot belong to a camera with images of this size.
     """
     height, width = image_shape[:2]
     if isinstance(intrinsics, Camera):
@@ -66,7 +66,7 @@ def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[
                 f"the camera has {intrinsics.width_px} x {intrinsics.height_px} px, the image {width} x {height}"
             )
         if len(distortion):
-            raise ArgumentError("distortion is given twice; it belongs to the Camera")
+            raise ArgumentError("distortion is given twice; set it only in the Camera")
         return intrinsics
     try:
         values = np.asarray(intrinsics, np.float64)
@@ -77,13 +77,13 @@ def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[
     fx, fy, cx, cy = _pinhole(values)
     if min(fx, fy) < LEAST_FOCAL_SHARE * max(width, height):
         raise ArgumentError(
-            f"focal lengths of {fx:g} and {fy:g} px do not fit an image of {width} x {height} px; they are in pixels, "
-            "not in millimetres, metres or shares of the image"
+            f"focal lengths of {fx:g} and {fy:g} px do not fit an image of {width} x {height} px; give them in "
+            "pixels, not in millimetres, metres or fractions of the image size"
         )
     if not (0 <= cx <= width and 0 <= cy <= height):
         raise ArgumentError(
-            f"the principal point ({cx:g}, {cy:g}) lies outside the image of {width} x {height} px; are these the "
-            "check their resolution and the order fx, fy, cx, cy; for a cropped image, pass a Camera"
+            f"the principal point ({cx:g}, {cy:g}) lies outside the image of {width} x {height} px; check "
+            "the resolution and the order fx, fy, cx, cy; for a cropped image, pass a Camera"
         )
     try:
         return Camera(width, height, fx, fy, cx, cy, tuple(float(value) for value in distortion))
@@ -117,7 +117,7 @@ def depth_of(depth: Any, depth_scale: float | None, image_shape: Sequence[int]) 
     """A depth image in metres, 0 where a pixel has no depth.
 
     Raises:
-        ArgumentError: a size other than the image's, an ambiguous unit, or no depth at all.
+        ArgumentError: a size other than the image's, an ambiguous unit, or no pixel with a depth.
     """
     values = np.asarray(depth)
     if values.ndim == 3 and values.shape[2] == 1:
@@ -154,7 +154,7 @@ def _guessed_scale(known: np.ndarray) -> float:
     median = float(np.median(known))
     if median > LONGEST_MEDIAN_DEPTH_M:
         raise ArgumentError(
-            f"depth holds floats with a median of {median:g}, too far for metres; give metres, or "
+            f"depth holds floats with a median of {median:g}, too large for metres; give metres, or "
             "depth_scale=1000 for millimetres"
         )
     return 1.0
@@ -164,7 +164,7 @@ def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
     """The finite points of an array (N, 3), and the indices of their rows.
 
     Raises:
-        ArgumentError: another shape, no finite point, or points that seem to be in millimetres.
+        ArgumentError: a wrong shape, no finite point, or points that seem to be in millimetres.
     """
     try:
         points = np.asarray(xyz_m, np.float64)
@@ -183,9 +183,11 @@ def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
     if not len(rows):
         raise ArgumentError("xyz_m has no finite point")
     points = points[rows]
-    far = float(np.median(np.linalg.norm(points, axis=1)))
-    if far > LONGEST_MEDIAN_RANGE_M:
-        raise ArgumentError(f"the points have a median distance of {far:g} m; are they in millimetres? Give metres")
+    median_m = float(np.median(np.linalg.norm(points, axis=1)))
+    if median_m > LONGEST_MEDIAN_RANGE_M:
+        raise ArgumentError(
+            f"xyz_m has a median distance of {median_m:g}, too large for metres; give metres, not millimetres"
+        )
     return points, rows
 
 
@@ -207,7 +209,7 @@ def transform_of(transform: Any) -> RigidTransform:
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{name} must be a matrix (4, 4) of numbers") from error
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ArgumentError(f"{name} must be a finite matrix of shape (4, 4), not of shape {matrix.shape}")
+        raise ArgumentError(f"{name} must be a matrix of shape (4, 4) with finite numbers; its shape is {matrix.shape}")
     if tuple(matrix[3]) != (0, 0, 0, 1):
         hint = "; it is transposed, give T.T" if tuple(matrix[:, 3]) == (0, 0, 0, 1) else ""
         raise ArgumentError(f"the last row of {name} must be 0 0 0 1, not {matrix[3].tolist()}{hint}")
@@ -218,7 +220,9 @@ def transform_of(transform: Any) -> RigidTransform:
             f"{name} is a reflection (determinant {determinant:.3g}); one of its axes has the wrong sign"
         )
     if np.abs(R @ R.T - np.eye(3)).max() > MOST_OFF_ROTATION:
-        raise ArgumentError(f"{name} scales or shears (determinant {determinant:.3g}); give a rotation and a shift")
+        raise ArgumentError(
+            f"{name} scales or shears (determinant {determinant:.3g}); give a rotation and a translation"
+        )
     return RigidTransform.from_matrix(matrix)
 
 

@@ -66,7 +66,7 @@ def read_labels(path: str | Path, format: str = BOXES) -> LabelSet:
 
 
 def write_labels(path: str | Path, labels: Boxes) -> None:
-    """Writes boxes to a `boxes.json` file, which `read_labels` reads and any RGB-D folder may contain; without scores.
+    """Writes boxes without their scores to a `boxes.json` file, for `read_labels` or an RGB-D folder.
 
     The other formats also need images and calibrations; use `Project.export` for them.
 
@@ -116,7 +116,7 @@ def evaluate_files(
 
     Raises:
         ArgumentError: an unknown protocol.
-        FormatError, ConfigError: the files cannot be read, or do not belong together.
+        FormatError, ConfigError: the files cannot be read, or detections and truth have different frames.
     """
     if protocol not in tuple(Protocol):
         raise ArgumentError(f"protocol must be one of {', '.join(Protocol)}, not {protocol!r}")

@@ -104,7 +104,7 @@ class Project:
 
         Raises:
             RecordingError: `path` holds no recording, or it cannot be read.
-            ConfigError: a name or up direction other than the one that it has in the project.
+            ConfigError: a name or up direction that differs from the one stored in the project.
             FormatError: its labels are broken.
         """
         up_of(up)
@@ -176,8 +176,8 @@ class Project:
         boxes = image_boxes_of(frames, image_boxes, image_detector)
         pair = self._pair(image_detector)
         config, rotation = pair.settings(self._config()), self.stored.config.settings.rotation
-        found = propose_image_boxes(several, boxes, pair.view, config, rotation, pair.compute) if several else []
-        return found[0] if isinstance(frames, Frame) else found
+        proposals = propose_image_boxes(several, boxes, pair.view, config, rotation, pair.compute) if several else []
+        return proposals[0] if isinstance(frames, Frame) else proposals
 
     def watch(self, frames: Iterable[Frame]) -> Iterator[Detected]:
         """Detects boxes in live frames with the project's detectors and settings; see `annotator.watch`.
@@ -216,7 +216,7 @@ class Project:
         Raises:
             ArgumentError: an unknown engine, or a detector without a fingerprint.
             DetectionError, FormatError, ConfigError: as `detect`.
-            WorkerError, MissingExtraError: the engine cannot be started, or its workers keep dying.
+            WorkerError, MissingExtraError: the engine cannot be started, or its workers crash repeatedly.
         """
         if engine not in tuple(EngineName):
             raise ArgumentError(f"engine must be one of {', '.join(EngineName)}, not {engine!r}")
@@ -299,12 +299,12 @@ class Project:
 
     def _pair(self, image: ImageDetector | None) -> Detectors:
         view = self._detector(DetectorKind.VIEW)
-        # otherwise a placeholder that is not used: the image boxes are known already
+        # if the image boxes are given, the image detector is never called; the view detector takes its place
         detector = image if isinstance(image, Detector) else view
         return Detectors(detector, view, active_model(self.stored, DetectorKind.VIEW).box_kind)
 
     def _detector(self, kind: DetectorKind) -> Detector:
-        """The project's active detector; loaded once, and again after another one was activated."""
+        """The project's active detector; loaded once, and reloaded after another one is activated."""
         model = active_model(self.stored, kind)
         if kind not in self._loaded or self._loaded[kind][0] != model.fingerprint:
             self._loaded[kind] = (model.fingerprint, load_detector(model.path))
@@ -315,7 +315,9 @@ class Project:
             return trained_detectors(self.stored)
         for detector in (image, view):
             if detector is not None and not isinstance(detector, Detector):
-                raise ArgumentError(f"{detector!r} is not a detector: it needs labels, a fingerprint and detect")
+                raise ArgumentError(
+                    f"{detector!r} is not a detector; pass an object with labels, fingerprint and detect"
+                )
         if view is None:
             view, kind = self._detector(DetectorKind.VIEW), active_model(self.stored, DetectorKind.VIEW).box_kind
         else:

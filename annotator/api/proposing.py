@@ -64,7 +64,9 @@ def as_detector(given: Any) -> Detector:
         ArgumentError: `given` is neither.
     """
     if isinstance(given, type) or not (isinstance(given, Detector) or callable(given)):
-        raise ArgumentError(f"{given!r} is not a detector: it needs labels, fingerprint and detect; or pass a function")
+        raise ArgumentError(
+            f"{given!r} is not a detector; pass an object with labels, fingerprint and detect, or a function"
+        )
     return given if isinstance(given, Detector) else FunctionDetector(given)
 
 
@@ -131,8 +133,8 @@ def propose(
     boxes = image_boxes_of(frames, image_boxes, image_detector)
     view = as_detector(view_detector)
     config = checked_config(settings or {}).with_box_kind(kind_of(view_detector, box_kind))
-    found = propose_image_boxes(several, boxes, view, config, rotation_of(rotation)) if several else []
-    return found[0] if isinstance(frames, Frame) else found
+    proposals = propose_image_boxes(several, boxes, view, config, rotation_of(rotation)) if several else []
+    return proposals[0] if isinstance(frames, Frame) else proposals
 
 
 def watch(
@@ -186,7 +188,9 @@ def image_boxes_of(
     """
     several = [frames] if isinstance(frames, Frame) else list(frames)
     if not all(isinstance(frame, Frame) for frame in several):
-        raise ArgumentError("frames must be a Frame or several; make them with frame_from_rgbd or open_recording")
+        raise ArgumentError(
+            "frames must be a Frame or a list of Frames; make them with frame_from_rgbd or open_recording"
+        )
     if (image_boxes is None) == (image_detector is None):
         raise ArgumentError("give either image_boxes or image_detector")
     if image_detector is not None:
@@ -202,7 +206,7 @@ def image_boxes_of(
 
 def _lists(image_boxes: Sequence[Any]) -> Sequence[Sequence[Box2D]]:
     if any(isinstance(boxes, Box2D) for boxes in image_boxes):
-        raise ArgumentError("several frames need one list of boxes each: image_boxes=[[...], [...]]")
+        raise ArgumentError("for several frames, pass one list of boxes per frame: image_boxes=[[...], [...]]")
     return image_boxes
 
 

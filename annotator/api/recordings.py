@@ -14,10 +14,10 @@ from annotator.workflows.recorded.reading import load_truth
 
 
 def open_recording(path: str | Path) -> Recording:
-    """The recording at `path`, whatever its format (README, "Recordings that it reads").
+    """The recording at `path`, in any supported format (docs/recordings.md).
 
     Returns:
-        a recording of `len(recording)` frames; `recording.frame(i)` reads one, and none is cached.
+        a recording of `len(recording)` frames; `recording.frame(i)` reads one; frames are not cached.
 
     Raises:
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
@@ -49,7 +49,7 @@ def generate_recording(
 
 
 def perfect_detector(recording: Recording, box_kind: BoxKind | str = BoxKind.SILHOUETTE) -> PerfectDetector:
-    """An image and view detector that answers from the 3D boxes of a recording, for examples and tests.
+    """An image and view detector that returns the projected 3D boxes of a recording, for examples and tests.
 
     The clouds of all frames stay in memory.
 

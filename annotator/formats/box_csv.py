@@ -68,7 +68,7 @@ def _head(path: Path, names: list[str], scored: bool) -> list[str]:
     if missing := [name for name in needed if name not in head]:
         raise FormatError(path, f"the first line must name the columns {','.join(needed)}; {missing[0]} is missing", 1)
     if unknown := [name for name in head if name not in (*needed, SCORE)]:
-        raise FormatError(path, f"the column {unknown[0]!r} is unknown; use {','.join(needed)}", 1)
+        raise FormatError(path, f"the column {unknown[0]!r} is unknown; use only {','.join(needed)}", 1)
     if len(set(head)) != len(head):
         raise FormatError(path, "two columns have the same name", 1)
     return head

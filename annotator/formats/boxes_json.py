@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.formats.json_file import BoundedTrack, no_twins, read_json, write_text
+from annotator.formats.json_file import BoundedTrack, read_json, unique_keys, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -80,7 +80,7 @@ def read_entries(path: Path) -> dict[str, list[object]]:
     Raises:
         FormatError: the file is missing, or is not a JSON object.
     """
-    content = read_json(path, no_twins)
+    content = read_json(path, unique_keys)
     if not isinstance(content, dict):
         raise FormatError(path, "must be a JSON object with one entry per frame")
     return {key: value if isinstance(value, list) else [value] for key, value in content.items()}
@@ -110,7 +110,7 @@ def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:
         if gaps.max() > CORNERS_AGREE_M:
             raise FormatError(
                 path,
-                f"frame {key}, {entry.label}: corners lie up to {gaps.max():.3f} m off the box of center, size and "
-                "rotation; write rotation row by row and size as full lengths",
+                f"frame {key}, {entry.label}: corners differ by up to {gaps.max():.3f} m from center, size "
+                "and rotation; write rotation row by row and size as full lengths",
             )
     return Truth(entry.label, box, entry.track)

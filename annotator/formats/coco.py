@@ -87,7 +87,7 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
 
     Raises:
         FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
-            used twice, the same box twice, a box without extent, or a box fully outside its image.
+            used twice, the same box twice, a box without positive width and height, or a box fully outside its image.
     """
     file = read_model(path, _File)
     _require_unique(path, "category id", (category.id for category in file.categories))
@@ -132,7 +132,7 @@ def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], name
         )
     x, y, width, height = annotation.bbox
     if width <= 0 or height <= 0:
-        raise FormatError(path, f"{where}: bbox {list(annotation.bbox)} has no positive width and height")
+        raise FormatError(path, f"{where}: bbox {list(annotation.bbox)} must have a positive width and height")
     left, right = (edge + EDGE_TO_CENTRE_PX for edge in (max(x, 0.0), min(x + width, image.width)))
     top, bottom = (edge + EDGE_TO_CENTRE_PX for edge in (max(y, 0.0), min(y + height, image.height)))
     if right <= left or bottom <= top:

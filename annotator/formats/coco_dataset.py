@@ -39,7 +39,8 @@ class CocoWriter:
         """
         if ANNOTATIONS in parts:
             raise FormatError(
-                folder, f"a part cannot be called {ANNOTATIONS}: COCO's boxes are in a folder of this name"
+                folder,
+                f"a part cannot be called {ANNOTATIONS}: COCO stores the boxes in a folder of this name",
             )
         self._folder, self._classes = folder, classes
         self._images: dict[str, list[CocoImage]] = {part: [] for part in parts or (WHOLE,)}
@@ -72,17 +73,17 @@ def coco_files(path: Path) -> list[tuple[Path, Path]]:
     if path.is_dir():
         files = sorted(file for file in (path / ANNOTATIONS).glob("*.json") if _FILE.fullmatch(file.name))
         if not files:
-            raise FormatError(path, f"has no {ANNOTATIONS}/instances_*.json; give the path of the COCO file")
+            raise FormatError(path, f"has no {ANNOTATIONS}/instances_*.json; pass the path of the COCO file instead")
     else:
         files = [path]
     return [(file, _pictures(file)) for file in files]
 
 
 def _pictures(file: Path) -> Path:
-    named = _FILE.fullmatch(file.name)
-    if named is None or file.parent.name != ANNOTATIONS:
+    match = _FILE.fullmatch(file.name)
+    if match is None or file.parent.name != ANNOTATIONS:
         return file.parent
-    folder = file.parent.parent / named[1]
+    folder = file.parent.parent / match[1]
     return folder if folder.is_dir() else file.parent.parent
 
 

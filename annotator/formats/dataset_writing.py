@@ -1,4 +1,4 @@
-"""What dataset writers share: items to write, unique file names, encoded images, and disk errors.
+"""Shared by the dataset writers: items to write, unique file names, encoded images, and disk errors.
 
 3D formats take `DatasetItem`s, 2D formats `LabelledPicture`s.
 """
@@ -38,7 +38,7 @@ class DatasetItem:
 
 @dataclass
 class FileNames:
-    """Unique file names that are valid on every system, also where upper and lower case are the same."""
+    """Unique file names that are valid on every system and differ in more than upper and lower case."""
 
     _taken: set[str] = field(default_factory=set)
 
@@ -123,7 +123,7 @@ def writing(out: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise FormatError(out, f"cannot be written ({error.strerror}); no partial dataset was left") from error
+        raise FormatError(out, f"cannot be written ({error.strerror}); the incomplete dataset was removed") from error
 
 
 def encoded_image(

@@ -65,7 +65,7 @@ def read_class_names(folder: Path) -> dict[str, str]:
     """Returns the class names in a dataset's `classes.txt` (`ClassWords.dump`), by word; empty without that file.
 
     Raises:
-        FormatError: the file cannot be read, or a line is not a word, a blank and a name.
+        FormatError: the file cannot be read, or a line is not a word, a blank and a name, or repeats a word.
     """
     path = folder / CLASS_NAMES
     if not path.is_file():
@@ -74,7 +74,7 @@ def read_class_names(folder: Path) -> dict[str, str]:
     for line, text in enumerate(read_text(path).splitlines(), 1):
         word, _, name = text.partition(" ")
         if not word or not name.strip() or word in names:
-            raise FormatError(path, "a line must be a word of the label files, a blank and its class name", line)
+            raise FormatError(path, "a line must be `WORD CLASS_NAME`, with each word only once", line)
         names[word] = name
     return names
 
@@ -84,7 +84,7 @@ class DatasetNames:
     """The frame and class names of an exported dataset; empty for datasets of other software.
 
     Attributes:
-        root: the folder with frames.csv; None without one.
+        root: the folder with frames.csv; None without that file.
         frames: the frames' origins by the stem of their files.
         classes: class names by word, where the two differ.
     """
@@ -124,7 +124,7 @@ class DatasetNames:
             return stem
         if stem not in self.frames:
             raise FormatError(
-                self.root / FRAMES_CSV, f"does not list the frame {stem}, which has labels; add a line for it"
+                self.root / FRAMES_CSV, f"does not list the frame {stem}, which has labels; add a line for this frame"
             )
         return self.frames[stem].name
 

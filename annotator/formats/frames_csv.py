@@ -56,7 +56,7 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
     """Returns the lines of the file, by id; `path` is for error messages.
 
     Raises:
-        FormatError: another header, a line with too few or too many fields, an empty id or key, or an id that occurs
+        FormatError: a wrong header, a line with too few or too many fields, an empty id or key, or an id that occurs
             twice; names the line.
     """
     origins: dict[str, FrameOrigin] = {}
@@ -66,7 +66,9 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
             raise FormatError(path, f"must begin with {','.join(HEADER)}, not {','.join(header)}", 1)
         for row in rows:
             if len(row) != len(HEADER) or not row[0] or not row[2]:
-                raise FormatError(path, f"needs {', '.join(HEADER)} (the last may be empty)", rows.line_num)
+                raise FormatError(
+                    path, f"needs the fields {', '.join(HEADER)}; id and key must not be empty", rows.line_num
+                )
             if row[0] in origins:
                 raise FormatError(path, f"the id {row[0]} occurs twice; keep one of its lines", rows.line_num)
             origins[row[0]] = FrameOrigin(row[0], row[1], row[2], row[3] or None)

@@ -17,7 +17,7 @@ from annotator.files import read_at_most, write_atomic
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 
-# The largest label file in common use, COCO's training labels, has 450 MB.
+# The largest label file in common use, COCO's training labels, takes 450 MB.
 MAX_BYTES = 2**30
 SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 
@@ -25,8 +25,8 @@ Model = TypeVar("Model", bound=BaseModel)
 PairsHook = Callable[[list[tuple[str, object]]], object]
 
 
-def no_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Builds a dict from a JSON object's pairs; raises KeyError for a repeated key, which would lose labels."""
+def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Builds a dict from a JSON object's pairs; raises KeyError for a repeated key, whose labels `json` would drop."""
     content: dict[str, object] = {}
     for key, value in pairs:
         if key in content:
@@ -56,7 +56,7 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     """Returns the content of a JSON file.
 
     Args:
-        pairs_hook: builds an object from its pairs, such as `no_twins`; a KeyError from it names a repeated key.
+        pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
 
     Raises:
         FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is not JSON (names the line).
@@ -116,7 +116,7 @@ def write_text(path: Path, text: str) -> None:
         raise FormatError(path, f"cannot be written ({error.strerror})") from error
 
 
-# About a thousand times the distance from the earth to the sun, in metres.
+# Plausibility limit for coordinates and sizes, metres.
 MOST = 1e14
 
 Bounded = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]

@@ -25,8 +25,8 @@ class Lost(StrEnum):
     NAME: characters of a class name that the format cannot store.
     TIME: capture times of frames.
     SOLID: 3D boxes; their outlines on the image were written.
-    KIND: that 2D boxes enclose whole objects (projected 3D boxes), not only the visible parts.
-    SAME: boxes that equal another one of their class in the file, and images that equal another one.
+    KIND: the information that 2D boxes enclose whole objects (projected 3D boxes), not only the visible parts.
+    SAME: duplicate boxes of one class in a file, and duplicate images.
     OPEN: images with unreviewed proposals, left out.
     GRAVITY: the direction of gravity, where it differs from the image's downward direction.
     LEVEL: gravity is unknown; the format needs it, so the image's downward direction was used.
@@ -68,10 +68,10 @@ _WORDS = {
     Lost.TIME: "frames have a time",
     Lost.SOLID: "boxes are 3D boxes; their outlines on the image were written",
     Lost.KIND: "boxes enclose the whole object, not only its visible part; import them with --box-kind box",
-    Lost.SAME: "boxes or images equal another one and were left out",
+    Lost.SAME: "boxes or images are duplicates and were left out",
     Lost.OPEN: "images with reviewed boxes also have unreviewed proposals and were left out",
-    Lost.GRAVITY: "frames have a direction of gravity other than down the image",
-    Lost.LEVEL: "frames have no direction of gravity; down the image was used",
+    Lost.GRAVITY: "frames have a gravity direction other than the image's downward direction",
+    Lost.LEVEL: "frames have no known gravity direction; the image's downward direction was used",
     Lost.UNREADABLE: "frames cannot be read and were left out",
 }
 
@@ -82,7 +82,7 @@ class Loss(BaseModel):
     Attributes:
         kind: what was lost.
         count: the number of boxes (or frames, or images).
-        message: the count in words.
+        message: the count and what was lost, as text.
         most: the largest loss where it can be measured: radians for TILT.
     """
 
@@ -128,10 +128,10 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> No
     """Counts the losses of one frame and its labels.
 
     Args:
-        kinds: what the format cannot store; only kinds that follow from the frame itself, see `has` below.
+        kinds: what the format cannot store; only kinds that follow from the frame itself, see `counts` below.
     """
     frame = item.frame
-    has = {
+    counts = {
         Lost.LENS: not frame.camera.is_ideal,
         Lost.DEPTH_COLOR: frame.cloud.rgb is not None,
         Lost.REFLECTANCE: frame.cloud.reflectance is not None,
@@ -142,5 +142,5 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> No
         Lost.STATE: sum(label.state is not ReviewState.ACCEPTED for label in item.labels),
     }
     for kind in kinds:
-        if has[kind]:
-            losses.add(kind, int(has[kind]))
+        if counts[kind]:
+            losses.add(kind, int(counts[kind]))

@@ -46,7 +46,7 @@ def read_ply(path: Path) -> PointCloud:
     """Reads a file of `write_ply` in the camera frame.
 
     Raises:
-        FormatError: the file cannot be read, has another layout, or is truncated.
+        FormatError: the file cannot be read, has a different layout, or is truncated.
     """
     try:
         data = path.read_bytes()
@@ -59,7 +59,10 @@ def read_ply(path: Path) -> PointCloud:
     fields, count = _parse_header(path, data[:end])
     dtype = np.dtype(fields)
     if len(data) != end + count * dtype.itemsize:
-        raise FormatError(path, f"should hold {count} points in {count * dtype.itemsize} bytes, not {len(data) - end}")
+        raise FormatError(
+            path,
+            f"declares {count} points ({count * dtype.itemsize} bytes) but has {len(data) - end} bytes",
+        )
     rows = np.frombuffer(data, dtype, count, offset=end)
     names = dtype.names or ()
     xyz_m = np.stack([rows[name] for name in XYZ], axis=1).astype(np.float32)
@@ -101,5 +104,5 @@ def _parse_header(path: Path, header: bytes) -> tuple[list[tuple[str, str]], int
     names = [line.split()[-1] for line in lines if line.startswith("property ")]
     fields = _fields("red" in names, "reflectance" in names)
     if len(counts) != 1 or not counts[0].isdigit() or header != _header(fields, int(counts[0])):
-        raise FormatError(path, "has another layout than the PLY files of an rcv dataset; see the dataset's README.md")
+        raise FormatError(path, "does not have the layout of an rcv dataset's PLY files; see the dataset's README.md")
     return fields, int(counts[0])

@@ -1,4 +1,4 @@
-"""What label readers share: handling of faults, finite numbers, and image files."""
+"""Shared by the label readers: handling of faults, finite numbers, and image files."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class YoloBox:
         x_min, y_min, x_max, y_max = map(float, edges)
         box = Box2D(self.label, x_min, y_min, x_max, y_max, self.score)
         cut = clip_to_image(box, width_px, height_px)
-        assert cut is not None  # `parse_boxes` refuses boxes outside the image
+        assert cut is not None  # `parse_boxes` rejects boxes outside the image
         return cut
 
 
@@ -92,26 +92,30 @@ def parse_boxes(
 def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> YoloBox:
     if len(fields) not in (5, 6):
         raise FormatError(
-            path, f"has {len(fields)} fields; a box has {FIELDS} [score]; polygons and keypoints are not read", line
+            path,
+            f"has {len(fields)} fields; a box has {FIELDS} [score]; polygons and keypoints are not supported",
+            line,
         )
     try:
         number, numbers = int(fields[0]), [float(field.replace("_", "?")) for field in fields[1:]]
     except ValueError:
         raise FormatError(path, f"must hold numbers ({FIELDS}), not {' '.join(fields)[:80]!r}", line) from None
     if number not in names:
-        raise FormatError(path, f"class {number} has no name; the names go from 0 to {max(names, default=-1)}", line)
+        raise FormatError(
+            path, f"class {number} has no name; classes with a name go from 0 to {max(names, default=-1)}", line
+        )
     if not all(map(math.isfinite, numbers)):
-        raise FormatError(path, "every number must be finite", line)
+        raise FormatError(path, "all numbers must be finite", line)
     cx, cy, w, h = numbers[:4]
     score = numbers[4] if len(numbers) == 5 else 1.0
     if not 0 <= score <= 1:
-        raise FormatError(path, f"the score must lie in 0..1, not {score:g}", line)
+        raise FormatError(path, f"the score must be in 0..1, not {score:g}", line)
     edges = (cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2)
     if min(w, h) <= 0 or min(edges) < -TOLERANCE or max(edges) > 1 + TOLERANCE:
         raise FormatError(
             path,
-            f"cx cy w h must be fractions of the image size, of a box with an extent inside the image, not {cx:g} "
-            f"{cy:g} {w:g} {h:g}",
+            f"cx cy w h must be fractions of the image size that describe a non-empty box inside the image, not "
+            f"{cx:g} {cy:g} {w:g} {h:g}",
             line,
         )
     # a smaller box has no extent once it is clipped to an image of any size

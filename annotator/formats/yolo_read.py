@@ -27,7 +27,7 @@ from annotator.types.errors import FormatError
 
 CLASSES = "classes.txt"
 READABLE = (".png", ".jpg", ".jpeg")
-# Ultralytics reads these, too; here they are reported as faults.
+# Image types that Ultralytics also reads; here they are reported as faults.
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
 LEADS_OUT = "leads out of the dataset's folder, or is not a valid path"
@@ -73,7 +73,7 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
         on_fault: called with the fault of a label file or an image of another type; see `OnFault`.
 
     Raises:
-        FormatError: `path` is none of these, `data.yaml` is damaged, a part is missing or leads out of the folder, a
+        FormatError: `path` is not one of these, `data.yaml` is damaged, a part is missing or is outside the folder, a
             label file does not follow the format, or an image is neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
@@ -87,7 +87,7 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
     for part in PARTS:
         value = getattr(data, part)
         for entry in [value] if isinstance(value, str) else value or []:
-            for picture in _of_part(_placed(file, part, data.path, entry), root, names, on_fault):
+            for picture in _of_part(_part_path(file, part, data.path, entry), root, names, on_fault):
                 by_label_file.setdefault(picture.label_file, picture)
     if not by_label_file:
         raise FormatError(file, "names no image: train, val and test are empty")
@@ -104,7 +104,8 @@ def _read_yaml(file: Path) -> _DataYaml:
         raise FormatError(file, f"is not valid YAML: {error.problem}", line) from error
     except ValidationError as error:
         raise FormatError(
-            file, f"{first_problem(error)}; names must be texts, in quotes where YAML needs them"
+            file,
+            f"{first_problem(error)}; write class names and paths as text, in quotes if YAML reads them as numbers",
         ) from error
     # a wrong type tag (`!!int x`) makes PyYAML raise errors that it does not document
     except (
@@ -121,10 +122,10 @@ def _read_yaml(file: Path) -> _DataYaml:
 
 def _require_different(file: Path, names: Mapping[int, str]) -> None:
     if not names or len(set(names.values())) != len(names) or not all(names.values()) or min(names) < 0:
-        raise FormatError(file, f"names must be different texts, numbered from 0, not {dict(names)}"[:200])
+        raise FormatError(file, f"names must be unique and not empty, numbered from 0, not {dict(names)}"[:200])
 
 
-def _placed(file: Path, part: str, base: str | None, entry: str) -> Path:
+def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
     """Returns the image folder or image list that a part's entry names."""
     root = file.parent
     # some services export ../train/images where train/images is right
@@ -168,7 +169,7 @@ def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFaul
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
-            yield _labels_alone(_inside(label_file, root), place, names, on_fault)
+            yield _labels_without_image(_inside(label_file, root), place, names, on_fault)
 
 
 def _listed(file: Path, root: Path) -> Iterator[Path]:
@@ -192,7 +193,9 @@ def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault
 
 def _require_readable(picture: Path, on_fault: OnFault) -> None:
     if picture.suffix.lower() in OTHERS:
-        on_fault(FormatError(picture, "only PNG and JPEG images are read; save it as PNG or JPEG under the same name"))
+        on_fault(
+            FormatError(picture, "only PNG and JPEG images are supported; save it as PNG or JPEG under the same name")
+        )
 
 
 def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[YoloBox, ...]:
@@ -204,7 +207,7 @@ def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tup
     return parse_boxes(label_file, text, names, on_fault)
 
 
-def _labels_alone(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
+def _labels_without_image(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
     return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, on_fault))
 
 

@@ -1,4 +1,4 @@
-"""`project.json`: a project's name, classes and settings; may be changed with a text editor."""
+"""`project.json`: a project's name, classes and settings; it may be edited by hand."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_name(name: str) -> str:
     """
     if not NAME_PATTERN.fullmatch(name):
         raise ConfigError(
-            f"{name!r} is not a project name; use 1 to 64 of a-z, 0-9, _ and -, beginning with a letter or a digit"
+            f"{name!r} is not a valid project name; use 1 to 64 of a-z, 0-9, _ and -, with a letter or digit first"
         )
     return name
 
@@ -46,14 +46,16 @@ def _check_classes(classes: tuple[str, ...]) -> tuple[str, ...]:
         raise ValueError("a project needs at least one class")
     for name in classes:
         if not name.isprintable() or name != name.strip() or not 0 < len(name) <= 64 or set(name) & set('/\\"'):
-            raise ValueError(f"{name!r} cannot be a class name: 1 to 64 printable characters, no slashes or quotes")
+            raise ValueError(
+                f"{name!r} is not a valid class name; use 1 to 64 printable characters without slashes or quotes"
+            )
     if len(set(classes)) < len(classes):
-        raise ValueError(f"a class is named twice in {', '.join(classes)}")
+        raise ValueError(f"class names must be unique, not {', '.join(classes)}")
     return classes
 
 
 class ProjectSettings(BaseModel):
-    """Defaults for options that a command line leaves out.
+    """Defaults for options that are not given on the command line.
 
     Attributes:
         rotation: permitted rotations of boxes.
@@ -71,7 +73,7 @@ class ProjectConfig(BaseModel):
     """The content of `project.json`.
 
     Attributes:
-        name: the project's name; it stays when the folder is moved or renamed.
+        name: the project's name; moving or renaming the folder does not change it.
         format_version: of this file.
         created_ns: when the project was created, UTC nanoseconds since the epoch.
         classes: permitted class names of boxes, in the detectors' order.
@@ -118,7 +120,7 @@ def read_config(folder: Path) -> ProjectConfig:
         version = _Version.model_validate_json(content).format_version
         if version > FORMAT_VERSION:
             raise ProjectError(
-                f"{path}: has format version {version}, this annotator reads up to {FORMAT_VERSION}; update annotator"
+                f"{path}: has format version {version}; this annotator reads up to {FORMAT_VERSION}; update annotator"
             )
         return ProjectConfig.model_validate_json(content)
     except ValidationError as error:

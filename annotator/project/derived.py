@@ -1,4 +1,4 @@
-"""The tables derived from the events, which hold the present state; updated with each event, or rebuilt from all."""
+"""The tables of the present state, derived from the events: updated with each event, or rebuilt from all."""
 
 from __future__ import annotations
 
@@ -155,4 +155,4 @@ def _boxes_row(state: ImageBoxesState | ViewBoxesState) -> dict[str, Value]:
 def _set_finalised(connection: Connection, event: Event, finalised: bool) -> None:
     changes = (frames.c.id == event.frame_id) & (frames.c.finalised != finalised)
     if connection.execute(update(frames).where(changes).values(finalised=finalised)).rowcount != 1:
-        raise ProjectError("the frame is finalised already" if finalised else "the frame is open already")
+        raise ProjectError("the frame is already finalised" if finalised else "the frame is not finalised")

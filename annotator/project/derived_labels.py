@@ -108,7 +108,9 @@ def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> Non
         condition &= labels.c.state == ReviewState.PROPOSED.value
         values["box"] = linked.box.model_dump_json()
     if connection.execute(update(labels).where(condition).values(**values)).rowcount != 1:
-        raise ProjectError(f"label {linked.uid} is missing in this frame, or has been reviewed; link again")
+        raise ProjectError(
+            f"label {linked.uid} is not in this frame, or has been reviewed since; link the tracks again"
+        )
 
 
 def change_label(connection: Connection, event: Event, payload: LabelChange) -> None:
@@ -137,7 +139,7 @@ def put_label(connection: Connection, event: Event, uid: str, values: dict[str, 
 
 def _require_one(uid: str, changed: int) -> None:
     if changed != 1:
-        raise ProjectError(f"label {uid} is not in this frame, it may have been deleted; reload the frame")
+        raise ProjectError(f"label {uid} is not in this frame; it may have been deleted; reload the frame")
 
 
 def track_values(track_id: int | None) -> dict[str, Any]:

@@ -44,7 +44,7 @@ class BoxEffort(BaseModel):
 
 
 class EffortStatistics(BoxEffort):
-    """Effort per box, in all and by origin; every origin is a key, also without boxes."""
+    """Effort per box, over all boxes and by origin; every origin is a key, even without boxes."""
 
     by_origin: dict[str, BoxEffort]
 
@@ -66,7 +66,7 @@ class ReviewStatistics:
 
 
 def draft_id(frame_id: int, image_box: Box2D) -> str:
-    """Id of a draft, an object that is begun but has no label yet; its effort is counted under this id."""
+    """Id of a draft: an unfinished object without a label. Its effort is counted under this id."""
     edges = ",".join(f"{edge:.3f}" for edge in image_box.xyxy)
     return DRAFT + hashlib.sha256(f"{frame_id}:{edges}".encode()).hexdigest()[:20]
 
@@ -192,7 +192,7 @@ def _origin(row: AnyRow, proposed: Mapping[str, LabelState]) -> str | None:
     """Origin of a reviewed box; None for an imported one that was not edited."""
     if row.proposal_event_id is not None:
         before = proposed.get(row.uid)
-        if before is None:  # reviewed by a version that did not record actions
+        if before is None:  # reviewed with a version of annotator that did not record actions
             return UNTOUCHED if row.state == ReviewState.ACCEPTED.value else CORRECTED
         return UNTOUCHED if _is_unchanged(row, before) else CORRECTED
     if row.source == Source.IMPORTED.value:
@@ -201,7 +201,7 @@ def _origin(row: AnyRow, proposed: Mapping[str, LabelState]) -> str | None:
 
 
 def _is_unchanged(row: AnyRow, before: LabelState) -> bool:
-    """Compares class and box, since a label that was edited and then accepted has the state "accepted", too."""
+    """Compares class and box, since an edited label that was accepted afterwards has the state "accepted"."""
     same: bool = row.label == before.label and parsed(BoxRecord.model_validate_json, row.box) == before.box
     return same
 

@@ -37,7 +37,7 @@ class LabelState(BaseModel):
 
     Attributes:
         place: id of its row, which orders the labels of a frame.
-        track_linked: True if linking gave the track id, not a person or a file.
+        track_linked: True if linking assigned the track id, not a person or a file.
     """
 
     model_config = EXACT
@@ -132,7 +132,7 @@ class ProposedObject(BaseModel):
 
     Attributes:
         uid: of the label created from it.
-        covered_by: uid of the reviewed label of the same object; if given, no label was created.
+        covered_by: uid of the reviewed label of the same object; if set, no label was created.
         track_id: the object's id over the recording, if the pass followed it from another frame.
     """
 

@@ -53,13 +53,15 @@ class Frames:
         """The frame with that key.
 
         Raises:
-            NotFoundError: no such frame.
+            ProjectError: no such frame.
         """
         same = (frames.c.recording_id == recording_id) & (frames.c.key == key)
         with self.writer.store.read() as connection:
             row = connection.execute(select(frames).where(same)).first()
         if row is None:
-            raise ProjectError(f"recording {recording_id} has no frame {key!r}; scan it again if the frame is new")
+            raise ProjectError(
+                f"recording {recording_id} has no frame {key!r}; if the frame is new, scan the recording again"
+            )
         return frame_of(row)
 
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
@@ -83,7 +85,7 @@ class Frames:
 
         Raises:
             StaleRevisionError: the frame has changed since.
-            ProjectError: no such frame, or it is finalised already.
+            ProjectError: no such frame, or it is already finalised.
         """
         return self.writer.to_frame(frame_id, (FrameFinalised(),), context)
 
@@ -93,7 +95,7 @@ class Frames:
         Raises:
             StaleRevisionError: the frame has changed since.
             FinalisedFrameError: an automatic pass may not reopen a frame.
-            ProjectError: no such frame, or it is open already.
+            ProjectError: no such frame, or it is not finalised.
         """
         return self.writer.to_frame(frame_id, (FrameReopened(),), context)
 

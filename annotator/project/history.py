@@ -79,7 +79,7 @@ class _Stacks:
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
 
-    def take(self, action: str, undoes: str | None) -> None:
+    def add(self, action: str, undoes: str | None) -> None:
         """Updates both stacks with the operator's next action."""
         if undoes is None:
             self.undo.append(Step(action, action))
@@ -89,7 +89,7 @@ class _Stacks:
             index = next((n for n in reversed(range(len(source))) if source[n].action == undoes), None)
             if index is not None:
                 target.append(Step(action, source[index].original))
-                # the entries above were skipped: others have changed their targets
+                # the entries above were skipped, because other authors have changed their targets
                 del source[index:]
                 return
 
@@ -142,13 +142,13 @@ class History:
                     break
                 if not skip:
                     raise HistoryError(
-                        f"{self._description(connection, step)}: cannot be {'undone' if is_undo else 'redone'}, "
+                        f"{self._description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
                         f"{conflict}; nothing was changed, both versions are in the log",
                         frame_id=rows[0].frame_id,
                     )
             else:
                 raise HistoryError(
-                    f"others have changed everything that {author} could {'undo' if is_undo else 'redo'}"
+                    f"{author} has nothing left to {'undo' if is_undo else 'redo'}: others have changed the same data"
                 )
             parts = []
             for frame_id, payloads in payloads_by_frame.items():
@@ -156,7 +156,7 @@ class History:
                 parts.append(
                     FramePart(frame_id, payloads, WriteContext(revision, author, effort=effort, undoes=step.action))
                 )
-                # the effort counts once
+                # counted once, on the first frame
                 effort = None
             receipts = self._writer.to_frames_in(connection, parts)
             others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
@@ -175,7 +175,7 @@ class History:
             for row in connection.execute(query):
                 # the events of one action are consecutive
                 if row.action != before:
-                    stacks.take(row.action, row.undoes)
+                    stacks.add(row.action, row.undoes)
                 before, stacks.last = row.action, row.id
             return list(stacks.undo), list(stacks.redo)
 
@@ -203,7 +203,7 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
 
 
 def _conflict(connection: Connection, rows: Sequence[AnyRow]) -> str | None:
-    """Says which target of an action has changed since, and who changed it; None if none has changed."""
+    """Describes a target that has changed since the action, and by whom; None if all are unchanged."""
     last_rows = {(row.frame_id, row.target): row for row in rows}
     for row in last_rows.values():
         present = read_state(connection, row.frame_id, row.target)
@@ -231,7 +231,7 @@ def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
         )
         change = connection.execute(of_passes.order_by(events.c.id.desc()).limit(1)).first()
     if change is None:
-        return "somebody else", ""
+        return "another author", ""
     moment = datetime.fromtimestamp(change.time_ns / 1e9, UTC)
     return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 

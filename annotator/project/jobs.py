@@ -1,4 +1,4 @@
-"""Batch runs: the frames done with each combination of detectors and settings, and the reasons of failures."""
+"""Batch runs: the frames processed with each combination of detectors and settings, and the reasons for failures."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class Jobs:
         after: StoredFrame | None = None,
         limit: int | None = None,
     ) -> tuple[StoredFrame, ...]:
-        """The frames that a run with this key must process, in order.
+        """The frames that a run with this key still has to process, in order.
 
         Excluded are finalised frames, frames that the latest scan did not find, and frames whose latest pass had this
         key and succeeded. (After a pass with another key the frame holds that pass's proposals, so it is processed

@@ -60,7 +60,7 @@ class StoredLabel:
         run_id: of the batch run that proposed it, if one did.
         origin: how an operator made it, if one did.
         image_box: box on the camera image that it was drawn from, if any.
-        track_linked: True if linking gave the track id, not a person or a file.
+        track_linked: True if linking assigned the track id, not a person or a file.
     """
 
     frame_id: int
@@ -133,7 +133,7 @@ class Labels:
         classes: Collection[str] | None = None,
         tracks: Collection[int] | None = None,
     ) -> tuple[StoredLabel, ...]:
-        """Labels of the whole project, ordered by frame; None = no condition. `REVIEWED`: the trusted states."""
+        """Labels of the whole project, ordered by frame; None = no condition. `REVIEWED` holds accepted and edited."""
         query = _filtered(select(labels), states, recordings, classes)
         ordered = _in_order(query if tracks is None else query.where(labels.c.track_id.in_(tracks)))
         with self.writer.store.read() as connection:

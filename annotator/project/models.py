@@ -26,12 +26,12 @@ class StoredModel:
     Attributes:
         id: within the project.
         role: camera images or pseudo-views.
-        path: of the weights; absolute.
+        path: absolute path of the weights.
         created_ns: UTC nanoseconds since the epoch.
         labels: the class names that it detects.
         box_kind: what its boxes enclose, as in its training data.
         metrics: by name, from the training.
-        manifest: path of the list of labels it was trained on, or None; absolute.
+        manifest: absolute path of the list of labels that it was trained on, or None.
         fingerprint: of its detector.
         active: True for the model that its role uses now.
     """
@@ -79,7 +79,7 @@ class Models:
         """
         for file in (path, manifest):
             if file is not None and not file.exists():
-                raise ProjectError(f"{file}: is missing; the {role} model cannot be registered without it")
+                raise ProjectError(f"{file}: is missing; it is required to register the {role} model")
         row = {
             "role": role.value,
             "path": self._stored_path(path),

@@ -1,4 +1,4 @@
-"""The data that the page shows of one frame, and of a list of frames; each is read in one transaction."""
+"""The data of one frame, or of a list of frames, for the page; each is read in one transaction."""
 
 from __future__ import annotations
 

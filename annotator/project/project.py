@@ -43,7 +43,7 @@ _FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 @dataclass(frozen=True)
 class ListedProject:
-    """One entry of a projects folder: its configuration, or the problem that keeps it from being opened."""
+    """One entry of a projects folder: its configuration, or why it cannot be opened."""
 
     path: Path
     config: ProjectConfig | None
@@ -99,15 +99,15 @@ class Project:
             ConfigError: invalid class names.
             ProjectError: boxes have a class that would be removed, or `project.json` cannot be written.
         """
-        # the lock excludes concurrent changes of the file, and new boxes of a removed class
+        # the lock prevents concurrent changes of the file, and new boxes of a removed class
         with self.store.write() as connection:
             old = self.config
             names = old.classes if classes is None else tuple(classes)
             new = new_config(old.name, names, settings or old.settings, old.created_ns)
             if removed := sorted(_used_classes(connection) - set(new.classes)):
                 raise ProjectError(
-                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed, boxes have this class; "
-                    "keep the class, or delete or relabel its boxes first"
+                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; "
+                    "delete or relabel these boxes first"
                 )
             write_config(self.path, new)
         return new
@@ -187,7 +187,7 @@ def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: C
         for folder in _FOLDERS:
             (path / folder).mkdir(exist_ok=True)
     except OSError as error:
-        raise ProjectError(f"{path}: a folder of the project is missing and cannot be created: {error}") from error
+        raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
     return Project(path, open_store(path / DATABASE_FILE, busy_timeout_s=busy_timeout_s, clock=clock))
 
 

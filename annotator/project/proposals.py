@@ -22,7 +22,7 @@ from annotator.project.writing import Receipt, WriteContext, Writer, require_wri
 from annotator.types import Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ProjectError
 
-# Exact 3D IoU from which a proposal and a label of the same class are the same object.
+# Minimum exact 3D IoU at which a proposal and a label of one class count as the same object.
 SAME_OBJECT_IOU = 0.5
 
 
@@ -55,7 +55,7 @@ class PassObject:
 
     Attributes:
         uid: of the label created from it.
-        covered_by: uid of the reviewed label of the same object; if given, no label was created.
+        covered_by: uid of the reviewed label of the same object; if set, no label was created.
         proposal: with its whole trace.
     """
 
@@ -105,16 +105,16 @@ class Proposals:
         same class, is 0.5 or more: it gets no label, and the log stores it with the uid of the covering label.
 
         Args:
-            context: its source is normally AUTO, so that a finalised frame refuses the pass.
+            context: its source is normally AUTO, so that a pass over a finalised frame is rejected.
             run: if given, the frame is recorded as done for that run, in the same transaction.
             track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
-                id that a reviewed label of this frame has is ignored.
+                id that a reviewed label of this frame uses is ignored.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
         """
         with self.writer.store.write() as connection:
-            # the cheap checks precede the IoU
+            # the cheap checks come before the IoU
             where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
@@ -140,8 +140,8 @@ class Proposals:
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
-        open_ones = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
-        event_ids = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(open_ones)
+        is_open = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
+        event_ids = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(is_open)
         boxes: dict[str, OrientedBox] = {}
         with self.writer.store.read() as connection:
             for (content,) in connection.execute(select(events.c.payload).where(events.c.id.in_(event_ids))):
@@ -193,7 +193,9 @@ def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Label]) -> list[st
 
 def _payload(event: Event) -> ProposalsReplaced:
     if not isinstance(event.payload, ProposalsReplaced):
-        raise ProjectError(f"event {event.id} should hold proposals, but is {event.payload.kind}; rebuild the project")
+        raise ProjectError(
+            f"event {event.id} should hold proposals, not {event.payload.kind}; restore the project from a backup"
+        )
     return event.payload
 
 
@@ -204,7 +206,7 @@ def _pass(event: Event) -> Pass:
 
 
 def _proposed(content: str) -> dict[str, OrientedBox]:
-    """The boxes in the payload of an event that proposes, by uid."""
+    """The proposed boxes in an event's payload, by label uid."""
     payload = json.loads(content)
     entries = payload.get("objects", [payload])
     return {entry["uid"]: BoxRecord.model_validate(entry["proposal"]["box"]).box() for entry in entries}

@@ -16,7 +16,7 @@ from annotator.project.schema import AnyRow, frames, moves, recordings
 from annotator.project.store import Store
 from annotator.types.errors import NotFoundError, ProjectError
 
-# Number of frame keys listed in an error message.
+# Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5
 
 
@@ -29,7 +29,7 @@ class StoredRecording:
         path: absolute.
         format: name of the reader.
         name: unique within the project.
-        is_sequence: True where the frames follow each other in time.
+        is_sequence: True if the frames are in time order.
         up: unit vector against gravity in the camera frame, if known and constant over the recording.
         added_ns: UTC nanoseconds since the epoch.
         frames: number of frames in the latest scan.
@@ -106,7 +106,7 @@ class Recordings:
         with self.store.write() as connection:
             _require_unique(_recording(connection, recording_id).path, keys)
             known = _positions(connection, recording_id)
-            new = _take_keys(connection, recording_id, known, keys)
+            new = _update_frames(connection, recording_id, known, keys)
         present = set(keys)
         return Rescan(new, tuple(key for key in known if key not in present))
 
@@ -131,7 +131,7 @@ class Recordings:
                 raise ProjectError(f"{path} is in the project already, as recording {other}")
             known = _positions(connection, recording_id)
             _require_same(before, path, known, keys)
-            _take_keys(connection, recording_id, known, keys)
+            _update_frames(connection, recording_id, known, keys)
             if path != before.path:
                 same = recordings.c.id == recording_id
                 connection.execute(update(recordings).where(same).values(path=str(path)))
@@ -163,7 +163,7 @@ class Recordings:
         for recording in stored:
             if recording.name == name:
                 return recording
-        names = ", ".join(recording.name for recording in stored) or "none yet"
+        names = ", ".join(recording.name for recording in stored) or "none"
         raise NotFoundError(f"the project has no recording {name!r}; it has: {names}")
 
 
@@ -196,8 +196,8 @@ def _stored(row: AnyRow) -> StoredRecording:
 
 def _require_unique(path: Path, keys: Sequence[str]) -> None:
     if len(set(keys)) < len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ProjectError(f"{path}: frame key {twice!r} occurs twice; keys must be unique within a recording")
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise ProjectError(f"{path}: frame key {repeated!r} occurs twice; keys must be unique within a recording")
 
 
 def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, int | None], keys: Sequence[str]) -> None:
@@ -206,14 +206,14 @@ def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, in
     if not missing:
         return
     unknown = [key for key in keys if key not in known]
-    also = f" and also has {_some(unknown)}" if unknown else ""
+    also = f" and also has {_frame_list(unknown)}" if unknown else ""
     raise ProjectError(
-        f"{path} is not {recording.name}: it lacks {_some(missing)}{also}; nothing was changed; "
+        f"{path} is not {recording.name}: it lacks {_frame_list(missing)}{also}; nothing was changed; "
         f"give the folder with the same {recording.frames} frames"
     )
 
 
-def _some(keys: Sequence[str]) -> str:
+def _frame_list(keys: Sequence[str]) -> str:
     more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
     return f"{'frame' if len(keys) == 1 else 'frames'} {', '.join(keys[:MOST_NAMED])}{more}"
 
@@ -243,7 +243,7 @@ def _insert_frames(connection: Connection, recording_id: int, places: list[tuple
         connection.execute(insert(frames), rows)
 
 
-def _take_keys(
+def _update_frames(
     connection: Connection, recording_id: int, known: dict[str, int | None], keys: Sequence[str]
 ) -> tuple[str, ...]:
     """Updates the index of all frames and inserts new ones; returns the keys of the new frames."""

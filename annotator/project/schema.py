@@ -18,7 +18,7 @@ AnyRow = Any
 
 
 class PackedText(TypeDecorator[str]):
-    """Text; a long one is stored as a zlib-compressed blob since version 4 of the database (older rows stay text)."""
+    """Text; since database version 4, long texts are stored as zlib-compressed blobs (older rows stay text)."""
 
     impl = Text
     cache_ok = True

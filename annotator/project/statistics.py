@@ -25,7 +25,7 @@ from annotator.types import ReviewState, Source
 
 
 class LabelCounts(BaseModel):
-    """Counts of 3D labels; every state and source is a key, also with count 0."""
+    """Counts of 3D labels; every state and source is a key, even with count 0."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

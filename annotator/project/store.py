@@ -20,7 +20,7 @@ from annotator.types.errors import ProjectError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
-# The web server answers in about this many threads at once, each with its own connection.
+# The web server uses about this many threads at once, each with its own connection.
 THREADS = 20
 
 Clock = Callable[[], int]
@@ -28,14 +28,14 @@ Clock = Callable[[], int]
 _BEGIN = "annotator_begin"
 
 _PROBLEMS = {
-    sqlite3.SQLITE_BUSY: "is locked by another process; close what else uses this project, or wait, and try again",
-    sqlite3.SQLITE_LOCKED: "is locked by another process; close what else uses this project, or wait, and try again",
-    sqlite3.SQLITE_CORRUPT: "is damaged; restore it from a backup (`sqlite3 project.db .recover` may save a part)",
+    sqlite3.SQLITE_BUSY: "is locked by another process; close programs that use this project, or wait, and try again",
+    sqlite3.SQLITE_LOCKED: "is locked by another process; close programs that use this project, or wait, and try again",
+    sqlite3.SQLITE_CORRUPT: "is damaged; restore it from a backup (`sqlite3 project.db .recover` may recover a part)",
     sqlite3.SQLITE_NOTADB: "is not a project database, or its beginning is damaged; restore it from a backup",
     sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the permissions of the file and of its folder",
-    sqlite3.SQLITE_FULL: "cannot grow, the disk is full; nothing was changed; free some space and try again",
-    sqlite3.SQLITE_IOERR: "cannot be read or written, the disk reports an error; nothing was changed",
+    sqlite3.SQLITE_FULL: "cannot be written, because the disk is full; nothing was changed; free some space",
+    sqlite3.SQLITE_IOERR: "cannot be read or written because of a disk error; nothing was changed; check the disk",
 }
 
 
@@ -70,19 +70,19 @@ class Store:
         """A write transaction, committed as a whole or not at all.
 
         It takes SQLite's write lock at its beginning: SQLite refuses to upgrade a read transaction whose snapshot is
-        outdated. Threads wait for `write_lock` before they take a connection: inside SQLite they would poll, and would
-        occupy the connections that readers need.
+        outdated. Threads wait for `write_lock` before they take a connection; otherwise they would poll inside SQLite
+        and occupy connections that readers need.
 
         Raises:
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
         # after the timeout, SQLite itself reports the problem
-        is_locked = self.write_lock.acquire(timeout=BUSY_TIMEOUT_S)
+        has_lock = self.write_lock.acquire(timeout=BUSY_TIMEOUT_S)
         try:
             with self._transaction("BEGIN IMMEDIATE") as connection:
                 yield connection
         finally:
-            if is_locked:
+            if has_lock:
                 self.write_lock.release()
 
     @contextmanager
@@ -101,7 +101,9 @@ class Store:
         with self.read() as connection:
             lines = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
             orphans = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
-        return [line for line in lines if line != "ok"] + [f"row without its parent: {tuple(row)}" for row in orphans]
+        return [line for line in lines if line != "ok"] + [
+            f"row that refers to a missing row: {tuple(row)}" for row in orphans
+        ]
 
     def close(self) -> None:
         """Closes all connections."""
@@ -119,7 +121,7 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
     store = _store(path, "rwc", BUSY_TIMEOUT_S, clock)
     with _closed_on_error(store), _explained(path):
         with closing(store.engine.raw_connection()) as outside_transactions:
-            # stored in the file, thus valid for every later connection
+            # stored in the file, so it applies to every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
         with store.write() as connection:
             connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -149,7 +151,7 @@ def open_store(
             # reading the schema detects a truncated or overwritten file at once
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
         if application_id != APPLICATION_ID:
-            raise ProjectError(f"{path}: is an SQLite database, but not one of annotator's; restore it from a backup")
+            raise ProjectError(f"{path}: is an SQLite database, but not a project database; restore it from a backup")
         if version != migrations[-1].version:
             with store.write() as connection:
                 upgrade(connection, path, migrations)

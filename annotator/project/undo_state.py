@@ -92,7 +92,7 @@ def restoring(target: str, state: str | None) -> Payload:
 
 
 def same_state(target: str, a: str | None, b: str | None) -> bool:
-    """True where two states are equal, apart from a label's position in the list."""
+    """True if two states are equal, apart from a label's position in the list."""
     if a is None or b is None or not target.startswith(LABEL):
         return a == b
     first, second = parsed(LabelState.model_validate_json, a), parsed(LabelState.model_validate_json, b)

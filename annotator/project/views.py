@@ -56,7 +56,7 @@ class Views:
             NotFoundError: no such image.
         """
         if not _ID.fullmatch(view_id):
-            raise NotFoundError(f"{view_id!r} is not the id of a view (64 hexadecimal digits)")
+            raise NotFoundError(f"{view_id!r} is not the id of a view; ids have 64 hexadecimal digits")
         path = self._file(view_id)
         if not path.is_file():
             raise NotFoundError(
@@ -114,8 +114,8 @@ def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
     """An image, (H, W, 3) uint8, RGB order, as the bytes of a PNG file; deterministic."""
     import cv2
 
-    written, content = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
-    if not written:
+    is_encoded, content = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
+    if not is_encoded:
         raise ProjectError(f"an image of shape {rgb.shape} cannot be encoded as PNG")
     return content.tobytes()
 

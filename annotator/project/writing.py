@@ -55,7 +55,7 @@ class WriteContext:
 
     def __post_init__(self) -> None:
         if not self.author.strip():
-            raise ProjectError("a change needs an author; give a name")
+            raise ProjectError("a change needs an author; pass a name that is not empty")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Writer:
             FinalisedFrameError: an automatic pass may not change a finalised frame.
             ProjectError: an unknown frame, label or class; or the database cannot be written.
         """
-        # a stale change is refused before it waits for the write lock
+        # rejects a stale change without waiting for the write lock
         with self.store.read() as connection:
             require_writable(connection, frame_id, context)
         with self.store.write() as connection:
@@ -195,14 +195,14 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
     if row.finalised and context.source is Source.AUTO:
-        raise FinalisedFrameError(f"{where} is finalised; automatic passes may not change it; reopen it first")
+        raise FinalisedFrameError(f"{where} is finalised, so automatic passes may not change it; reopen it first")
     if row.revision != context.revision:
         raise StaleRevisionError(where, context.revision, row.revision)
     return where
 
 
 def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: WriteContext) -> bool:
-    """True for changes that an operator can undo: not automatic passes, imports or changes of no frame."""
+    """True for changes that an operator can undo: not automatic passes, imports, or changes without a frame."""
     by_hand = frame_id is not None and context.source is Source.MANUAL
     return by_hand and not any(isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads)
 

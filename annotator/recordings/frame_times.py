@@ -31,7 +31,7 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
     Lines of missing frames are ignored.
 
     Raises:
-        RecordingError: another header, a line that is not a key and a whole number, or a key that occurs twice.
+        RecordingError: an invalid header, a line that is not a key and a whole number, or a key that occurs twice.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -41,7 +41,7 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read ({error}); {REMEDY}") from error
     if not lines or lines[0].strip() != HEADER:
-        raise RecordingError(f"{path}:1: must begin with {HEADER}; {REMEDY}")
+        raise RecordingError(f"{path}:1: the header must be {HEADER}; {REMEDY}")
     times: dict[str, int] = {}
     for number, text in enumerate(lines[1:], 2):
         key, _, time = text.rpartition(",")
@@ -51,6 +51,6 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
                 f"{path}:{number}: must be a key and a time in nanoseconds, not {text[:80]!r}; {REMEDY}"
             )
         if key in times:
-            raise RecordingError(f"{path}:{number}: frame {key} has a line already; {REMEDY}")
+            raise RecordingError(f"{path}:{number}: frame {key} already has a line; {REMEDY}")
         times[key] = int(time)
     return tuple(times.get(key) for key in keys)

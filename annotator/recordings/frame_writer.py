@@ -73,7 +73,7 @@ class FrameWriter:
         except OSError as error:
             raise RecordingError(
                 f"{self.folder}: frame {key} cannot be written ({error.strerror or error}); "
-                "make room, or record to another disk"
+                "free some space, or record to another disk"
             ) from error
         self.frames += 1
         return key
@@ -97,12 +97,12 @@ class FrameWriter:
         assert self._camera is not None
         if camera_key(frame.camera) != camera_key(self._camera) or (frame.depth_m is not None) != self._has_depth:
             raise RecordingError(
-                f"{self.folder}: frame {frame.key} has another camera than the first frame, but a folder has only one; "
-                "record without it, or stop before the camera changes"
+                f"{self.folder}: frame {frame.key} has a different camera; a recording has only one; "
+                "stop recording before the camera changes"
             )
 
     def _follow_gravity(self, up: Float64[np.ndarray, "3"] | None) -> None:
-        """Removes the folder's gravity.json once a frame has another direction of gravity, or none."""
+        """Removes the folder's gravity.json once a frame has a different direction of gravity, or none."""
         if self._up is None:
             return
         if up is None or float(up @ self._up) < np.cos(SAME_UP_RAD):

@@ -22,8 +22,8 @@ REMEDIES = {
 
 
 @contextmanager
-def looking_at(path: Path) -> Iterator[None]:
-    """Turns an OSError while `path` is inspected into a RecordingError.
+def path_errors(path: Path) -> Iterator[None]:
+    """Converts an OSError while `path` is inspected into a RecordingError.
 
     Raises:
         RecordingError: the path cannot be read.
@@ -44,7 +44,7 @@ def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
         RecordingError: the folder cannot be read.
     """
     # scandir instead of a stat per file: data sets have ten thousand frames
-    with looking_at(folder), os.scandir(folder) as entries:
+    with path_errors(folder), os.scandir(folder) as entries:
         files = (entry.name for entry in entries if entry.name[0] != "." and entry.is_file())
         named = map(os.path.splitext, files)
         return {stem for stem, suffix in named if suffix.lower() in suffixes}
@@ -54,7 +54,7 @@ def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:
     """Returns the keys in natural order ("2" before "10").
 
     Raises:
-        RecordingError: there is none; the message names what was `expected` in `path`.
+        RecordingError: no keys; the message says what was `expected` in `path`.
     """
     if not keys:
         raise RecordingError(f"{path}: no frames; expected {expected}")
@@ -75,7 +75,7 @@ def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) 
     """Returns the file of frame `key` in `folder`; `partner` names the file it belongs to, for the message.
 
     Raises:
-        FrameError: there is none or more than one, or the folder cannot be read.
+        FrameError: no such file, more than one, or the folder cannot be read.
     """
     candidates = [folder / (key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
     # by inode: on a case-insensitive file system both spellings are the same file

@@ -23,7 +23,7 @@ from typing import Any
 
 from annotator.recordings.open import open_recording
 from annotator.recordings.recording import Recording
-from annotator.recordings.sunrgbd.scenes import BETWEEN
+from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
@@ -38,7 +38,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int) -> Mirror:
     Args:
         folder: parent folder of the local copies. A copy is removed with its recording; copies of killed processes are
             removed when the next one is made.
-        limit_bytes: most bytes of the recording on disk at a time.
+        limit_bytes: maximum size of the local copy at any time.
 
     Raises:
         RecordingError: the storage cannot be reached, has no files there, or a single-file recording does not fit.
@@ -132,7 +132,7 @@ class Mirror:
             return self._opened.frame(i)
 
     def close(self) -> None:
-        """Removes the copy; nothing can be read afterwards. Garbage collection removes it, too."""
+        """Removes the copy; no frame can be read afterwards. Garbage collection also removes it."""
         self._removed()
 
 
@@ -145,7 +145,7 @@ class _Store:
         system: fsspec's file system.
         folder: the copy's folder.
         files: path relative to the folder -> path in the storage, and size in bytes.
-        limit_bytes: most bytes downloaded at a time.
+        limit_bytes: maximum of `used_bytes`.
         kept: files that stay downloaded.
         filled: downloaded files by frame key, least recently used first.
         used_bytes: bytes downloaded.
@@ -197,7 +197,7 @@ class _Store:
                 self.empty(path)
         if self.used_bytes + needed > self.limit_bytes:
             raise RecordingError(
-                f"{self.url}: {', '.join(paths[:3])} ({needed / 1e6:.1f} MB) does not fit into the local copy (limit "
+                f"{self.url}: no room in the local copy for {', '.join(paths[:3])} ({needed / 1e6:.1f} MB; limit "
                 f"{self.limit_bytes / 1e6:.1f} MB, used {self.used_bytes / 1e6:.1f} MB); raise --cache-mb"
             )
         copied: list[str] = []
@@ -227,7 +227,7 @@ class _Store:
 
 @contextmanager
 def _storage_errors(url: str) -> Iterator[None]:
-    """Turns any error of fsspec and its storage libraries into a RecordingError."""
+    """Converts any error of fsspec and its storage libraries into a RecordingError."""
     try:
         yield
     except Exception as error:  # each storage library has its own exception types
@@ -244,7 +244,7 @@ def _size(info: dict[str, Any]) -> int:
 
 
 def _below(url: str, root: str, sizes: dict[str, int]) -> Iterator[tuple[str, tuple[str, int]]]:
-    """Yields path relative to the root, path in the storage and size; refuses names that lead out of the folder."""
+    """Yields path relative to the root, path in the storage and size; rejects names that lead out of the folder."""
     for path, size in sizes.items():
         relative = PurePosixPath(path).relative_to(root)
         if ".." in relative.parts or relative.is_absolute():
@@ -259,7 +259,7 @@ def _owner(path: str, keys: set[str]) -> str | None:
     if pure.stem in keys:
         return pure.stem
     folders = pure.parts[:-1]
-    joined = (BETWEEN.join(folders[:count]) for count in range(len(folders), 0, -1))
+    joined = (KEY_SEPARATOR.join(folders[:count]) for count in range(len(folders), 0, -1))
     return next((key for key in joined if key in keys), None)
 
 

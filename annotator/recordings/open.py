@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from annotator.recordings.listing import looking_at
+from annotator.recordings.listing import path_errors
 from annotator.recordings.recording import NotFound, Recording
-from annotator.recordings.table import LOOKS, READERS
+from annotator.recordings.table import QUICK_CHECKS, READERS
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 MOST_HINTS = 5
@@ -18,7 +18,7 @@ FILE_SUFFIXES = (".mkv",)
 
 
 def open_recording(path: Path) -> Recording:
-    """Opens the recording at `path`; its frames are listed, none is read.
+    """Opens the recording at `path`; its frames are listed but not read.
 
     Raises:
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
@@ -26,7 +26,7 @@ def open_recording(path: Path) -> Recording:
     """
     result = _try_readers(path)
     if isinstance(result, list):
-        with looking_at(path):
+        with path_errors(path):
             message = _explain(path, result)
         raise UnknownFormatError(message)
     return result
@@ -39,10 +39,10 @@ def detect_format(path: Path) -> str | None:
         RecordingError: the recording has no frames, or the path cannot be read.
     """
     for name, target in READERS.items():
-        look: Callable[[Path], Recording | NotFound | bool] = _load(LOOKS.get(name, target))
-        with looking_at(path):
-            answer = look(path)
-        if answer is not False and not isinstance(answer, NotFound):
+        recognise: Callable[[Path], Recording | NotFound | bool] = _load(QUICK_CHECKS.get(name, target))
+        with path_errors(path):
+            result = recognise(path)
+        if result is not False and not isinstance(result, NotFound):
             return name
     return None
 
@@ -52,11 +52,11 @@ def _try_readers(path: Path) -> Recording | list[str]:
     looked_for = []
     for name, target in READERS.items():
         reader: Callable[[Path], Recording | NotFound] = _load(target)
-        with looking_at(path):
-            answer = reader(path)
-        if not isinstance(answer, NotFound):
-            return answer
-        looked_for.append(f"{name}: {answer.looked_for}")
+        with path_errors(path):
+            result = reader(path)
+        if not isinstance(result, NotFound):
+            return result
+        looked_for.append(f"{name}: {result.looked_for}")
     return looked_for
 
 
@@ -73,7 +73,7 @@ def _explain(path: Path, looked_for: list[str]) -> str:
     lines += [f"  {line}" for line in looked_for]
     nested = _openable_children(path)
     if nested:
-        lines.append("give one of these in it instead: " + ", ".join(nested))
+        lines.append("it contains recordings; give the path of one of them: " + ", ".join(nested))
     return "\n".join(lines)
 
 
@@ -85,7 +85,7 @@ def _openable_children(path: Path) -> list[str]:
     for child in sorted(child for child in path.iterdir() if child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
         try:
             is_known = detect_format(child) is not None
-        except RecordingError:  # without frames or unreadable: not suggested
+        except RecordingError:  # without frames or unreadable, so not suggested
             continue
         if is_known:
             names.append(child.name)

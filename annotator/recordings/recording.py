@@ -27,7 +27,7 @@ class Recording(Protocol):
 
     @property
     def name(self) -> str:
-        """A short name to display: the folder's."""
+        """A short name to display: that of the folder or file."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ class KeyedFrames:
         return len(self.keys)
 
     def key(self, i: int) -> str:
-        """Returns the key of frame `i`; unlike `keys[i]`, it refuses negative indices.
+        """Returns the key of frame `i`; unlike `keys[i]`, it raises for negative indices.
 
         Raises:
             IndexError: there is no such frame.

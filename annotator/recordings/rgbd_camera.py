@@ -69,7 +69,7 @@ def camera_file(folder: Path) -> Path:
     The latter is looked up in the folder and then, for several recordings of one camera, one level above.
 
     Raises:
-        FrameError: there is none, or several fit.
+        FrameError: no such file, or several `camera_*.json` with a matrix.
     """
     expected = folder / FILE_NAME
     if expected.is_file():
@@ -92,7 +92,7 @@ def read_camera(path: Path) -> RgbdCamera:
     """Reads a camera file.
 
     Raises:
-        FrameError: not JSON, a missing key, or numbers that are not a pinhole camera's.
+        FrameError: not JSON, a missing key, or numbers that do not describe a pinhole camera.
     """
     try:
         content = IntrinsicFile.model_validate_json(path.read_bytes())

@@ -55,16 +55,16 @@ class RgbdFolder(KeyedFrames):
         depth_folder = self.path / "depth"
         color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
         depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
-        described = read_camera(camera_file(self.path))
+        content = read_camera(camera_file(self.path))
         rgb = read_rgb(color_path)
-        _check_size(color_path, rgb, described.camera, f"the camera in {described.path.name}")
-        depth_m = _depth_m(depth_path, described)
+        _check_size(color_path, rgb, content.camera, f"the camera in {content.path.name}")
+        depth_m = _depth_m(depth_path, content)
         return Frame(
             key=key,
             index=i,
-            camera=described.camera,
+            camera=content.camera,
             rgb=rgb,
-            cloud=_cloud(depth_path, described.camera, depth_m, rgb),
+            cloud=_cloud(depth_path, content.camera, depth_m, rgb),
             depth_m=depth_m,
             up=read_up(self.path / "gravity.json"),
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
@@ -75,7 +75,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     """Opens the RGB-D folder at `path`; `NotFound` if it is not one.
 
     `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
-    another encoding of depth.
+    a different encoding of depth.
 
     Raises:
         RecordingError: the folders exist but have no image, or `timestamps.csv` is invalid.
@@ -91,10 +91,10 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     return RgbdFolder(path, ordered, color, read_times(path, ordered))
 
 
-def _depth_m(path: Path, described: RgbdCamera) -> np.ndarray:
+def _depth_m(path: Path, content: RgbdCamera) -> np.ndarray:
     raw = read_depth(path)
-    _check_size(path, raw, described.camera, "the colour image")
-    return np.divide(raw, np.float32(described.depth_scale), dtype=np.float32)
+    _check_size(path, raw, content.camera, "the colour image")
+    return np.divide(raw, np.float32(content.depth_scale), dtype=np.float32)
 
 
 def _cloud(path: Path, camera: Camera, depth_m: np.ndarray, rgb: np.ndarray) -> PointCloud:

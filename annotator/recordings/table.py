@@ -16,7 +16,7 @@ READERS: dict[str, str] = {
     "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
 }
 
-# Faster checks whether a reader recognises a path, for formats that take long to open.
-LOOKS: dict[str, str] = {
+# Faster recognition checks, for formats that are slow to open.
+QUICK_CHECKS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
 }

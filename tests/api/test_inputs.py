@@ -145,7 +145,7 @@ def test_intrinsics_are_a_matrix_four_numbers_or_a_camera(make: Callable[..., an
         (K + np.array([[0, 3, 0], [0, 0, 0], [0, 0, 0]]), ["skew"]),
         ((30, 30, 15.5), ["(fx, fy, cx, cy)"]),
         ((15.5, 11.5, 300, 300), ["principal point", "resolution"]),
-        ((0.9, 1.2, 0.5, 0.5), ["pixels", "shares"]),
+        ((0.9, 1.2, 0.5, 0.5), ["pixels", "fractions"]),
         ((-30, 30, 15.5, 11.5), ["focal"]),
         ((np.nan, 30, 15.5, 11.5), ["NaN"]),
         ("K", ["numbers"]),

@@ -116,7 +116,7 @@ def test_arguments_that_do_not_go_together_are_refused(hands: annotator.Recordin
     refused("either image_boxes or image_detector")
     refused("either image_boxes or image_detector", image_boxes=[box], image_detector=HAND)
     refused("1 lists for 2 frames", [frame, frame], image_boxes=[[box]])
-    refused("one list of boxes each", [frame, frame], image_boxes=[box, box])
+    refused("one list of boxes per frame", [frame, frame], image_boxes=[box, box])
     refused("rotation must be one of", image_boxes=[box], rotation="tilted")
     refused("box_kind must be one of", image_boxes=[box], box_kind="outline")
     refused("there is no such setting", image_boxes=[box], settings={"max_step": 3})

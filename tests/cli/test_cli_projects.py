@@ -96,11 +96,11 @@ def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["new", "Bad Name", "--classes", "x"], "is not a project name"),
+        (["new", "Bad Name", "--classes", "x"], "is not a valid project name"),
         (["new", "there", "--classes", "x"], "exists already"),
         (["new", "n", "--classes"], "at least one class"),
         (["stats", "nothere"], "no project 'nothere' (it has: there); create it with"),
-        (["stats", "../there"], "is not a project name"),
+        (["stats", "../there"], "is not a valid project name"),
         (["add", "there"], "no recording given"),
         (["add", "there", "nowhere"], "nowhere: no such file or folder"),
         (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),

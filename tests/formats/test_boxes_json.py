@@ -55,7 +55,7 @@ def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, fram
         pytest.param({"a": UNIT | {"size": [1, 0, 1]}}, "frame a, hand: box sizes must be positive", id="flat"),
         pytest.param({"a": UNIT | {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "proper rotation", id="mirror"),
         pytest.param({"a": UNIT | {"label": ""}}, "a.0.label", id="no-label"),
-        pytest.param({"a": UNIT | {"corners": [[0, 0, 1]] * 8}}, "corners lie up to", id="other-corners"),
+        pytest.param({"a": UNIT | {"corners": [[0, 0, 1]] * 8}}, "corners differ by up to", id="other-corners"),
         pytest.param('{"a": {"label": "x", "center": [0, NaN, 0]}}', "a.0.center.1", id="nan"),
     ],
 )

@@ -25,7 +25,7 @@ def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
     ("text", "problem"),
     [
         ("", r"frames\.csv:1: must begin with id,recording,key,split"),
-        ("id,recording,key,split\n1,a,000,\n2,b\n", r"frames\.csv:3: needs id, recording, key, split"),
+        ("id,recording,key,split\n1,a,000,\n2,b\n", r"frames\.csv:3: needs the fields id, recording, key, split"),
         ("id,recording,key,split\n1,a,000,\n1,a,001,\n", r"frames\.csv:3: the id 1 occurs twice"),
         ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is not valid CSV"),
     ],

@@ -204,10 +204,10 @@ ROW = {"token": "a0", "sample_token": "s", "instance_token": "i0", "translation"
         (
             "sample_annotation",
             [ROW | {"size": [2, 4, 1], "rotation": AHEAD, "instance_token": "x"}],
-            r"0: refers to the token x, which instance\.json does not have",
+            r"0: refers to the token x, which is not in instance\.json",
         ),
         ("category", [{"token": "c", "name": "a"}, {"token": "c", "name": "b"}], "1: the token c occurs twice"),
-        ("ego_pose", [], r"sample_data\.json: 0: refers to the token p, which ego_pose\.json does not have"),
+        ("ego_pose", [], r"sample_data\.json: row 0: refers to the token p, which is not in ego_pose\.json"),
         ("sensor", [{"token": n, "channel": n, "modality": "lidar"} for n in "FB"], "has no key frame of a camera"),
         ("instance", {"token": "i0"}, r"instance\.json: the file: Input should be a valid tuple"),
     ],

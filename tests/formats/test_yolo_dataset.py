@@ -86,7 +86,7 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
     [
         ({"a.txt": ROW}, "no data.yaml, and no classes.txt"),
         ({"classes.txt": "a\n"}, "has no label file"),
-        ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be different"),
+        ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be unique"),
         ({"data.yaml": "train: x\n  names: ["}, r"data\.yaml:2: is not valid YAML"),
         ({"data.yaml": "[" * 5000}, "is not valid YAML"),
         # texts that are not what they claim, each of which PyYAML stumbles over in another way
@@ -102,7 +102,7 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
                 '"\\UFFFFFFFF"',
             )
         ),
-        ({"data.yaml": "names: [a, 1]\ntrain: x"}, "names must be texts, in quotes"),
+        ({"data.yaml": "names: [a, 1]\ntrain: x"}, "write class names and paths as text, in quotes"),
         ({"data.yaml": "train: x"}, "names: Field required"),
         ({"data.yaml": "names: [a]"}, "names no image"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
@@ -110,8 +110,11 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
         ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the dataset's folder"),
         ({"data.yaml": "train: l.txt\nnames: [a]", "l.txt": "\n../../x.png"}, r"l\.txt:2: .* leads out"),
         ({"data.yaml": "train: i\nnames: [a]", "i/x.png": "", "i/x.txt": "0 1"}, r"i/x\.txt:1: has 2 fields"),
-        ({"data.yaml": "train: i\nnames: [a]", "i/x.BMP": ""}, r"i/x\.BMP: only PNG and JPEG images are read; save"),
-        ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG images are read"),
+        (
+            {"data.yaml": "train: i\nnames: [a]", "i/x.BMP": ""},
+            r"i/x\.BMP: only PNG and JPEG images are supported; save",
+        ),
+        ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG images are supported"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, files: dict[str, str], says: str) -> None:

@@ -52,7 +52,7 @@ def test_the_database_is_set_up_for_safety(project: Project) -> None:
 
 @pytest.mark.parametrize("name", ["", "Hands", "a b", "../up", "a/b", ".hidden", "-x", "é", "x" * 65, "a\n"])
 def test_a_bad_name_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match="not a project name"):
+    with pytest.raises(ConfigError, match="not a valid project name"):
         create_project(tmp_path, name, ["hand"])
     assert list(tmp_path.iterdir()) == []
 
@@ -131,9 +131,9 @@ def _newer(folder: Path) -> None:
         (_overwrite("project.json", b'{"format_version": 1, "name": "x"}'), "Field required"),
         (lambda folder: (folder / "project.db").unlink(), "project.db: is missing"),
         (_overwrite("project.db", b"x" * 5000), "project.db: is not a project database"),
-        (_overwrite("project.db", b""), "not one of annotator's"),
+        (_overwrite("project.db", b""), "not a project database"),
         (_truncate, "project.db: is damaged"),
-        (_foreign, "not one of annotator's"),
+        (_foreign, "not a project database"),
         (_newer, r"newer annotator \(database version 99, this one supports up to \d+\); update annotator"),
     ],
 )

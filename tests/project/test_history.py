@@ -173,7 +173,7 @@ def test_a_pass_that_replaced_the_proposal_is_named(project: Project, frame: int
     project.labels.accept(frame, uid, by_hand(1))
     project.history.undo("ann")
     project.proposals.replace(frame, [proposal_at(9.0)], by_machine(3))
-    with pytest.raises(HistoryError, match="cannot be redone, the hand label was changed by rcv since"):
+    with pytest.raises(HistoryError, match="cannot be redone because the hand label was changed by rcv since"):
         project.history.redo("ann")
 
 

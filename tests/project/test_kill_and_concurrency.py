@@ -163,7 +163,9 @@ def test_a_full_disk_is_reported_and_loses_nothing(project: Project, frame: int)
         pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
         connection.exec_driver_sql(f"PRAGMA max_page_count = {pages + 2}")
     many = [proposal_at(5.0 * n, steps=2, views=8) for n in range(100)]
-    with pytest.raises(ProjectError, match=r"project\.db: cannot grow, the disk is full; nothing was changed"):
+    with pytest.raises(
+        ProjectError, match=r"project\.db: cannot be written, because the disk is full; nothing was changed"
+    ):
         project.proposals.replace(frame, many, by_hand(1))
     assert state_of(project) == before
     assert project.problems() == []

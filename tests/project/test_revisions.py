@@ -65,10 +65,10 @@ def test_an_operator_may_change_and_reopen_a_finalised_frame(project: Project, f
 
 
 def test_finalising_twice_is_refused(project: Project, frame: int) -> None:
-    with pytest.raises(ProjectError, match="frame 2 of recording take: the frame is open already"):
+    with pytest.raises(ProjectError, match="frame 2 of recording take: the frame is not finalised"):
         project.frames.reopen(frame, by_hand())
     project.frames.finalise(frame, by_hand())
-    with pytest.raises(ProjectError, match="finalised already"):
+    with pytest.raises(ProjectError, match="already finalised"):
         project.frames.finalise(frame, by_hand(1))
     assert project.frames.get(frame).revision == 1
 

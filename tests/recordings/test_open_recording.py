@@ -65,7 +65,7 @@ def test_a_folder_of_recordings_names_them(tmp_path: Path):
         (tmp_path / name / "color" / "0.png").touch()
     (tmp_path / "empty" / "color").mkdir(parents=True)
     (tmp_path / "empty" / "depth").mkdir()
-    with pytest.raises(UnknownFormatError, match=r"give one of these in it instead: a, b$"):
+    with pytest.raises(UnknownFormatError, match=r"give the path of one of them: a, b$"):
         open_recording(tmp_path)
 
 

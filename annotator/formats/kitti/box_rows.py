@@ -27,16 +27,16 @@ from annotator.geometry.projection import project
 from annotator.geometry.transforms import IMAGE_UP
 from annotator.types import Camera, Frame, OrientedBox
 
-NOT_IN_THE_PICTURE = (0.0, 0.0, 0.0, 0.0)
+OUTSIDE_IMAGE = (0.0, 0.0, 0.0, 0.0)
 VISIBLE, PARTLY_HIDDEN, LARGELY_HIDDEN, UNKNOWN = 0, 1, 2, 3
 # Hidden fraction above which an object is partly and largely hidden.
 PARTLY_SHARE, LARGELY_SHARE = 0.1, 0.55
-# Points this close in front of a box, as a fraction of its mean side, do not hide it: boxes are tight, and the ground
-# begins there.
+# Points closer than this to the front of a box, as a fraction of its mean side, do not count as hiding it: they are the
+# object's own surface or the ground.
 MARGIN = 0.13
-# With fewer lines of sight the occlusion is unknown.
+# Minimum number of lines of sight; with fewer, the occlusion is unknown.
 LEAST_RAYS = 3
-# A smaller rotation is rounding error, radians.
+# Largest rotation that counts as rounding error, radians.
 NO_TURN_RAD = 1e-9
 
 
@@ -82,7 +82,7 @@ def upright_row(
     x, y, z = box.center_m.tolist()
     length, width, height = box.size_m.tolist()
     rotation_y = heading(box)
-    edges, truncated = (NOT_IN_THE_PICTURE, 1.0) if derived is None else (derived.clipped, derived.truncated)
+    edges, truncated = (OUTSIDE_IMAGE, 1.0) if derived is None else (derived.clipped, derived.truncated)
     alpha, bottom = observation_angle(rotation_y, x, z), y + height / 2
     occluded = VISIBLE if sight is None else occlusion(box if T is None else box.transformed(T), sight)
     return KittiLabel(label, truncated, occluded, alpha, *edges, height, width, length, x, bottom, z, rotation_y, score)
@@ -95,7 +95,7 @@ def kitti_row(
     return upright_row(label, upright_box(box, frame)[0], score, frame, sight)
 
 
-def is_in_picture(row: KittiLabel) -> bool:
+def is_in_image(row: KittiLabel) -> bool:
     """True if the row's 2D box has an extent after rounding."""
     return round(row.left, DECIMALS) < round(row.right, DECIMALS) and round(row.top, DECIMALS) < round(
         row.bottom, DECIMALS
@@ -121,7 +121,7 @@ class DerivedBox:
     """The 2D box of a 3D box, pixels: left, top, right, bottom.
 
     Attributes:
-        unclipped: the whole box, also outside the image.
+        unclipped: the whole box, including its part outside the image.
         clipped: the part within the image; without extent if the box is outside.
     """
 

@@ -203,7 +203,7 @@ def _size_m(row: KittiLabel) -> Float64[np.ndarray, "3"]:
 
 
 def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int) -> Truth:
-    """Returns a row's object in the camera frame; `T` leads there from rectified camera 0 (None for identity).
+    """Returns a row's object in the camera frame; `T` maps rectified camera 0 to that frame (None for identity).
 
     Raises:
         FormatError: a size that is not positive.

@@ -94,7 +94,7 @@ def _tracked(file: Path) -> Frames:
         if row.label != DONT_CARE:
             objects.append(row_truth(row, track_id, None, file, line))
     if not frames:
-        raise FormatError(file, "has no row")
+        raise FormatError(file, "has no label row")
     return {name: tuple(objects) for name, objects in frames.items()}
 
 
@@ -126,9 +126,11 @@ def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
                 raise ValueError
             shift = np.linalg.solve(P2[:, :3], P2[:, 3])
         except (ValueError, np.linalg.LinAlgError) as error:
-            raise FormatError(path, "P2 must be a 3x4 camera matrix: twelve numbers", line) from error
+            raise FormatError(path, "P2 must be an invertible 3x4 camera matrix (twelve numbers)", line) from error
         if not (np.abs(shift) <= MOST_SHIFT_M).all():
-            raise FormatError(path, f"P2 moves the camera by more than {MOST_SHIFT_M:g} m", line)
+            raise FormatError(
+                path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column", line
+            )
         return shift
     raise FormatError(path, "has no P2")
 
@@ -164,10 +166,12 @@ def _rows(text: str, file: Path, scored: bool) -> tuple[KittiLabel, ...]:
 def _row(text: str, file: Path, line: int, scored: bool) -> KittiLabel:
     row = parse_label_line(text, file, line)
     if scored and row.score is None:
-        raise FormatError(file, "has 15 fields; a result row has 16, the last is the score", line)
+        raise FormatError(file, "has 15 fields; a result row has 16, with the score as the last", line)
     if row.right < row.left or row.bottom < row.top:
         edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
-        raise FormatError(file, f"left <= right and top <= bottom must hold, not left top right bottom = {edges}", line)
+        raise FormatError(
+            file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
+        )
     size = (row.height, row.width, row.length)
     if min(size) <= 0 and size != UNKNOWN_SIZE and row.label.lower() != DONT_CARE.lower():
         height, width, length = size

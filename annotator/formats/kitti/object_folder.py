@@ -24,7 +24,7 @@ from annotator.formats.dataset_writing import DatasetItem, encoded_image, writin
 from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
 from annotator.formats.kitti.box_rows import (
-    is_in_picture,
+    is_in_image,
     label_frame,
     rounded_box,
     upright_box,
@@ -61,7 +61,7 @@ def write_kitti(
 
     Args:
         out: a folder that is missing or empty; with `overwrite`, an older export of this format is replaced.
-        items: the frames; if reading one raises, nothing is left behind.
+        items: the frames; if reading one raises, `out` is unchanged.
         ids: the file name of each (recording, key) (`six_digit_ids`).
         classes: all class names.
         losses: counts what the format cannot store.
@@ -97,7 +97,7 @@ def write_kitti(
 
 
 def _check_part(name: str | None) -> None:
-    """Raises ConfigError for a part that KITTI does not have; no program would read its list."""
+    """Raises ConfigError for a part that KITTI does not have, since KITTI's tools would ignore it."""
     if name is not None and name not in SPLITS:
         raise ConfigError(
             f"KITTI's parts are called {', '.join(SPLITS)}, not {name}; divide with --split train=0.8,val=0.2"
@@ -126,7 +126,7 @@ def item_rows(
     for label in item.labels:
         upright, tilt_rad = upright_box(label.box, item.frame)
         row = upright_row(words[label.label], rounded_box(upright), None, item.frame, sight)
-        if not is_in_picture(row):
+        if not is_in_image(row):
             losses.add(Lost.OUTSIDE)
             continue
         losses.add_tilt(tilt_rad)

@@ -37,15 +37,15 @@ MOST_SEQUENCES = 10_000
 
 
 @dataclass
-class Sequence02:
+class TrackingSequence:
     """One sequence while it is written.
 
     Attributes:
         name: four digits.
         rows: rows of its label file so far.
         calibration: calibration of its first frame.
-        fresh: the next track id that no object of the recording has.
-        owners: class of the object of each track id.
+        fresh: the next unused track id.
+        owners: the class of each track id.
         untracked: number of boxes that had no track id of their own and got a new one.
     """
 
@@ -93,20 +93,20 @@ def write_kitti_tracking(
         FormatError: `out` exists, there is no frame, a recording has several calibrations, or writing fails.
     """
     words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
-    sequences: dict[str, Sequence02] = {}
-    held = tuple(kind for kind in NOT_HELD if kind is not Lost.TRACK)
+    sequences: dict[str, TrackingSequence] = {}
+    not_held = tuple(kind for kind in NOT_HELD if kind is not Lost.TRACK)
     with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
         root = part / TRAINING
         for item in items:
             name, number = ids[item.recording, item.frame.key]
             if name not in sequences:
-                sequences[name] = Sequence02(name, first_free[item.recording])
+                sequences[name] = TrackingSequence(name, first_free[item.recording])
                 with writing(out):
                     for folder in (IMAGES, SCANS):
                         (root / folder / name).mkdir(parents=True)
             sequence = sequences[name]
             origins.append(FrameOrigin(f"{name}/{number:06d}", item.recording, item.frame.key, item.split))
-            count_lost(losses, item, held)
+            count_lost(losses, item, not_held)
             _add_rows(sequence, number, item, words, counts, losses, areas(item))
             with writing(out):
                 _write_frame(out, root, sequence, number, item.frame)
@@ -125,7 +125,7 @@ def write_kitti_tracking(
 
 
 def _add_rows(
-    sequence: Sequence02,
+    sequence: TrackingSequence,
     number: int,
     item: DatasetItem,
     words: ClassWords,
@@ -139,13 +139,15 @@ def _add_rows(
     sequence.rows += [f"{number} {NO_TRACK} {dump_label_line(row)}\n" for row in areas]
 
 
-def _write_frame(out: Path, root: Path, sequence: Sequence02, number: int, frame: Frame) -> None:
+def _write_frame(out: Path, root: Path, sequence: TrackingSequence, number: int, frame: Frame) -> None:
     camera, rgb = straightened(frame.camera, frame.rgb)
     T = label_frame(frame)
     calibration = calibration_text(camera, T)
     if sequence.calibration not in (None, calibration):
         raise FormatError(
-            out, f"frame {frame.key} has another calibration than the frames before; a KITTI sequence has only one"
+            out,
+            f"frame {frame.key} has a different calibration from earlier frames, but a KITTI sequence has only one; "
+            "export as kitti",
         )
     sequence.calibration = calibration
     (root / IMAGES / sequence.name / f"{number:06d}.png").write_bytes(encoded_image(rgb, "png"))
@@ -169,7 +171,9 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     """
     names = list(dict.fromkeys(recording for recording, _, _ in places))
     if len(names) > MOST_SEQUENCES:
-        raise ValueError(f"at most {MOST_SEQUENCES} sequences have names of four digits")
+        raise ValueError(
+            f"KITTI tracking has at most {MOST_SEQUENCES} sequences (four digits); export fewer recordings"
+        )
     ids: dict[tuple[str, str], tuple[str, int]] = {}
     for number, name in enumerate(names):
         frames = [(key, place) for recording, key, place in places if recording == name]

@@ -4,7 +4,7 @@ KITTI raw devkit, `cpp/tracklets.h` (fields, their values) and `matlab/run_demoT
 in the LiDAR's frame (x forward, y left, z up), tx ty tz is the middle of the bottom face, rz turns about z, 0 if the
 object faces +x; l w h are the sizes along its own x y z. Pose number k belongs to frame first_frame + k of the drive.
 
-The file is a serialised C++ object with an empty `<!DOCTYPE boost_serialization>`. Any other DTD content is refused:
+The file is a serialised C++ object with an empty `<!DOCTYPE boost_serialization>`. Any other DTD content is rejected:
 entities could expand without limit.
 """
 
@@ -104,7 +104,7 @@ def _objects(path: Path) -> list[tuple[int, _Object]]:
     except (LookupError, ValueError) as error:
         # expat looks up unknown encodings in Python
         raise FormatError(path, f"declares an encoding that cannot be read ({error}); save it as UTF-8", 1) from error
-    if not reader.is_ours:
+    if not reader.has_tracklets:
         raise FormatError(path, "is XML, but contains no tracklets")
     return reader.objects
 
@@ -115,7 +115,7 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.objects: list[tuple[int, _Object]] = []
-        self.is_ours = False
+        self.has_tracklets = False
         self._open: list[str] = []
         self._text = ""
         self.parser = expat.ParserCreate()
@@ -123,15 +123,15 @@ class _Reader:
         self.parser.EndElementHandler = self._end
         self.parser.CharacterDataHandler = self._add
         self.parser.StartDoctypeDeclHandler = self._doctype
-        self.parser.EntityDeclHandler = self._refuse
+        self.parser.EntityDeclHandler = self._reject_dtd
 
     def _doctype(self, name: str, system: str | None, public: str | None, has_content: int) -> None:
         if system or public or has_content:
-            self._refuse()
+            self._reject_dtd()
 
-    def _refuse(self, *_: object) -> None:
+    def _reject_dtd(self, *_: object) -> None:
         raise FormatError(
-            self.path, "contains a document type definition (DTD), which is not read; remove it", self._line
+            self.path, "contains a document type definition (DTD), which is not supported; remove it", self._line
         )
 
     @property
@@ -144,7 +144,7 @@ class _Reader:
         self._open.append(name)
         self._text = ""
         place = tuple(self._open)
-        self.is_ours |= place == OBJECT[:2]
+        self.has_tracklets |= place == OBJECT[:2]
         if place == OBJECT:
             self.objects.append((self._line, _Object()))
         elif place == POSE:

@@ -18,7 +18,7 @@ from annotator.types import Camera
 from annotator.types.errors import FormatError
 
 SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
-# KITTI's own files have seven digits.
+# Tolerance for R^T R = identity; matrices in files are rounded.
 MOST_OFF_ROTATION = 1e-2
 
 
@@ -40,7 +40,7 @@ def read_calibration_pose(path: Path) -> RigidTransform:
     """Returns T_camera_cloud of a file.
 
     Raises:
-        FormatError: the file cannot be read, a matrix is missing, has the wrong number of values or is not a rotation.
+        FormatError: the file cannot be read, or a matrix is missing, has the wrong number of values or is invalid.
     """
     matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
     for line, (head, *words) in text_rows(path):

@@ -62,7 +62,7 @@ def write_labelcloud(
     """Writes the folder `out` atomically and returns the number of boxes of each class.
 
     Args:
-        items: the frames, read one by one; if reading one raises, nothing is left behind.
+        items: the frames, read one by one; if reading one raises, `out` is unchanged.
         classes: all class names, in order.
         losses: counts what the format cannot store.
         version: annotator's version.

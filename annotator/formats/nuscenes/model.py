@@ -47,7 +47,7 @@ class Visibility(Record):
 
 
 class Instance(Record):
-    """An object over the samples of its scene. `track_id` is annotator's extension: the id in the project."""
+    """An object in all samples of its scene. `track_id` is annotator's extension: the id in the project."""
 
     category_token: Token
     nbr_annotations: int

@@ -54,8 +54,8 @@ class NuScenesBox:
 def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[NuScenesBox, ...]]:
     """Returns the boxes of each camera's key frames, by frame name.
 
-    In datasets of several cameras each camera has the boxes in its image. Names are "RECORDING/KEY" if the dataset has
-    a frames.csv, else the stem of the image file.
+    In a dataset with several cameras, each camera gets the boxes that its image shows. Names are "RECORDING/KEY" if the
+    dataset has a frames.csv, else the stem of the image file.
 
     Args:
         path: the dataset's root, or its folder of tables.
@@ -69,14 +69,17 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
     origins = read_frames(folder.parent)
     labels = _Labels(folder)
     frames: dict[str, tuple[NuScenesBox, ...]] = {}
-    for place, row in enumerate(labels.data.values()):
-        if not row.is_key_frame or labels.sensor(place, row).modality != "camera":
+    for index, row in enumerate(labels.data.values()):
+        if not row.is_key_frame or labels.sensor(index, row).modality != "camera":
             continue
         stem = PurePosixPath(row.filename).stem
         name = origins[stem].name if stem in origins else stem
         if name in frames:
-            raise FormatError(folder / "sample_data.json", f"{place}: two camera images are called {name}")
-        frames[name] = tuple(labels.boxes(place, row, origins, on_fault))
+            raise FormatError(
+                folder / "sample_data.json",
+                f"row {index}: a second camera image is called {name}; file names must be unique",
+            )
+        frames[name] = tuple(labels.boxes(index, row, origins, on_fault))
     if not frames:
         raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
     return frames
@@ -103,31 +106,36 @@ class _Labels:
         self._instances = self._table("instance", Instance)
         self._numbers = {token: number for number, token in enumerate(self._instances)}
         self._of_sample: dict[str, list[tuple[int, SampleAnnotation]]] = {}
-        for place, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
-            self._of_sample.setdefault(row.sample_token, []).append((place, row))
+        for index, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
+            self._of_sample.setdefault(row.sample_token, []).append((index, row))
 
-    def sensor(self, place: int, row: SampleData) -> Sensor:
+    def sensor(self, index: int, row: SampleData) -> Sensor:
         """Returns the sensor of a row."""
-        calibrated = self._row("sample_data", place, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
-        return self._row("sample_data", place, self._sensors, "sensor", calibrated.sensor_token)
+        calibrated = self._row("sample_data", index, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
+        return self._row("sample_data", index, self._sensors, "sensor", calibrated.sensor_token)
 
     def boxes(
-        self, place: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
+        self, index: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
     ) -> Iterator[NuScenesBox]:
         """Yields the boxes in a camera's image; with `origins` (an export, one camera) all boxes of the sample."""
         calibrated = self._calibrated[row.calibrated_sensor_token]
-        ego = self._row("sample_data", place, self._poses, "ego_pose", row.ego_pose_token)
+        ego = self._row("sample_data", index, self._poses, "ego_pose", row.ego_pose_token)
         T_camera_global = (self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)).inv()
-        for at, each in self._of_sample.get(row.sample_token, ()):
+        for number, annotation in self._of_sample.get(row.sample_token, ()):
             try:
-                box = box_from(each.translation, each.rotation, each.size).transformed(T_camera_global)
+                box = box_from(annotation.translation, annotation.rotation, annotation.size).transformed(
+                    T_camera_global
+                )
             except ValueError as error:
-                on_fault(FormatError(self._folder / "sample_annotation.json", f"{at}: {error}"))
+                on_fault(FormatError(self._folder / "sample_annotation.json", f"row {number}: {error}"))
                 continue
             if origins or _is_seen(box, calibrated, row):
-                instance = self._row("sample_annotation", at, self._instances, "instance", each.instance_token)
-                number = self._numbers[instance.token]
-                category = self._row("instance", number, self._categories, "category", instance.category_token)
+                instance = self._row(
+                    "sample_annotation", number, self._instances, "instance", annotation.instance_token
+                )
+                category = self._row(
+                    "instance", self._numbers[instance.token], self._categories, "category", instance.category_token
+                )
                 yield NuScenesBox(category.name, box, self._track(instance))
 
     def _track(self, instance: Instance) -> int | None:
@@ -145,17 +153,17 @@ class _Labels:
         path = self._folder / f"{name}.json"
         rows: tuple[Row, ...] = read_model(path, RootModel[tuple[model, ...]]).root  # type: ignore[valid-type]
         by_token: dict[str, Row] = {}
-        for place, row in enumerate(rows):
+        for index, row in enumerate(rows):
             if row.token in by_token:
-                raise FormatError(path, f"{place}: the token {row.token} occurs twice")
+                raise FormatError(path, f"row {index}: the token {row.token} occurs twice; tokens must be unique")
             by_token[row.token] = row
         return by_token
 
-    def _row(self, table: str, place: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
+    def _row(self, table: str, index: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
         if token not in rows:
             raise FormatError(
                 self._folder / f"{table}.json",
-                f"{place}: refers to the token {token}, which {other}.json does not have",
+                f"row {index}: refers to the token {token}, which is not in {other}.json",
             )
         return rows[token]
 

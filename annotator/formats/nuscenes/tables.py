@@ -148,7 +148,7 @@ class Tables:
         return time_us + self._shifts_us[key]
 
     def _calibrated(self, channel: str, T_ego_sensor: RigidTransform, camera: Camera) -> str:
-        """Adds the row of a calibrated sensor, once for equal ones, and returns its token."""
+        """Adds the row of a calibrated sensor unless an equal one exists, and returns its token."""
         rows = camera.matrix.tolist() if channel == CAMERA else []
         row = CalibratedSensor(
             token=token("calibrated", channel, T_ego_sensor.as_matrix().tolist(), rows),
@@ -168,8 +168,8 @@ class Tables:
             identity = ("label", label.uid) if label.track_id is None else ("track", label.track_id)
             # an instance occurs once per sample, even if two labels have the same track
             seen[label.label, *identity] += 1
-            again = seen[label.label, *identity]
-            instance = token("instance", item.recording, item.split, label.label, *identity, again)
+            occurrence = seen[label.label, *identity]
+            instance = token("instance", item.recording, item.split, label.label, *identity, occurrence)
             self._instances.setdefault(instance, (label.label, label.track_id))
             box = label.box.transformed(T_level_camera)
             row = SampleAnnotation(
@@ -209,7 +209,7 @@ class Tables:
         )
 
     def _log(self, key: Key, log: str) -> Log:
-        """Returns the row of a drive; its day is 1970-01-01 if the recording has no times."""
+        """Returns the row of a drive; its date is 1970-01-01 if the recording has no times."""
         day = datetime.fromtimestamp(self._samples[key][0].timestamp / 1e6, UTC).date().isoformat()
         return Log(token=log, logfile=key[0], vehicle="", date_captured=day, location="unknown")
 

@@ -50,7 +50,7 @@ def write_nuscenes(
     """Writes the folder `out` atomically and returns the number of boxes of each class.
 
     Args:
-        items: the frames of each recording in order, read one by one; if reading one raises, nothing is left behind.
+        items: the frames of each recording in order, read one by one; if reading one raises, `out` is unchanged.
         classes: all class names, in order.
         losses: counts what the format cannot store.
         overwrite: replace an older export of this format.

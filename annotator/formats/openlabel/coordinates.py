@@ -49,7 +49,7 @@ class Coordinates:
         if dst not in from_src:
             raise ValueError(
                 f"the coordinate systems {src!r} and {dst!r} are not connected; give each a parent and "
-                "pose_wrt_parent, or the frame a transform"
+                "pose_wrt_parent, or add a transform to the frame"
             )
         return from_src[dst]
 

@@ -69,7 +69,7 @@ class FrameObject(_Record):
 
 
 class FrameInterval(_Record):
-    """Frame numbers from `frame_start` to `frame_end`, both included."""
+    """Frame numbers from `frame_start` to `frame_end`, inclusive."""
 
     frame_start: Annotated[int, Field(ge=0)]
     frame_end: Annotated[int, Field(ge=0)]
@@ -84,7 +84,7 @@ class DataPointer(_Record):
 
 
 class Object(_Record):
-    """An object over all frames; `type` is its class."""
+    """An object in all frames; `type` is its class."""
 
     name: str
     type: Annotated[str, Field(min_length=1)]

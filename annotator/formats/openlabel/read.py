@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 from annotator.formats.frames_csv import FrameOrigin, read_frames
-from annotator.formats.json_file import no_twins, read_model
+from annotator.formats.json_file import read_model, unique_keys
 from annotator.formats.openlabel.coordinates import Coordinates
 from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Document, Frame, FrameProperties, Object
 from annotator.formats.openlabel.shapes import box_from
@@ -62,7 +62,7 @@ def read_openlabel(path: Path) -> dict[str, OpenLabelFrame]:
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
-        for frame in parse(file, read_model(file, Document, no_twins), origins):
+        for frame in parse(file, read_model(file, Document, unique_keys), origins):
             if frame.name in frames:
                 where = f"here and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
                 raise FormatError(file, f"the frame {frame.name} has labels {where}; import one of them at a time")
@@ -123,7 +123,7 @@ def _sensors(path: Path, content: Content) -> dict[str, bool]:
     clouds = [name for name, stream in streams.items() if stream.type == "lidar"]
     if len(clouds) != 1:
         raise FormatError(
-            path, "has no stream of type camera, and not exactly one of type lidar; its boxes have no sensor"
+            path, "has no stream of type camera, and no single one of type lidar; add the sensor of the boxes"
         )
     return {clouds[0]: False}
 
@@ -139,13 +139,13 @@ def _cuboids(path: Path, content: Content, number: int, frame: Frame) -> Iterato
             for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
                 yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
     for uid, each in objects.items():
-        if each.object_data is None or not _lives(each, number):
+        if each.object_data is None or not _is_present(each, number):
             continue
         for place, cuboid in enumerate(each.object_data.cuboid or ()):
             yield f"openlabel.objects.{uid}.object_data.cuboid.{place}", uid, each, cuboid
 
 
-def _lives(each: Object, number: int) -> bool:
+def _is_present(each: Object, number: int) -> bool:
     intervals = each.frame_intervals
     return not intervals or any(i.frame_start <= number <= i.frame_end for i in intervals)
 
@@ -155,7 +155,7 @@ def _box(
 ) -> OpenLabelBox:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
-        raise FormatError(path, f"{where}: names no coordinate_system, and neither does its object")
+        raise FormatError(path, f"{where}: names no coordinate_system, nor does its object; add one")
     attributes = cuboid.attributes or Attributes()
     numbers = {num.name: num.val for num in attributes.num or ()}
     state = next((text.val for text in attributes.text or () if text.name == "state"), None)

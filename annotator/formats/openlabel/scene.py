@@ -49,7 +49,7 @@ NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
 
 @dataclass
 class _Track:
-    """One object over the frames so far."""
+    """One object in the frames so far."""
 
     name: str
     type: str
@@ -125,8 +125,8 @@ class Scene:
             identity = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
             # an object occurs once per frame, even if two labels have the same track
             seen[f"{label.label} {identity}"] += 1
-            again = seen[f"{label.label} {identity}"]
-            uid = _uuid(self.recording, label.label, identity, str(again))
+            occurrence = seen[f"{label.label} {identity}"]
+            uid = _uuid(self.recording, label.label, identity, str(occurrence))
             cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
             objects[uid] = FrameObject(object_data=ObjectData(cuboid=(cuboid,)))
             if uid not in self._tracks:

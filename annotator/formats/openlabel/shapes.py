@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.openlabel.model import Pinhole, TransformData
 from annotator.types import Camera, OrientedBox
 
-# Allowed deviation of a 4x4 matrix from a rigid motion, since files have rounded digits.
+# Largest deviation of a 4x4 matrix from a rigid motion; files hold rounded numbers.
 RIGID = 1e-3
 
 
@@ -29,7 +29,7 @@ def box_from(values: tuple[float, ...]) -> OrientedBox:
     """Returns the box of 10 values (quaternion x y z w) or 9 (Euler angles rx ry rz, radians).
 
     Raises:
-        ValueError: neither 9 nor 10 values, a quaternion without a length, or a size that is not positive.
+        ValueError: neither 9 nor 10 values, a quaternion that is not of unit length, or a size that is not positive.
     """
     if len(values) == 10:
         rotation = _rotation(values[3:7])

@@ -41,7 +41,7 @@ def write_openlabel(
     """Writes the folder `out` atomically and returns the number of objects of each class.
 
     Args:
-        items: the frames, read one by one; if reading one raises, nothing is left behind.
+        items: the frames, read one by one; if reading one raises, `out` is unchanged.
         generator: program and version.
         losses: counts what the format cannot store; None: not counted.
         overwrite: replace an older export of this format.

@@ -11,7 +11,7 @@ from annotator.formats.rcv.model import FRAME_OF_REFERENCE, Matrix3, RcvCamera, 
 from annotator.geometry.transforms import corners_4x8
 from annotator.types import Camera, Frame, Label, OrientedBox
 
-# Tolerance of quaternion and corners against centre, rotation and size; in metres for corners.
+# Tolerance between quaternion or corners and the centre, rotation and size; metres for corners.
 AGREEMENT = 1e-6
 
 
@@ -28,7 +28,7 @@ def camera_record(camera: Camera) -> RcvCamera:
 
 
 def camera_from(record: RcvCamera) -> Camera:
-    """Returns the camera; raises ValueError for a number of distortion coefficients that OpenCV does not have."""
+    """Returns the camera; raises ValueError for a number of distortion coefficients that OpenCV does not support."""
     size = (record.width_px, record.height_px)
     return Camera(*size, record.fx, record.fy, record.cx, record.cy, record.distortion)
 

@@ -53,7 +53,7 @@ def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwr
 
     Args:
         out: a folder that is missing or empty; with `overwrite`, an older rcv dataset is replaced.
-        items: the frames, read one by one; if reading one raises, nothing is left behind.
+        items: the frames, read one by one; if reading one raises, `out` is unchanged.
         info: classes, detectors, generator, options.
 
     Raises:

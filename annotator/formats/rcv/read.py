@@ -102,7 +102,7 @@ class RcvDataset:
             raise FormatError(self.path / MANIFEST, f"the label file of {frame_id[:SHOWN]!r} is outside this dataset")
         record = read_model(path, RcvLabels)
         if record.id != frame_id:
-            raise FormatError(path, f"has the id {record.id!r}, which must be {frame_id!r} as in the file's name")
+            raise FormatError(path, f"has the id {record.id!r}, but the file's name requires {frame_id!r}")
         for name in (record.image, record.cloud):
             if not is_within(self.path, name):
                 raise FormatError(path, f"{name[:SHOWN]!r} is outside this dataset")
@@ -118,7 +118,7 @@ def read_rcv(path: Path) -> RcvDataset:
     manifest = read_model(path / MANIFEST, RcvManifest)
     if len(manifest.frames) != manifest.counts.frames or len(set(manifest.frames)) != len(manifest.frames):
         raise FormatError(
-            path / MANIFEST, f"frames must list {manifest.counts.frames} different ids, the number in counts"
+            path / MANIFEST, f"frames must list {manifest.counts.frames} different ids, as counts.frames says"
         )
     for frame_id in manifest.frames:
         if frame_id != Path(frame_id).name:

@@ -39,7 +39,7 @@ PARTS = ("image", "calib", "depth", "label")
 INDEX = "{}_data_idx.txt"
 NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.REFLECTANCE, Lost.TIME)
 UP = np.array([0.0, 0.0, 1.0])
-# Least side of a 2D box, pixels; objects that are narrower on the image are left out.
+# Minimum side of a 2D box, pixels; objects that are narrower on the image are left out.
 LEAST_SIDE_PX = 0.01
 LEAST_HALF_M = 1e-6
 
@@ -55,8 +55,8 @@ def write_sunrgbd(
 ) -> Counter[str]:
     """Writes the folder `out` atomically, with one frame and the labels of all frames in memory.
 
-    Arguments, result and errors as in `kitti.object_folder.write_kitti`, but any part names. Only the table stores
-    tilted boxes.
+    Arguments, result and errors as in `kitti.object_folder.write_kitti`, except that parts may have any name. Only the
+    table stores tilted boxes.
     """
     from scipy.io import savemat
 

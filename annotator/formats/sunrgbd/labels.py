@@ -24,6 +24,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.frame_class_names import DatasetNames
 from annotator.formats.json_file import read_model
+from annotator.formats.reading import finite_number
 from annotator.formats.text_folder import text_files, text_rows
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -99,15 +100,11 @@ def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list
 def _row(path: Path, line: int, fields: list[str]) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
     """Returns class, centre, size (length, width, height) and orientation of one row."""
     if len(fields) != FIELDS:
-        raise FormatError(path, f"a label has {FIELDS} fields, not {len(fields)}", line)
+        raise FormatError(path, f"a label row has {FIELDS} fields, not {len(fields)}", line)
     label, *numbers = fields
-    try:
-        # float() would accept 1_000
-        values = np.array([float(number.replace("_", "?")) for number in numbers])
-    except ValueError as error:
-        raise FormatError(path, str(error), line) from error
+    values = np.array([finite_number(number, path, line) for number in numbers])
     if not (np.abs(values) <= FARTHEST_M).all():
-        raise FormatError(path, f"a number is not finite, or larger than {FARTHEST_M:g}", line)
+        raise FormatError(path, f"a number is larger than {FARTHEST_M:g}", line)
     half_width, half_length, half_height = values[7:10]
     return label, values[4:7], 2 * np.array([half_length, half_width, half_height]), values[10:12]
 

@@ -35,8 +35,8 @@ FRAME_FIELDS = (
     *("sensorType", "valid", "groundtruth3DBB"),
 )
 BOX_FIELDS = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label", "gtBb2D")
-# The data set's paths begin with ROOT; the rest, joined by BETWEEN, is a frame's key in recordings of its scenes.
-ROOT, BETWEEN = "SUNRGBD/", "__"
+# The data set's paths begin with ROOT; the rest, joined by KEY_SEPARATOR, is a frame's key in recordings of its scenes.
+ROOT, KEY_SEPARATOR = "SUNRGBD/", "__"
 # Tolerance of right angles between axes (cosine).
 MOST_SKEW = 0.1
 # The data set's own table, with some ten thousand frames, is smaller.
@@ -50,7 +50,7 @@ class MetaFrame:
     """One frame of the table.
 
     Attributes:
-        name: `RECORDING/KEY`, or a scene's path in the data set joined by `BETWEEN`.
+        name: `RECORDING/KEY`, or a scene's path in the data set joined by `KEY_SEPARATOR`.
         T_camera_upright: from upright depth to the camera.
         truths: the objects, in upright depth.
     """
@@ -109,8 +109,8 @@ def read_meta(path: Path) -> list[MetaFrame]:
     frames = [_frame(path, f"frame {n}", each) for n, each in enumerate(_records(path, VARIABLE, table), 1)]
     names = [frame.name for frame in frames]
     if len(set(names)) < len(names):
-        twice = next(name for number, name in enumerate(names) if name in names[:number])
-        raise FormatError(path, f"has the frame {twice} twice")
+        repeated = next(name for number, name in enumerate(names) if name in names[:number])
+        raise FormatError(path, f"the frame {repeated} occurs twice; keep one of its elements")
     return frames
 
 
@@ -143,7 +143,7 @@ def _frame(path: Path, where: str, entry: dict[str, Any]) -> MetaFrame:
 
 
 def _key(name: str) -> str:
-    return name.removeprefix(ROOT).strip("/").replace("/", BETWEEN) if name.startswith(ROOT) else name
+    return name.removeprefix(ROOT).strip("/").replace("/", KEY_SEPARATOR) if name.startswith(ROOT) else name
 
 
 def _truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:
@@ -166,9 +166,9 @@ def _truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:
 
 
 def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
-    """Returns the nearest rotation; raises FormatError if `R` is more than `MOST_SKEW` off."""
+    """Returns the nearest rotation; raises FormatError if `R` deviates from one by more than `MOST_SKEW`."""
     if np.abs(R @ R.T - np.eye(3)).max() > MOST_SKEW or np.linalg.det(R) < 0:
-        raise FormatError(path, f"{where} is not a rotation")
+        raise FormatError(path, f"{where} is not a rotation matrix")
     U, _, V = np.linalg.svd(R)
     return np.asarray(U @ V)
 
@@ -184,7 +184,7 @@ def _numbers(path: Path, where: str, entry: dict[str, Any], name: str, count: in
     if not isinstance(value, np.ndarray) or value.size != count:
         raise FormatError(path, f"{where}, {name} must have {count} numbers")
     numbers = value.astype(np.float64).ravel()
-    # far beyond any scene; squares of much larger numbers overflow
+    # no scene is that large, and squares of much larger numbers overflow
     if not (np.abs(numbers) < 1e9).all():
         raise FormatError(path, f"{where}, {name} has a number that is not finite or is larger than 1e9")
     return numbers
@@ -193,5 +193,5 @@ def _numbers(path: Path, where: str, entry: dict[str, Any], name: str, count: in
 def _text(path: Path, where: str, entry: dict[str, Any], name: str) -> str:
     value = _field(path, where, entry, name)
     if not isinstance(value, str) or not value.strip():
-        raise FormatError(path, f"{where}, {name} must be a text")
+        raise FormatError(path, f"{where}, {name} must be text and not empty")
     return value

@@ -1,4 +1,4 @@
-"""Version 3: the labels table holds the batch run that proposed each label, so that its event need not be read."""
+"""Version 3: the labels table holds the batch run of each proposed label, so that its event need not be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Version 6: labels hold how well their proposal agrees with its box on the image; NULL for older proposals."""
+"""Version 6: labels hold the agreement of their proposal with its box on the image; NULL for older proposals."""
 
 from __future__ import annotations
 

@@ -4,12 +4,12 @@ KEY.ply (and so on)        in the folder itself, or in points/ (clouds/, pointcl
 image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
 calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour camera 2
 camera_intrinsic.json      optional alternative, as in an RGB-D folder; the clouds are in the camera's frame, or in the
-                           frame from which "cloud_to_camera" (4 x 4, row by row) leads to it
+                           frame that "cloud_to_camera" (4 x 4, row by row) maps to it
 gravity.json               optional, beside camera_intrinsic.json
 timestamps.csv             optional: capture time of each frame (`frame_times`)
 
 Without a calibration the clouds are assumed to come from a level LiDAR (x forward, y left, z up), with a virtual camera
-at its origin, looking forward. If all points are further away than a LiDAR's range (map coordinates), the virtual
+at its origin, looking forward. If all points are farther away than a LiDAR's range (map coordinates), the virtual
 camera is in the middle of the cloud. Without images, the image is rendered from the points.
 """
 
@@ -48,7 +48,7 @@ VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 # Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
 MOST_OFF_ROTATION = 1e-3
-# If the nearest point is further away, the coordinates are map coordinates.
+# If the nearest point is farther away, the coordinates are map coordinates.
 FARTHEST_SEEN_M = 10_000.0
 Four = tuple[Number, Number, Number, Number]
 
@@ -69,7 +69,7 @@ class CloudCamera:
         path: the calibration file, for messages.
         T_camera_cloud: from the clouds' own frame to the camera.
         up: unit vector against gravity in the camera frame; None if unknown.
-        kitti: KITTI's calibration; its matrices are used unchanged: they are orthonormal only to seven digits.
+        kitti: KITTI's calibration; its matrices are used unchanged, though orthonormal only to seven digits.
     """
 
     path: Path
@@ -125,7 +125,7 @@ class CloudFolder(KeyedFrames):
         else:
             image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
             rgb = read_rgb(image_path)
-            source = self._cloud_camera(key, rgb) or self._refuse(key)
+            source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = _seen(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:
                 raise FrameError(
@@ -152,7 +152,7 @@ class CloudFolder(KeyedFrames):
         path = self.path / FILE_NAME
         return _json_camera(path, rgb) if path.is_file() else None
 
-    def _refuse(self, key: str) -> Never:
+    def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
             self.path / FILE_NAME,
             "the calibration of the images is missing",
@@ -181,7 +181,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
 
 
 def _level_camera(path: Path, raw: RawCloud) -> CloudCamera:
-    """Returns a virtual camera at a level LiDAR's origin; for map coordinates in the middle, in whole metres."""
+    """Returns a virtual camera at a level LiDAR's origin; for map coordinates, in the middle (whole metres)."""
     nearest_m = np.sqrt((raw.xyz_m**2).sum(axis=1).min())
     place_m = np.floor(np.median(raw.xyz_m, axis=0)) if nearest_m > FARTHEST_SEEN_M else np.zeros(3)
     return CloudCamera(path, T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m), VIRTUAL_CAMERA, UP)
@@ -205,7 +205,7 @@ def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
     if rgb is not None and rgb.shape[:2] != (camera.height_px, camera.width_px):
         raise FrameError(
             path,
-            f"the camera has images of {camera.width_px} x {camera.height_px} pixels, but the image has "
+            f"the camera is for images of {camera.width_px} x {camera.height_px} pixels, but the image has "
             f"{rgb.shape[1]} x {rgb.shape[0]}",
             "write the intrinsics for this image size",
         )

@@ -45,8 +45,8 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
     """
     missing = [name for name in "xyz" if name not in columns]
     if missing:
-        have = ", ".join(columns) or "nothing"
-        raise FrameError(path, f"has no {' '.join(missing)} (it has {have})", CLOUD_REMEDY)
+        present = ", ".join(columns) or "none"
+        raise FrameError(path, f"has no column {' '.join(missing)} (its columns: {present})", CLOUD_REMEDY)
     xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
     # false also for infinity and NaN
     valid = np.all(np.abs(xyz_m) < LARGEST, axis=1)
@@ -120,7 +120,7 @@ def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], fi
     Raises:
         FrameError: too few rows, or a value that is missing or not a number.
     """
-    # each value needs two bytes: impossible counts are refused before memory is allocated
+    # each value needs two bytes: impossible counts are rejected before memory is allocated
     if count * len(names) * 2 > len(body) + 1:
         raise FrameError(path, f"declares {count} points, too many for its {len(body)} bytes", CLOUD_REMEDY)
     rows = [(number, line.split()) for number, line in enumerate(body.splitlines(), first_line) if line.strip()][:count]
@@ -145,10 +145,12 @@ def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.d
     Raises:
         FrameError: the file is too short.
     """
-    have = max(len(data) - offset, 0)
-    if count * dtype.itemsize > have:
+    present = max(len(data) - offset, 0)
+    if count * dtype.itemsize > present:
         raise FrameError(
-            path, f"declares {count} points of {dtype.itemsize} bytes but has {have} bytes of them", CLOUD_REMEDY
+            path,
+            f"declares {count} points of {dtype.itemsize} bytes, but only {present} bytes of points follow",
+            CLOUD_REMEDY,
         )
     rows = np.frombuffer(data, dtype, count, offset)
     # fields with several values per point (a normal, a histogram) are not needed

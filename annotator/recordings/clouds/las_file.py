@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import laspy
 
 SIGNATURE = b"LASF"
-# From byte 94: header size, offset of the points, number of records between, point format, bytes per point, points.
+# From byte 94: header size, offset of the points, number of records before them, point format, bytes per point, points.
 HEAD_AT, HEAD = 94, struct.Struct("<HIIBHI")
 SHORTEST_HEADER = 227
 RECORD_HEAD_BYTES = 54
@@ -63,30 +63,32 @@ def parse_las(path: Path, data: bytes) -> RawCloud:
 
 
 def _check_header(path: Path, data: bytes) -> None:
-    """Refuses impossible record counts, which laspy would search for hours."""
+    """Rejects impossible record counts, which would keep laspy busy for hours."""
     if not data.startswith(SIGNATURE) or len(data) < SHORTEST_HEADER:
         raise FrameError(path, "is not a LAS file, or its header is truncated", CLOUD_REMEDY)
     header_bytes, start, records, _, point_bytes, _ = HEAD.unpack_from(data, HEAD_AT)
     if not SHORTEST_HEADER <= header_bytes <= start <= len(data) or point_bytes == 0:
         raise FrameError(
-            path, f"the LAS header says that the points begin at byte {start}, which is impossible", CLOUD_REMEDY
+            path, f"the LAS header declares an impossible position of the points, byte {start}", CLOUD_REMEDY
         )
     if records * RECORD_HEAD_BYTES > start - header_bytes:
-        raise FrameError(path, f"declares {records} records before its points, more than fit there", CLOUD_REMEDY)
+        raise FrameError(path, f"declares {records} records before its points, but fewer fit there", CLOUD_REMEDY)
 
 
 def _check_points(path: Path, data: bytes, header: laspy.LasHeader) -> None:
-    """Refuses impossible point counts before memory is allocated."""
+    """Rejects impossible point counts before memory is allocated."""
     count, size = int(header.point_count), int(header.point_format.size)
     start = int(header.offset_to_point_data)
     if not header.are_points_compressed:
         if count * size > len(data) - start:
             raise FrameError(
-                path, f"declares {count} points of {size} bytes but has {len(data) - start} bytes of them", CLOUD_REMEDY
+                path,
+                f"declares {count} points of {size} bytes, but only {len(data) - start} bytes of points follow",
+                CLOUD_REMEDY,
             )
         return
     if count > MOST_POINTS:
-        raise FrameError(path, f"declares {count} points; at most {MOST_POINTS} are read", "save fewer points")
+        raise FrameError(path, f"declares {count} points; at most {MOST_POINTS} are supported", "save fewer points")
     record = b"".join(record.record_data for record in header.vlrs.get("LasZipVlr")[:1])
     problem = laz_problem(data, LazLayout(record, int(header.point_format.id), size, count, start))
     if problem:

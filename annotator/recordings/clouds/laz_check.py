@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-# version of the compressor, size of a chunk, number of items
+# laszip's own header; used here: the compressor (first), points per chunk (seventh), number of items (last)
 RECORD = struct.Struct("<HHBBHIIqqH")
 ITEM = struct.Struct("<HHH")
 POINT_WISE, CHUNKED, LAYERED = 1, 2, 3
@@ -60,14 +60,14 @@ class LazLayout:
 
 
 def laz_problem(data: bytes, layout: LazLayout) -> str:
-    """Returns what is impossible in the headers of a LAZ file; "" if nothing is."""
+    """Returns the first problem in the headers of a LAZ file; "" if they are valid."""
     items = _items(layout)
     if isinstance(items, str):
         return items
     compressor, _, _, _, _, _, chunk_points, _, _, _ = RECORD.unpack_from(layout.record)
     is_layered = layout.point_format >= FIRST_LAYERED_FORMAT
     if compressor not in ((LAYERED,) if is_layered else (POINT_WISE, CHUNKED)) or chunk_points == 0:
-        return f"its compressor ({compressor}) does not exist for point format {layout.point_format}"
+        return f"its compressor ({compressor}) is not valid for point format {layout.point_format}"
     if compressor == POINT_WISE:
         return ""
     chunks = _table_size(data, layout)
@@ -101,9 +101,7 @@ def _items(layout: LazLayout) -> list[tuple[int, int]] | str:
     if more > 0:
         expected.append((BYTES14 if layout.point_format >= FIRST_LAYERED_FORMAT else BYTES, more))
     return (
-        items
-        if items == expected
-        else f"the items of its points, {items}, are not those of its point format, {expected}"
+        items if items == expected else f"its points have the items {items}, but their point format requires {expected}"
     )
 
 

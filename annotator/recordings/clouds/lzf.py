@@ -10,7 +10,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     """Returns the `size` decompressed bytes.
 
     Raises:
-        ValueError: the data are damaged, or have another decompressed size.
+        ValueError: the data are damaged, or the decompressed size is not `size`.
     """
     out = bytearray()
     at, end = 0, len(data)
@@ -36,7 +36,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     except IndexError:
         raise ValueError("a reference is truncated") from None
     if len(out) != size:
-        raise ValueError(f"they decompress to {len(out)} bytes or more instead of {size}")
+        raise ValueError(f"they decompress to at least {len(out)} bytes instead of {size}")
     return bytes(out)
 
 

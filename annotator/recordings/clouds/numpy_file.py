@@ -32,7 +32,7 @@ def parse_npy(path: Path, data: bytes) -> RawCloud:
     """Parses the points of an `.npy` file.
 
     Raises:
-        FrameError: a damaged header, fewer values than declared, another shape, or no valid point.
+        FrameError: a damaged header, fewer values than declared, an unsupported shape, or no valid point.
     """
     return from_columns(path, _columns(path, _array(path, io.BytesIO(data), len(data))))
 
@@ -48,7 +48,9 @@ def parse_npz(path: Path, data: bytes) -> RawCloud:
             names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             points = next((names[name] for name in POINT_NAMES if name in names), None)
             if points is None:
-                raise FrameError(path, f"has no array {' or '.join(POINT_NAMES)} (it has {_some(names)})", CLOUD_REMEDY)
+                raise FrameError(
+                    path, f"has no array {' or '.join(POINT_NAMES)} (its arrays: {_first_names(names)})", CLOUD_REMEDY
+                )
             columns = _columns(path, _member(path, archive, points))
             colors = next((names[name] for name in COLOR_ARRAY_NAMES if name in names), None)
             if colors is not None:
@@ -62,7 +64,7 @@ def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.n
     if info.file_size > MOST_BYTES:
         raise FrameError(
             path,
-            f"its array {info.filename} has {info.file_size} bytes; at most {MOST_BYTES} are read",
+            f"its array {info.filename} has {info.file_size} bytes; at most {MOST_BYTES} are supported",
             "save fewer points",
         )
     with archive.open(info) as file:
@@ -112,7 +114,9 @@ def _header(file: Stream) -> tuple[tuple[int, ...], bool, np.dtype]:
 def _columns(path: Path, array: np.ndarray) -> dict[str, np.ndarray]:
     if array.dtype.names is not None:
         if array.ndim != 1:
-            raise FrameError(path, f"its array of points has the shape {array.shape}", "save n rows")
+            raise FrameError(
+                path, f"its array of points has the shape {array.shape}", "save a one-dimensional array of rows"
+            )
         fields = {name.lower(): array[name] for name in array.dtype.names}
         return {name: values for name, values in fields.items() if values.ndim == 1 and values.dtype.kind in "fiu"}
     if array.ndim != 2 or array.shape[1] not in COLUMNS:
@@ -133,5 +137,5 @@ def _color_columns(path: Path, colors: np.ndarray, points: int) -> dict[str, np.
     return dict(zip(("red", "green", "blue"), eight_bits(colors).T, strict=True))
 
 
-def _some(names: dict[str, zipfile.ZipInfo]) -> str:
+def _first_names(names: dict[str, zipfile.ZipInfo]) -> str:
     return ", ".join(sorted(names)[:5]) or "none"

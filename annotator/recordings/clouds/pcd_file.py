@@ -14,7 +14,7 @@ LONGEST_HEADER = 1 << 16
 KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 KEYWORDS = {"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
-MOST_VALUES_A_FIELD = 10_000
+MOST_VALUES_PER_FIELD = 10_000
 
 
 def parse_pcd(path: Path, data: bytes) -> RawCloud:
@@ -65,7 +65,7 @@ def _dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
     fields: list[tuple[str, str, tuple[int, ...]]] = []
     for position, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         values = _number(path, "COUNT", count)
-        if kind not in KINDS or _number(path, "SIZE", size) not in SIZES[kind] or values > MOST_VALUES_A_FIELD:
+        if kind not in KINDS or _number(path, "SIZE", size) not in SIZES[kind] or values > MOST_VALUES_PER_FIELD:
             raise FrameError(
                 path, f"the PCD header's field {name[:40]} has the invalid type {kind}{size} x {count}", CLOUD_REMEDY
             )
@@ -83,7 +83,7 @@ def _count(path: Path, header: dict[str, list[str]]) -> int:
         return _number(path, "POINTS", header["POINTS"][0])
     if header.get("WIDTH") and header.get("HEIGHT"):
         return _number(path, "WIDTH", header["WIDTH"][0]) * _number(path, "HEIGHT", header["HEIGHT"][0])
-    raise FrameError(path, "the PCD header has no POINTS and no WIDTH and HEIGHT", CLOUD_REMEDY)
+    raise FrameError(path, "the PCD header has neither POINTS nor WIDTH and HEIGHT", CLOUD_REMEDY)
 
 
 def _number(path: Path, keyword: str, text: str) -> int:
@@ -117,10 +117,12 @@ def _compressed(path: Path, data: bytes, offset: int, count: int, dtype: np.dtyp
     content = data[offset + 8 : offset + 8 + packed]
     if len(content) < packed:
         raise FrameError(path, f"declares {packed} compressed bytes but has {len(content)}", CLOUD_REMEDY)
-    # checked before memory is allocated: LZF cannot compress more strongly
+    # checked before memory is allocated: LZF expands data by at most MOST_EXPANSION
     if unpacked < count * dtype.itemsize or unpacked > max(packed * MOST_EXPANSION, 0):
         raise FrameError(
-            path, f"declares {count} points in {unpacked} bytes, from {packed} compressed ones", CLOUD_REMEDY
+            path,
+            f"declares sizes that do not fit: {count} points, {unpacked} bytes, {packed} bytes compressed",
+            CLOUD_REMEDY,
         )
     try:
         plain = lzf_decompress(content, unpacked)

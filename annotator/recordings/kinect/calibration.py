@@ -162,7 +162,7 @@ def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> Kin
     """Parses the calibration of an attachment, for depth and colour images of these sizes (width, height).
 
     Raises:
-        ValueError: invalid JSON, a missing camera, or a size of no mode; the message says which.
+        ValueError: invalid JSON, a missing camera, or a size that belongs to no mode.
     """
     try:
         information = _File.model_validate_json(content.rstrip(b"\0 \r\n\t")).CalibrationInformation

@@ -31,7 +31,7 @@ def find_captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: in
         nearest = _nearest(times, order, block.time_ns)
         if nearest is not None and abs(int(times[nearest]) - block.time_ns) < within_ns:
             captures[number] = Capture(block, depths[nearest])
-        elif index.is_cut and block is colors[-1]:
+        elif index.is_truncated and block is colors[-1]:
             captures[number] = Capture(block, None)
     return captures
 

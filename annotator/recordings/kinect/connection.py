@@ -77,16 +77,15 @@ def _open_serial(k4a: ModuleType, config: Any, serial: str, count: int) -> tuple
     others = []
     for index in range(count):
         device = k4a.PyK4A(config, index, thread_safe=False)
-        with suppress(k4a.K4AException):  # in use by another program; counted in the error below
+        with suppress(k4a.K4AException):  # in use by another program; counted in the message below
             device.open()
             if str(device.serial) == serial:
                 return device, serial
             others.append(str(device.serial))
         _close_quietly(device)
-    hidden = f" and {count - len(others)} that cannot be opened" if len(others) < count else ""
-    raise DeviceError(
-        f"no {NAME} with the serial number {serial} can be opened; there are {', '.join(others) or 'none'}{hidden}"
-    )
+    if len(others) < count:
+        others.append(f"{count - len(others)} that cannot be opened")
+    raise DeviceError(f"no {NAME} with the serial number {serial} can be opened; connected: {', '.join(others)}")
 
 
 def _close_quietly(device: Any) -> None:

@@ -124,8 +124,8 @@ class KinectDevice:
                 return self._frame(capture)
             if time.monotonic() > end_s:
                 raise DeviceError(
-                    f"{self.name}: no frame for {within_s:g} s; reconnect it with its own power supply to a USB 3 port "
-                    "that it does not share"
+                    f"{self.name}: no frame for {within_s:g} s; reconnect it, with its own power supply, to a USB 3 "
+                    "port that no other device shares"
                 )
         return None
 
@@ -138,11 +138,11 @@ class KinectDevice:
         """Stops the cameras and closes the device; further calls do nothing."""
         if not self._device.opened:
             return
-        end = self._device.stop if self._device.is_running else self._device.close
+        shut_down = self._device.stop if self._device.is_running else self._device.close
         try:
-            end()
+            shut_down()
         except self._k4a.K4AException as error:
-            # a disconnected device has nothing to stop
+            # stopping fails if the device is disconnected
             LOG.warning("%s could not be closed: %s", self.name, error or type(error).__name__)
 
     # --- starting ----------------------------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ class KinectDevice:
             return parse_calibration(str(raw).encode(), self._mode.size, COLOR_SIZE)
         except (self._k4a.K4AException, ValueError) as error:
             raise DeviceError(
-                f"{self.name}: its calibration cannot be used ({error or 'it could not be read'}); reconnect it, or "
+                f"{self.name}: its calibration cannot be used ({error or 'not readable'}); reconnect it, or "
                 "update its firmware"
             ) from error
 

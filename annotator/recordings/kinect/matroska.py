@@ -1,7 +1,7 @@
 """Lists the blocks of a Matroska file from its headers.
 
 A demuxer reads every byte of a file to list its blocks: gigabytes, for minutes of uncompressed depth. Here only the
-headers are read, and the content between is skipped. After a damaged part, reading continues at the next cluster.
+headers are read, and the content between them is skipped. After a damaged part, reading continues at the next cluster.
 
 Formats: RFC 8794 (EBML: ids and sizes), RFC 9559 (Matroska: elements, block headers).
 """
@@ -26,8 +26,8 @@ SKIPPED = frozenset(
     | {0xA7, 0xAB, 0x5854, 0x9B, 0xFB, 0xFA, 0xFD, 0x75A1, 0x75A2, 0xA4, 0xAF, 0x8E}
 )
 CLUSTER_ID = CLUSTER.to_bytes(4)
-# Larger than any offset: sizes have 56 bits.
-NOWHERE = 1 << 60
+# Larger than any offset, since sizes have 56 bits.
+NO_LIMIT = 1 << 60
 LACING_BITS = 0x06
 LONGEST_HEAD = 12
 MOST_HEADER_BYTES = 1 << 20
@@ -68,12 +68,12 @@ class MatroskaIndex:
     """A file's tracks and blocks, in file order.
 
     Attributes:
-        is_cut: the file ends in the middle of an element.
+        is_truncated: the file ends in the middle of an element.
     """
 
     tracks: tuple[Track, ...]
     blocks: tuple[Block, ...]
-    is_cut: bool
+    is_truncated: bool
 
 
 def read_index(path: Path) -> MatroskaIndex | None:
@@ -86,7 +86,7 @@ def read_index(path: Path) -> MatroskaIndex | None:
     with path.open("rb", buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
-        return _Walk(path, file).index()
+        return _IndexReader(path, file).index()
 
 
 def read_tracks(path: Path) -> tuple[Track, ...] | None:
@@ -98,12 +98,12 @@ def read_tracks(path: Path) -> tuple[Track, ...] | None:
     with path.open("rb", buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
-        return _Walk(path, file).head()
+        return _IndexReader(path, file).head()
 
 
 @dataclass
-class _Walk:
-    """The state of reading one file."""
+class _IndexReader:
+    """Reads one file; holds the tracks and blocks read so far."""
 
     path: Path
     file: BinaryIO
@@ -116,7 +116,7 @@ class _Walk:
         end = self.path.stat().st_size
         at = 0
         # end of the current cluster, if known: an element that reaches beyond it has a damaged size
-        limit = NOWHERE
+        limit = NO_LIMIT
         while at < end:
             head = self._read(at, LONGEST_HEAD)
             element = element_head(head)
@@ -129,13 +129,13 @@ class _Walk:
             kind, size, length = element
             at += length
             if kind == CLUSTER:
-                limit = NOWHERE if size is None else at + size
+                limit = NO_LIMIT if size is None else at + size
             if kind in ENTERED:
                 continue
             if size is None or (at < limit < at + size):
                 at = self._next_cluster(at, end)
                 continue
-            self._take(kind, at, size)
+            self._read_element(kind, at, size)
             at += size
         return MatroskaIndex(tuple(self.tracks), tuple(self.blocks), at > end)
 
@@ -149,15 +149,15 @@ class _Walk:
                 continue
             if kind == CLUSTER or size is None or not self._is_known(kind):
                 break
-            self._take(kind, at, size)
+            self._read_element(kind, at, size)
             at += size
         return tuple(self.tracks)
 
     def _is_known(self, kind: int) -> bool:
-        taken = {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
-        return kind in ENTERED or kind in SKIPPED or kind in taken
+        used = {INFO, TRACKS, TIMESTAMP, BLOCK, SIMPLE_BLOCK}
+        return kind in ENTERED or kind in SKIPPED or kind in used
 
-    def _take(self, kind: int, at: int, size: int) -> None:
+    def _read_element(self, kind: int, at: int, size: int) -> None:
         if kind == INFO:
             for child, content in children(self._read(at, min(size, MOST_HEADER_BYTES))):
                 if child == TIMESTAMP_SCALE:
@@ -168,9 +168,9 @@ class _Walk:
         elif kind == TIMESTAMP:
             self.cluster_time = int.from_bytes(self._read(at, min(size, 8)))
         elif kind in (BLOCK, SIMPLE_BLOCK):
-            self._take_block(at, size)
+            self._add_block(at, size)
 
-    def _take_block(self, at: int, size: int) -> None:
+    def _add_block(self, at: int, size: int) -> None:
         head = self._read(at, min(size, LONGEST_HEAD))
         number = _vint(head, 0)
         if number is None or len(head) < number[1] + 3:
@@ -217,7 +217,7 @@ def element_head(data: bytes) -> tuple[int, int | None, int] | None:
 
 
 def children(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yields id and content of the elements in another one's content, up to the first damaged one."""
+    """Yields id and content of an element's children, up to the first damaged one."""
     at = 0
     while element := element_head(data[at : at + LONGEST_HEAD]):
         kind, size, length = element

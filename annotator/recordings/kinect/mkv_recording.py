@@ -74,8 +74,8 @@ class AzureKinect(KeyedFrames):
         """
         key = self.key(i)
         # the image is decoded in parallel to the geometry: both take similar time
-        with ThreadPoolExecutor(1) as beside:
-            decoding = beside.submit(self.color_image, i)
+        with ThreadPoolExecutor(1) as executor:
+            decoding = executor.submit(self.color_image, i)
             xyz_m, pixel = seen_points(self.calibration, self.depth_image(i))
             color = decoding.result()
         cloud = PointCloud(xyz_m, rgb=color.reshape(-1, 3).take(pixel, axis=0))

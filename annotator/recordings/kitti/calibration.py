@@ -74,7 +74,7 @@ def read_calibration(path: Path) -> KittiCalibration:
     """Reads the calibration of a KITTI object or tracking file.
 
     Raises:
-        FrameError: the file is missing, a matrix is missing or has the wrong number of values.
+        FrameError: the file is missing, or a matrix is missing or invalid.
     """
     rows = _read_rows(path)
     P2 = _matrix(path, rows, P2_NAMES, (3, 4))
@@ -137,7 +137,7 @@ def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shap
     try:
         values = np.array([float(value) for value in rows[name]])
     except ValueError as error:
-        raise FrameError(path, f"{name}: {error}", REMEDY) from error
+        raise FrameError(path, f"{name} has a value that is not a number ({error})", REMEDY) from error
     if values.size != shape[0] * shape[1]:
         raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
     if not are_plausible(values):

@@ -58,7 +58,7 @@ class KittiRaw(KittiFolder):
         if time_ns is None:
             raise FrameError(
                 path,
-                f"line {number + 1} has no time for frame {number}",
+                f"line {number + 1} must be the time of frame {number}",
                 "copy it again, or remove it to use times from the frame numbers",
             )
         return time_ns

@@ -103,7 +103,7 @@ def _numbers(path: Path, text: str) -> np.ndarray:
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError as error:
-        raise FrameError(path, str(error), REMEDY) from error
+        raise FrameError(path, f"a value is not a number ({error})", REMEDY) from error
     if not are_plausible(values):
         raise FrameError(path, "a number is not finite or is too large", REMEDY)
     return values

@@ -4,7 +4,7 @@ SCENE/intrinsics.txt  SCENE/image/*.jpg  SCENE/depth/*.png  SCENE/depth_bfx/*.pn
 [SCENE/annotation3Dfinal/index.json, read by annotator.formats]
 
 Depth images store millimetres, rotated left by three bits. The sensor's own images (`depth/`) are read, as in VoteNet;
-those with filled holes (`depth_bfx/`) only if there are no others.
+those with filled holes (`depth_bfx/`) only if `depth/` has none.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxtyping import Float32, UInt16
 
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, looking_at, sorted_keys
+from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd.calibration import read_scene_calibration
 from annotator.types import Frame, PointCloud
@@ -34,7 +34,7 @@ CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
 MOST_LEVELS = 5
 SCENE_MARKS = ("image", "extrinsics")
 DEPTH_FOLDERS = ("depth", "depth_bfx")
-BETWEEN = "__"
+KEY_SEPARATOR = "__"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,9 @@ class SunRgbdScenes(KeyedFrames):
         raw = read_depth(depth_path)
         if raw.shape != rgb.shape[:2]:
             raise FrameError(
-                depth_path, f"has {raw.shape[::-1]} pixels, but the image {rgb.shape[1::-1]}", "copy both again"
+                depth_path,
+                f"is {raw.shape[1]} x {raw.shape[0]} pixels, but the image is {rgb.shape[1]} x {rgb.shape[0]}",
+                "copy both again",
             )
         camera, depth_m = calibration.camera(rgb.shape[1], rgb.shape[0]), decode_depth(raw)
         xyz_m, pixel = unproject_depth(camera, depth_m)
@@ -101,9 +103,9 @@ def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
         return NotFound(LOOKED_FOR)
     if _is_scene(str(path)):
         return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
-    with looking_at(path):
-        is_of_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
-        levels = MOST_LEVELS if is_of_set else 1
+    with path_errors(path):
+        is_data_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
+        levels = MOST_LEVELS if is_data_set else 1
         folders = dict(_scenes(str(path), levels))
     if not folders:
         return NotFound(LOOKED_FOR)
@@ -124,7 +126,7 @@ def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
                 if _is_scene(entry.path):
                     yield key, entry.path
                 elif level < levels:
-                    waiting.append((entry.path, key + BETWEEN, level + 1))
+                    waiting.append((entry.path, key + KEY_SEPARATOR, level + 1))
 
 
 def _is_scene(folder: str) -> bool:
@@ -136,7 +138,7 @@ def _latest(scene: Path, folders: tuple[str, ...], suffixes: tuple[str, ...]) ->
     """Returns the file of a scene's subfolder; the last one if there are several (they are named by date).
 
     Raises:
-        FrameError: there is none, or the folder cannot be read.
+        FrameError: no such file, or the folder cannot be read.
     """
     for name in folders:
         folder = scene / name

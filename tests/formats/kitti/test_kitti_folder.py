@@ -215,7 +215,7 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
         read_kitti_labels(folder)
     (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,8,\n")
     (tmp_path / "classes.txt").write_text("traffic_light\n")
-    with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be a word"):
+    with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be `WORD CLASS_NAME`"):
         read_kitti_labels(folder)
 
 

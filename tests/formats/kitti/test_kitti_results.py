@@ -83,8 +83,8 @@ BROKEN = [
     pytest.param(changed(_2="0.5"), "not a whole number", id="half-occluded"),
     pytest.param(changed(_8="-1.5"), "must be positive", id="negative-size"),
     pytest.param(changed(_9="0"), "must be positive", id="no-size"),
-    pytest.param(changed(_4="300"), "<= bottom must hold", id="left-of-its-right"),
-    pytest.param(changed(_7="10"), "<= bottom must hold", id="upside-down"),
+    pytest.param(changed(_4="300"), "the 2D box must have left <= right", id="left-of-its-right"),
+    pytest.param(changed(_7="10"), "the 2D box must have left <= right", id="upside-down"),
 ]
 
 

@@ -197,7 +197,7 @@ ROW = "bed 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (ROW + "bed 1 2\n", r"000001\.txt:2: a label has 13 fields"),
+        (ROW + "bed 1 2\n", r"000001\.txt:2: a label row has 13 fields"),
         (ROW.replace("0.3 0.5", "-0.3 0.5"), r"000001\.txt:1: bed: box sizes must be positive"),
         (ROW.replace("0.6 0.8", "0 0"), r"000001\.txt:1: the orientation of 'bed' has length 0"),
     ],
@@ -247,7 +247,7 @@ def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
         (with_box(coeffs=np.ones(2)), "frame 1, object 1, coeffs must have 3 numbers"),
         (with_box(coeffs=np.zeros(3)), "frame 1, object 1: box sizes must be positive"),
         (with_box(centroid=np.full(3, np.nan)), "object 1, centroid has a number that is not finite"),
-        (with_box(classname=3.0), "object 1, classname must be a text"),
+        (with_box(classname=3.0), "object 1, classname must be text"),
         (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
     ],
 )

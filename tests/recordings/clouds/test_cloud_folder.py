@@ -101,7 +101,7 @@ BROKEN = [
     pytest.param(calibrated(cloud_to_camera=[1, 2]), "not four rows of four numbers", id="pose-short"),
     pytest.param(calibrated(cloud_to_camera=TURNED), "not a rigid transform", id="pose-mirrored"),
     pytest.param(
-        calibrated(width=99), "the camera has images of 99 x 40 pixels, but the image has 120 x 40", id="size"
+        calibrated(width=99), "the camera is for images of 99 x 40 pixels, but the image has 120 x 40", id="size"
     ),
     pytest.param(
         calibrated(cloud_to_camera=[*LIDAR_TO_CAMERA[:2], [1, 0, 0, -99], LIDAR_TO_CAMERA[3]]),

@@ -241,7 +241,7 @@ def test_what_cannot_be_opened_says_why(tmp_path: Path, write: Callable[[Path], 
 def test_a_folder_of_recordings_names_the_files(tmp_path: Path):
     made.write_recording(tmp_path / "b.MKV", frames=1)
     (tmp_path / "a.mkv").write_bytes(b"no recording")
-    with pytest.raises(RecordingError, match=r"give one of these in it instead: b\.MKV$"):
+    with pytest.raises(RecordingError, match=r"give the path of one of them: b\.MKV$"):
         open_recording(tmp_path)
 
 

@@ -133,8 +133,8 @@ def test_one_of_several_is_named_by_its_serial_number_or_its_place(script: Scrip
     [
         (lambda s: setattr(s, "serials", ()), None, "no Azure Kinect is connected; check its power supply"),
         (lambda s: None, "1", "no Azure Kinect number 1: 1 connected"),
-        (lambda s: None, "000000000099", "serial number 000000000099 can be opened; there are 000123456712$"),
-        (lambda s: setattr(s, "busy", (0,)), "000123456712", "there are none and 1 that cannot be opened"),
+        (lambda s: None, "000000000099", "serial number 000000000099 can be opened; connected: 000123456712$"),
+        (lambda s: setattr(s, "busy", (0,)), "000123456712", "connected: 1 that cannot be opened"),
         (lambda s: setattr(s, "busy", (0,)), None, "another program uses it"),
         (
             lambda s: setattr(s, "starts", False),

@@ -41,7 +41,7 @@ def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
         expected = [(packet.stream.index, packet.pts, bytes(packet)) for packet in container.demux() if packet.size]
     found = [(b.track - 1, b.time_ns // 1_000_000, content[b.offset : b.offset + b.size]) for b in index.blocks]
     assert found == expected
-    assert not index.is_cut
+    assert not index.is_truncated
     assert [(track.name, track.width_px, track.height_px) for track in index.tracks] == [
         ("COLOR", 1280, 720), ("DEPTH", 320, 288), ("IR", 320, 288)
     ]  # fmt: skip
@@ -78,7 +78,7 @@ def test_a_damaged_size_costs_no_more_than_its_cluster(tmp_path: Path):
         len(head + cluster) + 5 + 3 + 6, len(head + cluster) + 5 + 3 + 6 + 8,
         len(head + 2 * cluster) + 5 + 3 + 6, len(head + 2 * cluster) + 5 + 3 + 6 + 8,
     ]  # fmt: skip
-    assert not index.is_cut
+    assert not index.is_truncated
 
 
 def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
@@ -89,7 +89,7 @@ def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
     huge = b"\xa3\x01\xff\xff\xff\xff\xff\xff\xf0\x82\x00\x09\x86"
     path.write_bytes(head + cluster + block + huge)
     index = read_index(path)
-    assert index.is_cut
+    assert index.is_truncated
     first, second = index.blocks
     assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
@@ -100,15 +100,15 @@ def test_many_damaged_places_cost_little_each(tmp_path: Path, monkeypatch: pytes
     # a cluster, and in it what is none of its elements, again and again
     path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + b"\x1f\x43\xb6\x75\xff\x42\x42\x42" * 5000)
     read = 0
-    whole = matroska._Walk._read
+    whole = matroska._IndexReader._read
 
-    def counted(self: matroska._Walk, at: int, size: int) -> bytes:
+    def counted(self: matroska._IndexReader, at: int, size: int) -> bytes:
         nonlocal read
         content = whole(self, at, size)
         read += len(content)
         return content
 
-    monkeypatch.setattr(matroska._Walk, "_read", counted)
+    monkeypatch.setattr(matroska._IndexReader, "_read", counted)
     index = read_index(path)
     assert index is not None and not index.blocks
     assert read < 5000 * 5000

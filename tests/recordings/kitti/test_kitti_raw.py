@@ -72,12 +72,12 @@ DAMAGES = [
         "P_rect_02 is mis",
     ),
     (calibration("calib_velo_to_cam.txt"), lambda p: p.write_text(LIDAR.replace("T: ", "T: 1 ")), "T must have 3 numb"),
-    (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_text("noon\n"), "line 1 has no time"),
+    (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_text("noon\n"), "line 1 must be the time"),
     (lambda drive: drive / "image_02" / "timestamps.txt", lambda p: p.write_bytes(b"\xff"), "cannot be read"),
     (
         lambda drive: drive / "image_02" / "timestamps.txt",
         lambda p: p.write_text("2011-02-31 13:02:25.9\n"),
-        "line 1 has no time",
+        "line 1 must be the time",
     ),
 ]
 
@@ -99,7 +99,7 @@ def test_no_calibration_anywhere_says_where_to_put_it(drive: Path):
 
 
 def test_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
-    with pytest.raises(RecordingError, match=f"instead: {drive.name}$"):
+    with pytest.raises(RecordingError, match=f"one of them: {drive.name}$"):
         open_recording(drive.parent)
     for path in (*drive.glob("*/data/*.png"), *drive.glob("*/data/*.bin")):
         path.unlink()

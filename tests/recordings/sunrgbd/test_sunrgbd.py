@@ -187,11 +187,11 @@ def test_filled_depth_is_read_where_there_is_no_other(scene: Path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("bed 1 2 3\n", ":1: a label has 13 fields, not 4"),
-        ("\nbed 0 0 9 9 0 3 -0.5 1 x 0.5 -1 0\n", ":2: could not convert"),
+        ("bed 1 2 3\n", ":1: a label row has 13 fields, not 4"),
+        ("\nbed 0 0 9 9 0 3 -0.5 1 x 0.5 -1 0\n", ":2: 'x' is not a number"),
         ("bed 0 0 9 9 0 3 -0.5 1 -1 0.5 -1 0\n", "sizes must be positive"),
         ("bed 0 0 9 9 0 3 -0.5 1 1 0.5 0 0\n", "has length 0"),
-        ("bed 0 0 9 9 0 3 nan 1 1 0.5 0 1\n", "not finite"),
+        ("bed 0 0 9 9 0 3 nan 1 1 0.5 0 1\n", "not a finite number"),
     ],
 )
 def test_broken_extracted_labels_name_the_line(extracted: Path, text: str, complaint: str):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.kitti.box_rows import is_in_picture
+from annotator.formats.kitti.box_rows import is_in_image
 from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox
@@ -70,7 +70,7 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
         assert truth.label == label
         assert_same(truth.box, box, 1e-9)
     # people walk before each other: what is hidden counts as such, in KITTI's evaluation of other recordings, too
-    hidden = [row.occluded for i in range(5) for row in true_kitti_rows(known, i, known.frame(i)) if is_in_picture(row)]
+    hidden = [row.occluded for i in range(5) for row in true_kitti_rows(known, i, known.frame(i)) if is_in_image(row)]
     files = sorted((out / "training" / "label_2").iterdir())
     assert [int(line.split()[2]) for file in files for line in file.read_text().splitlines()] == hidden
     assert len(set(hidden)) > 1

@@ -93,19 +93,19 @@ def test_a_folder_has_one_camera_and_one_gravity(frames: list[Frame], tmp_path: 
     writer.add(frames[0], 0)
     writer.add(replace(frames[1], up=np.array([1.0, 0.0, 0.0])), 1)
     assert open_recording(tmp_path).frame(0).up is None, "the frames have none in common"
-    with pytest.raises(RecordingError, match="frame 000002 has another camera"):
+    with pytest.raises(RecordingError, match="frame 000002 has a different camera"):
         writer.add(replace(frames[2], camera=replace(frames[2].camera, fx=300.0)), 2)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("key,time\n", ":1: must begin with key,timestamp_ns"),
+        ("key,time\n", ":1: the header must be key,timestamp_ns"),
         ("key,timestamp_ns\n000000,5\nx,1.5\n", ":3: must be a key and a time"),
         ("key,timestamp_ns\n000000,-5\n", ":2: must be a key and a time"),
         (f"key,timestamp_ns\n000000,{2**63}\n", ":2: must be a key and a time"),
         (f"key,timestamp_ns\n000000,{'9' * 5000}\n", ":2: must be a key and a time"),
-        ("key,timestamp_ns\n000000,5\n000000,6\n", ":3: frame 000000 has a line already"),
+        ("key,timestamp_ns\n000000,5\n000000,6\n", ":3: frame 000000 already has a line"),
     ],
 )
 def test_times_that_mean_nothing(frames: list[Frame], tmp_path: Path, text: str, said: str) -> None:
@@ -171,7 +171,7 @@ def test_what_cannot_be_written_any_more_is_told_and_the_rest_stays(
     recorder = Recorder(tmp_path / "full")
     recorder.put(seen(frames[0]))
     recorder.put(seen(replace(frames[1], camera=replace(frames[1].camera, fx=300.0))))
-    with pytest.raises(RecordingError, match="another camera"):
+    with pytest.raises(RecordingError, match="a different camera"):
         while True:
             recorder.put(seen(frames[0]))
             time.sleep(0.005)

@@ -411,7 +411,7 @@ def test_a_store_that_refuses_everything_ends_the_batch(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
-        raise ProjectError("project.db: cannot grow, the disk is full")
+        raise ProjectError("project.db: cannot be written, because the disk is full")
 
     monkeypatch.setattr(type(people.proposals), "replace", full)
     monkeypatch.setattr(type(people.jobs), "record_failure", full)
