@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 install_import_hook("annotator", "beartype.beartype")
 
-# No test is timed: how long an example takes depends on what else the machine does. The suite tries the same examples
-# on every run; `scripts/fuzz` looks for others, and what it finds becomes an `@example`.
+# Examples have no deadline, since their duration depends on the machine's load. The suite tries the same examples on
+# every run. `scripts/fuzz` tries others; add those that fail as `@example`.
 COMMON = settings(deadline=None, database=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("annotator", COMMON, derandomize=True)
 settings.register_profile("fuzz", COMMON)
@@ -31,19 +31,19 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    group = parser.getgroup("fuzz", "what scripts/fuzz asks for")
-    group.addoption("--fuzz-until", type=float, help="no test begins after this time, seconds since the epoch")
-    group.addoption("--fuzz-examples", type=int, help="of each property test, in place of its own number")
+    group = parser.getgroup("fuzz", "options of scripts/fuzz")
+    group.addoption("--fuzz-until", type=float, help="start no test after this time (seconds since the epoch)")
+    group.addoption("--fuzz-examples", type=int, help="number of examples of each property test")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if settings().derandomize:
-        # Hypothesis also draws numbers that it reads in the modules that are loaded: others in every process
+        # Hypothesis also draws constants found in the loaded modules, which differ between processes
         providers._get_local_constants = providers.Constants
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Files with slow tests first: side by side, the longest one shall not begin when all others are done."""
+    """Starts files with slow tests first, so that a parallel run does not end with the longest one."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
     if count := config.getoption("fuzz_examples"):
@@ -69,9 +69,9 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
-    """`made_once(NAME, fill)`: a folder that the first of the side-by-side processes fills; not to be changed."""
+    """`made_once(NAME, fill)`: a folder that is filled once for all parallel test processes; do not change it."""
     own = tmp_path_factory.getbasetemp()
-    # the processes of one pytest-xdist have sibling folders; without it a sibling is another run's
+    # the workers of pytest-xdist have sibling folders; without xdist, siblings belong to other runs
     root = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
     def make(name: str, fill: Callable[[Path], object]) -> Path:
@@ -79,7 +79,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
         with (root / f"once_{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not filled.exists():
-                # a try that failed may have left a part
+                # a failed attempt may have left files
                 shutil.rmtree(folder, ignore_errors=True)
                 folder.mkdir()
                 fill(folder)
@@ -91,7 +91,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 
 @pytest.fixture(scope="session")
 def generated(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
-    """Two small generated recordings, `people` (three of them) and `hands` (two), 5 frames each; not to be changed."""
+    """Two small generated recordings, `people` (three of them) and `hands` (two), 5 frames each; do not change them."""
     from annotator.synthetic import write_generated
 
     def fill(folder: Path) -> None:
@@ -103,7 +103,7 @@ def generated(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Pat
 
 @pytest.fixture
 def own_copy(generated: Path, tmp_path: Path) -> Callable[[str], Path]:
-    """A generated recording of the test's own, to be damaged as it likes: `own_copy("people")`."""
+    """A copy of a generated recording that the test may change: `own_copy("people")`."""
 
     def copy(name: str) -> Path:
         return Path(shutil.copytree(generated / name, tmp_path / name))
@@ -113,7 +113,7 @@ def own_copy(generated: Path, tmp_path: Path) -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def knowing(generated: Path) -> Callable[..., Detectors]:
-    """Detectors that know the truth of a generated recording: `knowing("people", kind=BoxKind.BOX)`."""
+    """Perfect detectors for a generated recording: `knowing("people", kind=BoxKind.BOX)`."""
     from annotator.detection.perfect import PerfectDetector, Scene
     from annotator.recordings import open_recording
     from annotator.types import BoxKind

@@ -1,4 +1,4 @@
-"""What no command can work with is told in a line, and is no fault of annotator; benchmarks do the same."""
+"""Invalid arguments of commands and benchmarks give a one-line error, not a traceback."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty project p in the folder of projects, and a file beside it."""
+    """An empty project `p`, and a file `file` beside the folder of projects."""
     monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
     monkeypatch.chdir(tmp_path)
     assert main(["new", "p", "--classes", "x"]) == 0
@@ -51,7 +51,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["stats", "p/../p"], "'p/../p' is not a valid project name"),
     ],
 )
-def test_one_line_says_what_is_wrong(
+def test_invalid_arguments_are_errors_and_change_nothing(
     project: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
 ) -> None:
     before = sorted(project.parent.parent.iterdir())
@@ -60,7 +60,7 @@ def test_one_line_says_what_is_wrong(
     assert sorted(project.parent.parent.iterdir()) == before
 
 
-def test_a_path_is_no_project_name(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_path_is_not_a_project_name(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stats", str(project)]) == 2
     assert "is not a valid project name" in capsys.readouterr().err
 
@@ -76,7 +76,7 @@ def test_a_path_is_no_project_name(project: Path, capsys: pytest.CaptureFixture[
         (axes.main, "nowhere --upright --free", "contradict each other"),
     ],
 )
-def test_a_benchmark_says_it_too(
+def test_invalid_arguments_of_benchmarks_are_errors(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     benchmark: Callable[[], None],
@@ -92,7 +92,7 @@ def test_a_benchmark_says_it_too(
     assert says in said
 
 
-def test_a_fault_of_a_benchmark_is_not_hidden() -> None:
+def test_a_bug_in_a_benchmark_is_not_hidden() -> None:
     def fails() -> None:
         raise ValueError("a fault")
 
@@ -100,13 +100,13 @@ def test_a_fault_of_a_benchmark_is_not_hidden() -> None:
         guarded(fails)
 
 
-def test_a_missing_extra_is_installed_from_the_clone() -> None:
+def test_the_error_of_a_missing_extra_names_both_ways_to_install_it() -> None:
     message = str(MissingExtraError("pywebview", "desktop"))
     assert "scripts/setup desktop" in message
     assert 'pip install "rcv-annotator[desktop]"' in message
 
 
-def test_the_extras_that_errors_name_exist() -> None:
+def test_extras_named_in_errors_exist() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     code = "\n".join(path.read_text() for path in (ROOT / "annotator").rglob("*.py"))
     named = re.findall(r'MissingExtraError\("[^"]+", "(\w+)"\)|rcv-annotator\[(\w+)\]', code)

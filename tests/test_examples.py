@@ -1,4 +1,4 @@
-"""The property tests try the same examples on every run, whatever else has been tested in the same process."""
+"""Property tests try the same examples on every run, independent of other tests in the process."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def drawn() -> list[tuple[int, float, str, bytes]]:
     return found
 
 
-def test_examples_depend_on_nothing_but_their_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_depend_only_on_their_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = drawn()
     assert len(before) > 50
     random.seed(1)
     assert drawn() == before
-    # constants of modules that are loaded are candidates, too, if nothing is done about it
+    # by default, Hypothesis also draws constants of loaded modules
     (tmp_path / "many_constants.py").write_text(f"NUMBERS = {[*range(1_000_003, 1_000_403)]}\n")
     monkeypatch.syspath_prepend(tmp_path)
     __import__("many_constants")

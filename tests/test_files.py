@@ -11,7 +11,7 @@ from annotator.files import new_folder, write_atomic
 from annotator.types.errors import FormatError
 
 
-def test_a_file_is_replaced_whole_or_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.json"
     write_atomic(path, b"old")
     write_atomic(path, b"new")
@@ -29,13 +29,13 @@ def test_a_file_is_replaced_whole_or_stays(tmp_path: Path, monkeypatch: pytest.M
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a.json", "plain"]
 
 
-def test_a_folder_is_replaced_whole_or_stays(tmp_path: Path) -> None:
+def test_a_folder_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     with new_folder(out, lambda _: False) as part:
         (part / "a").touch()
         assert not out.exists()
     with pytest.raises(FormatError, match="exists and is not empty"), new_folder(out, lambda _: False):
-        pytest.fail("it may not be replaced")
+        pytest.fail("the folder was replaced")
     with pytest.raises(ValueError, match="half"), new_folder(out, lambda _: True) as part:
         (part / "b").touch()
         raise ValueError("half")

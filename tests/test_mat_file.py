@@ -1,4 +1,4 @@
-"""MATLAB files: the same values as scipy reads and the format's own example; damage is an error, never a crash."""
+"""MATLAB files: the same values as scipy, and the format's example; damage is an error, never a crash."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def structs() -> np.ndarray:
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_what_scipy_writes(tmp_path: Path, compressed: bool) -> None:
+def test_files_written_by_scipy_are_read(tmp_path: Path, compressed: bool) -> None:
     path, cloud = tmp_path / "a.mat", np.random.default_rng(0).normal(size=(500, 6)).astype(np.float32)
     savemat(path, {"first": np.ones(3, np.uint8), "cloud": cloud, "table": structs()}, do_compression=compressed)
     np.testing.assert_array_equal(read_mat(path, "cloud", 2**20), loadmat(path)["cloud"])
@@ -47,8 +47,8 @@ def test_what_scipy_writes(tmp_path: Path, compressed: bool) -> None:
 
 
 @pytest.mark.parametrize("order", "<>")
-def test_bytes_by_hand(tmp_path: Path, order: str) -> None:
-    """A 1 x 2 array `ab` of doubles, whose values 3 and 5 are kept as two bytes in a tag, in both byte orders."""
+def test_bytes_written_by_hand_are_read_in_both_byte_orders(tmp_path: Path, order: str) -> None:
+    """A 1 x 2 array `ab` of doubles, whose values 3 and 5 are stored as two bytes in a small data element."""
     flags = struct.pack(order + "IIII", 6, 8, 6, 0)
     sizes = struct.pack(order + "IIii", 5, 8, 1, 2)
     name = struct.pack(order + "I", 2 << 16 | 1) + b"ab\0\0"
@@ -75,7 +75,7 @@ PLACES = st.integers(120, len(CONTENT) - 1)
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.tuples(PLACES, st.binary(max_size=5), st.integers(0, 9)), min_size=1, max_size=4))
 def test_damage_is_an_error_and_never_a_crash(tmp_path: Path, damages: list[tuple[int, bytes, int]]) -> None:
-    """scipy's reader ends the program at many of these."""
+    """scipy's reader crashes on many of these."""
     data = bytearray(CONTENT)
     for place, inserted, removed in damages:
         data[place : place + removed] = inserted
@@ -90,13 +90,13 @@ def test_damage_is_an_error_and_never_a_crash(tmp_path: Path, damages: list[tupl
 @pytest.mark.parametrize(
     ("place", "value", "problem"),
     [
-        # the array's length, its rows, the length of field names: after head, tag and flags, with its size and name
+        # the array's length; its number of rows
         (132, 2**31 - 1, "is truncated"),
         (160, 2**30, "declares .* elements in"),
         (160, 2**32 - 1, "invalid size"),
     ],
 )
-def test_huge_counts_take_no_memory(tmp_path: Path, place: int, value: int, problem: str) -> None:
+def test_huge_counts_are_errors_without_allocating_memory(tmp_path: Path, place: int, value: int, problem: str) -> None:
     data = bytearray(CONTENT)
     struct.pack_into("<I", data, place, value)
     (tmp_path / "a.mat").write_bytes(data)
@@ -126,19 +126,19 @@ def write_mat(path: Path, content: bytes) -> Path:
         (struct.pack("<dd", np.nan, 0), 9),
         (struct.pack("<QQQ", 0, 2**62, 2**62), 13),
         (struct.pack("<QQ", 0, 2**64 - 1), 13),
-        # each of them is possible
+        # each size is valid, their product is not
         (struct.pack("<QQQ", 0, 2**40, 2**40), 13),
         (struct.pack("<9i", *[1] * 9), 5),
     ],
 )
-def test_sizes_that_no_array_has(tmp_path: Path, sizes: bytes, sizes_type: int) -> None:
+def test_invalid_array_sizes_are_errors(tmp_path: Path, sizes: bytes, sizes_type: int) -> None:
     path = write_mat(tmp_path / "a.mat", array(6, sizes, element(9, b""), sizes_type=sizes_type))
     with pytest.raises(MatFileError, match="has an array with an invalid size"):
         read_mat(path, "ab", 2**20)
 
 
 def many(promised: str) -> bytes:
-    """Four million nothings: cells, elements of a struct of one field, or fields of an empty struct."""
+    """Four million empty cells, elements of a struct of one field, or fields of an empty struct."""
     number, one_letter, nothing = 2**22, element(5, b"\1\0\0\0"), element(14, b"")
     sizes = struct.pack("<ii", 1, number)
     if promised == "cells":
@@ -149,7 +149,7 @@ def many(promised: str) -> bytes:
 
 
 @pytest.mark.parametrize("promised", ["cells", "elements", "fields"])
-def test_a_few_bytes_do_not_become_millions_of_objects(tmp_path: Path, promised: str) -> None:
+def test_a_small_file_cannot_create_millions_of_objects(tmp_path: Path, promised: str) -> None:
     path = write_mat(tmp_path / "a.mat", many(promised))
     assert path.stat().st_size < 2**16
     tracemalloc.start()
@@ -157,11 +157,11 @@ def test_a_few_bytes_do_not_become_millions_of_objects(tmp_path: Path, promised:
         read_mat(path, "ab", 2**26)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    # unpacked, they are 32 MiB, for which zlib takes up to twice as much; their objects would be several times that
+    # they unpack to 32 MiB, for which zlib needs up to twice as much; objects would need several times that
     assert peak < 100 * 2**20
 
 
-def test_elements_without_content_are_one_and_the_same(tmp_path: Path) -> None:
+def test_empty_elements_are_the_same_object(tmp_path: Path) -> None:
     cells = array(1, struct.pack("<ii", 1, 3), element(14, b"") * 3)
     value = read_mat(write_mat(tmp_path / "a.mat", cells), "ab", 2**20)
     assert isinstance(value, list)
@@ -170,7 +170,7 @@ def test_elements_without_content_are_one_and_the_same(tmp_path: Path) -> None:
     assert value[0].shape == (0, 0)
 
 
-def test_other_things_than_numbers_are_refused_where_numbers_are_asked_for(tmp_path: Path) -> None:
+def test_numbers_only_refuses_other_values(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"cells": CELLS, "text": "inside", "number": np.eye(2)})
     for name in ("cells", "text"):
         with pytest.raises(MatFileError, match=f"has values other than numbers in {name}"):

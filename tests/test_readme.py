@@ -1,6 +1,5 @@
 """The README's commands and Python lines work: each command in a `console` or `sh` block is run, in order.
-
-A command that takes long gets a smaller stand-in in `INSTEAD`; there is no other way to leave one out.
+Long-running commands have a smaller replacement in `INSTEAD`, or None; there is no other way to skip one.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from annotator.cli.table import COMMANDS
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
-# Blocks of these languages hold commands; in a `console` block only the lines after a prompt.
+# Blocks of these languages contain commands; in a `console` block, only lines with a prompt.
 SHELL, CONSOLE = ("sh", "bash", "shell"), ("console",)
 BLOCK = re.compile(r"^( *)```(\w+)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
-# What a README may call. `scripts/...` and `git` only where INSTEAD knows them.
+# The programs that the README may call. `scripts/...` and `git` are allowed only with an entry in INSTEAD.
 PROGRAMS = ("annotator", "python")
 
 
 @dataclass(frozen=True)
 class Instead:
-    """What is run for a command of the README: a smaller one, or (None) nothing because another test does."""
+    """The replacement for a command of the README, or None if another test covers it."""
 
     command: str | None
     because: str
@@ -50,7 +49,7 @@ INSTEAD: dict[str, Instead] = {
     "annotator train hands": Instead(
         "annotator train hands --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
     ),
-    # What so short a training proposes, if anything, is left to chance.
+    # After such a short training there may be no proposals.
     "annotator export hands --format rcv out/3D_HAND": Instead(
         "annotator export hands --format rcv out/3D_HAND --empty-frames", "there may be no box to export"
     ),
@@ -72,10 +71,10 @@ def commands(text: str) -> list[str]:
 
 
 def as_run(command: str, shared: Path) -> list[str] | None:
-    """The words that are run for a command of the README, or None where nothing is.
+    """The words to run for a command of the README, or None to skip it.
 
     Raises:
-        AssertionError: a program that this test does not know how to run.
+        AssertionError: if the program is not in PROGRAMS.
     """
     if command in INSTEAD:
         instead = INSTEAD[command].command
@@ -113,7 +112,7 @@ print("not a command")
 """
 
 
-def test_commands_are_found() -> None:
+def test_commands_are_found_in_shell_and_console_blocks() -> None:
     assert commands(TEXT) == [
         "annotator new hands --classes hand",
         'annotator add hands "../shared/data/a b"',
@@ -122,14 +121,14 @@ def test_commands_are_found() -> None:
     ]
 
 
-def test_shared_paths_and_stand_ins() -> None:
+def test_shared_paths_and_replacements_are_applied() -> None:
     assert as_run('annotator add x "../shared/data/a b"', Path("/s")) == ["annotator", "add", "x", "/s/data/a b"]
     assert as_run("scripts/test", Path("/s")) is None
     with pytest.raises(AssertionError, match="teach tests/test_readme"):
         as_run("curl example.org", Path("/s"))
 
 
-def test_every_command_of_the_readme_is_known_and_no_stand_in_is_left_over() -> None:
+def test_the_readmes_commands_exist_and_all_replacements_are_used() -> None:
     found = readme_commands()
     assert found, "README.md shows no command"
     for command in found:
@@ -141,7 +140,7 @@ def test_every_command_of_the_readme_is_known_and_no_stand_in_is_left_over() -> 
     assert not unused, f"the README has no such commands any more: {unused}"
 
 
-def test_readme_tells_of_every_command() -> None:
+def test_the_readme_mentions_every_command() -> None:
     readme_commands()
     text = README.read_text(encoding="utf-8")
     missing = [name for name in COMMANDS if not re.search(rf"`annotator {name}\b", text)]
@@ -180,7 +179,7 @@ def test_the_readmes_python_gives_boxes(tmp_path: Path) -> None:
 def test_every_command_of_the_readme_runs(shared: Path, tmp_path: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("ANNOTATOR_")}
     environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment["PATH"]])
-    # `python -m benchmarks.NAME` is meant for the repository's root; everything is written where it is called
+    # `python -m benchmarks.NAME` needs the repository's root; files are written to the working folder
     environment["PYTHONPATH"] = str(ROOT)
     for command in readme_commands():
         words = as_run(command, shared.resolve())

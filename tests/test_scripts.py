@@ -42,7 +42,7 @@ def fake_environment(root: Path, *, imports: str = "exit 0") -> Path:
 
 
 def fake_npm(root: Path) -> None:
-    """A Node.js beside the clone whose npm notes what it was asked for, and makes the folder that `npm ci` makes."""
+    """A fake Node.js beside the clone; its npm logs its arguments and creates `node_modules`."""
     folder = root.parent / "node"
     folder.mkdir(exist_ok=True)
     for name, text in [("node", "echo v20.0.0"), ("npm", f'echo "$*" >>"{root}/npm.log"; mkdir -p node_modules')]:
@@ -52,7 +52,7 @@ def fake_npm(root: Path) -> None:
 
 def setup(root: Path, *extras: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     script = os.path.relpath(root / "scripts/setup", cwd or Path.cwd())
-    # the made-up npm, unless a test says what is on the PATH
+    # the fake npm, unless a test sets the PATH
     path = os.pathsep.join([str(root.parent / "node"), os.environ["PATH"]])
     given = {**os.environ, "PATH": path, **environment}
     return subprocess.run([script, *extras], cwd=cwd, env=given, capture_output=True, text=True, check=False)
@@ -63,7 +63,7 @@ def test_packages_are_installed_once_for_each_set_of_extras(clone: Path, tmp_pat
     assert setup(clone, "test", cwd=tmp_path).returncode == 0
     assert len(log.read_text().splitlines()) == 1
     assert log.read_text().endswith("install -q -e .[test]\n")
-    for extras in (["test"], []):  # what is there already covers both
+    for extras in (["test"], []):  # the installed extras cover both
         result = setup(clone, *extras, cwd=tmp_path)
         assert (result.returncode, result.stderr) == (0, "")
     assert len(log.read_text().splitlines()) == 1
@@ -116,13 +116,15 @@ def test_the_distribution_of_the_old_name_is_removed_first(clone: Path, tmp_path
 
 
 @pytest.mark.parametrize(("origin", "editable"), [("elsewhere", True), ("my work/annotator", False)])
-def test_another_distribution_of_the_old_name_stays(clone: Path, tmp_path: Path, origin: str, editable: bool) -> None:
+def test_an_unrelated_distribution_of_the_old_name_is_kept(
+    clone: Path, tmp_path: Path, origin: str, editable: bool
+) -> None:
     log = fake_environment(clone)
     assert setup(clone, **old_distribution(tmp_path / "site", tmp_path / origin, editable)).returncode == 0
     assert "uninstall" not in log.read_text()
 
 
-def test_a_failed_installation_is_tried_again(clone: Path) -> None:
+def test_a_failed_installation_is_repeated(clone: Path) -> None:
     log = fake_environment(clone, imports="echo 'ImportError: libX.so' >&2; exit 1")
     for count in (1, 2):
         result = setup(clone)
@@ -131,7 +133,7 @@ def test_a_failed_installation_is_tried_again(clone: Path) -> None:
         assert len(log.read_text().splitlines()) == count
 
 
-def test_a_missing_python_is_one_line(clone: Path) -> None:
+def test_a_missing_python_gives_a_one_line_error(clone: Path) -> None:
     result = setup(clone, PYTHON="/bin/false")
     assert (result.returncode, result.stdout) == (1, "")
     assert result.stderr == "setup: PYTHON=/bin/false is not a working Python >= 3.11\n"
@@ -142,14 +144,14 @@ def test_a_moved_environment_is_created_again(clone: Path) -> None:
     fake_environment(clone)
     assert setup(clone).returncode == 0
     moved = clone.rename(clone.with_name("elsewhere"))
-    result = setup(moved, PYTHON="/bin/false")  # so that it ends where it would make the new one
+    result = setup(moved, PYTHON="/bin/false")  # so that setup ends before it creates the new one
     assert "does not work here any more" in result.stderr
     assert result.returncode == 1
     assert not (moved / ".venv").exists()
 
 
 def programs(folder: Path, *names: str, **scripts: str) -> Path:
-    """A folder for the PATH with only these programs of the machine, and fake ones."""
+    """A folder for the PATH with only these programs of the machine, and fake programs."""
     folder.mkdir()
     for name in names:
         found = shutil.which(name)
@@ -181,7 +183,7 @@ def test_a_missing_browser_is_installed_for_the_tests(clone: Path, tmp_path: Pat
     assert not log.exists()
 
 
-def test_without_root_rights_one_line_names_the_package(clone: Path, tmp_path: Path) -> None:
+def test_without_root_permission_the_error_names_the_package(clone: Path, tmp_path: Path) -> None:
     fake_environment(clone)
     path = programs(tmp_path / "bin", *NEEDED, id="echo 1000", apt_get="exit 1")
     result = setup(clone, "test", PATH=str(path), ANNOTATOR_CHROMIUM="")
@@ -244,10 +246,10 @@ def test_fuzzing_needs_whole_numbers(clone: Path, words: tuple[str, ...]) -> Non
     assert result.stderr.startswith(f"fuzz: {words[0]} needs a whole number")
 
 
-def test_the_checks_of_the_page_are_installed_once_for_each_lock_file(clone: Path) -> None:
+def test_the_javascript_checks_are_installed_once_for_each_lock_file(clone: Path) -> None:
     fake_environment(clone)
     log, lock = clone / "npm.log", clone / "scripts/javascript/package-lock.json"
-    assert setup(clone).returncode == 0  # what only runs the program needs no Node.js
+    assert setup(clone).returncode == 0  # Node.js is needed only for the tests
     assert not log.exists()
     for _ in range(2):
         result = setup(clone, "test")
@@ -258,10 +260,10 @@ def test_the_checks_of_the_page_are_installed_once_for_each_lock_file(clone: Pat
     assert len(log.read_text().splitlines()) == 2
 
 
-def test_node_and_npm_are_installed_where_they_are_missing(clone: Path, tmp_path: Path) -> None:
+def test_missing_node_and_npm_are_installed(clone: Path, tmp_path: Path) -> None:
     fake_environment(clone)
     log, folder = tmp_path / "apt.log", tmp_path / "bin"
-    # what apt-get installs is on the PATH afterwards
+    # the fake apt-get installs node on the PATH
     apt = f'echo "$*" >>"{log}"; ln -sf /bin/true "{folder}/node"'
     made = 'mkdir -p "$PWD/node_modules"'
     path = programs(folder, *NEEDED, "ln", "true", id="echo 0", chromium="exit 0", apt_get=apt, npm=made)
@@ -270,7 +272,7 @@ def test_node_and_npm_are_installed_where_they_are_missing(clone: Path, tmp_path
     assert log.read_text().splitlines()[-1] == "-qq install -y --no-install-recommends nodejs"
 
 
-def test_a_failed_npm_is_tried_again(clone: Path) -> None:
+def test_a_failed_npm_is_repeated(clone: Path) -> None:
     fake_environment(clone)
     (clone.parent / "node/npm").write_text("#!/bin/bash\necho 'no such host' >&2; exit 1\n")
     for _ in range(2):
@@ -295,7 +297,7 @@ def test_the_lock_file_pins_every_package_and_names_no_registry() -> None:
     assert [name for names in needed for name in names if f"node_modules/{name}" not in packages] == []
 
 
-def test_lines_of_the_page_are_short_enough() -> None:
+def test_lines_of_javascript_and_css_are_short_enough() -> None:
     files = [*(ROOT / "web_assets").rglob("*.js"), *(ROOT / "web_assets").rglob("*.css")]
     assert len(files) > 50
     long = [
@@ -304,5 +306,5 @@ def test_lines_of_the_page_are_short_enough() -> None:
         for number, line in enumerate(path.read_text().splitlines(), 1)
         if len(line) >= 120
     ]
-    # the formatter wraps neither comments nor texts
+    # the formatter does not wrap comments and strings
     assert long == []

@@ -97,7 +97,7 @@ type JobLine = ReturnType<typeof import("../../web_assets/js/jobs.js").createJob
 /** A box that was drawn in Review, to be completed in Label. */
 type Given = { project: string; frame: number; image_box: Box2D };
 
-/** The object that every mode gets; js/main.js makes it. */
+/** The object that each mode receives; js/main.js creates it. */
 interface App {
   api: Client;
   effort: EffortCounter;
@@ -297,7 +297,7 @@ interface Work {
   label: string;
   /** The object that is selected on the image. */
   selected: Item | null;
-  /** Objects that were replaced by the others' version, but are still shown. */
+  /** Objects that were replaced by another operator's version, but are still shown. */
   notSaved: Item[];
   /** The boxes that the image detector found. */
   found: Box2D[];
@@ -324,7 +324,7 @@ type FrameChange = {
   item?: Item;
 };
 
-/** A change that can only be made when it is its turn; null: nothing is left to save. */
+/** A change whose content is determined only when it is sent; null: nothing to save. */
 type LaterChange = { item: Item; make: () => Promise<FrameChange | null> };
 type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange | null };
 

@@ -28,14 +28,14 @@ def main() -> None:
     bodies = [
         route["requestBody"] for path in api["paths"].values() for route in path.values() if "requestBody" in route
     ]
-    asked = _reached(bodies, schemas)
-    types = [_declaration(name, schema, name not in asked) for name, schema in schemas.items()]
+    request_types = _reached(bodies, schemas)
+    types = [_declaration(name, schema, name not in request_types) for name, schema in schemas.items()]
     text = "// Written by server_types.py.\n\ndeclare namespace Api {\n" + "\n".join(types) + "}\n"
     write_atomic(TARGET, text.encode())
 
 
 def _reached(start: Any, schemas: dict[str, Any]) -> set[str]:
-    """The names of the schemas that a part of the API's description refers to, directly or not."""
+    """The names of the schemas that a part of the API's description refers to, directly or indirectly."""
     found: set[str] = set()
     waiting = [start]
     while waiting:
@@ -69,7 +69,7 @@ def _type(schema: dict[str, Any]) -> str:
     """The TypeScript type of a JSON schema, of the kinds that pydantic writes.
 
     Raises:
-        ValueError: another kind of schema.
+        ValueError: if the schema is of another kind.
     """
     if "$ref" in schema:
         return _identifier(schema["$ref"].rpartition("/")[2])

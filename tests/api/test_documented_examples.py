@@ -1,4 +1,4 @@
-"""Each example runs as a reader would run it, prints its table, and leaves the picture that it promises."""
+"""Each example runs as documented, prints the expected output and writes the images that it announces."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from annotator.image_bytes import decode_image
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "docs/examples").glob("*.py"))
-MOST_LINES = 40
-# What each prints when it has done what it is about.
-SAYS = {
+MAX_LINES = 40
+# What each example must print.
+EXPECTED_OUTPUT = {
     "01": r"(hand: centre .* m, size .* m, \d\.\d\d\n){2}",
     "02": r"(frame \d+: 2 2D boxes, 2 3D boxes\n){2}",
     "03": r"step 1: 2 views, .*continues\nstep 2: 24 views",
@@ -30,11 +30,11 @@ SAYS = {
 }
 
 
-def test_there_are_eight_from_simple_to_rich() -> None:
-    assert [path.name[:2] for path in EXAMPLES] == sorted(SAYS)
+def test_all_examples_are_short_and_in_the_guide() -> None:
+    assert [path.name[:2] for path in EXAMPLES] == sorted(EXPECTED_OUTPUT)
     text = (ROOT / "docs/python.md").read_text(encoding="utf-8")
     for path in EXAMPLES:
-        assert len(path.read_text(encoding="utf-8").splitlines()) < MOST_LINES, path.name
+        assert len(path.read_text(encoding="utf-8").splitlines()) < MAX_LINES, path.name
         assert f"examples/{path.name}" in text, f"docs/python.md does not mention {path.name}"
 
 
@@ -71,7 +71,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Path]:
 def test_every_example_runs(path: Path, folders: dict[Path, Path]) -> None:
     error, printed = folders[path] / "error.txt", (folders[path] / "printed.txt").read_text(encoding="utf-8")
     assert not error.exists(), error.read_text(encoding="utf-8")
-    assert re.search(SAYS[path.name[:2]], printed), printed
+    assert re.search(EXPECTED_OUTPUT[path.name[:2]], printed), printed
     written = sorted(folders[path].glob("*.png"))
     assert [picture.name for picture in written] == re.findall(r"Writes (\S+\.png)", path.read_text(encoding="utf-8"))
     for picture in written:

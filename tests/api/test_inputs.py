@@ -1,4 +1,4 @@
-"""Arrays from outside: what is clear is converted, what is ambiguous is refused with a message that says what to do."""
+"""Input arrays: unambiguous ones are converted; the error of an ambiguous one says what to do."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def rgbd(rgb: Any = RGB, depth: Any = DEPTH, intrinsics: Any = K, **more: Any) -
 
 
 def lidar_points() -> np.ndarray:
-    """All around, as a turning LiDAR sees it."""
+    """Points in all directions, as from a rotating LiDAR."""
     rng = np.random.default_rng(1)
     angle, height = rng.uniform(-np.pi, np.pi, 4000), rng.uniform(-1, 1, 4000)
     return np.stack([10 * np.cos(angle), 10 * np.sin(angle), height], axis=1)
@@ -39,7 +39,7 @@ def cloud(
 
 
 def refused(call: Callable[[], object], *words: str) -> None:
-    """The error is for users, is a ValueError too, and says all of these."""
+    """Expects an ArgumentError, which is also a ValueError, with all `words` in its message."""
     with pytest.raises(ArgumentError) as caught:
         call()
     assert isinstance(caught.value, AnnotatorError) and isinstance(caught.value, ValueError)
@@ -47,7 +47,7 @@ def refused(call: Callable[[], object], *words: str) -> None:
         assert word in str(caught.value)
 
 
-def test_a_frame_has_the_points_that_its_depth_says() -> None:
+def test_a_frame_has_one_point_per_pixel_with_depth() -> None:
     frame = rgbd(key="a", up=(0, -2, 0))
     assert (frame.key, len(frame.cloud), frame.camera.fx) == ("a", H * W, 30.0)
     assert frame.up is not None and frame.up.tolist() == [0, -1, 0]
@@ -61,14 +61,14 @@ def test_a_frame_has_the_points_that_its_depth_says() -> None:
     [RGB / 255.0, (RGB / 255.0).astype(np.float32), np.dstack([RGB, RGB[..., :1]]), RGB.tolist()],
     ids=["floats", "float32", "RGBA", "nested lists of integers"],
 )
-def test_images_that_are_clear_are_converted(given: Any) -> None:
+def test_float_and_rgba_images_are_converted(given: Any) -> None:
     if isinstance(given, list):
-        refused(lambda: rgbd(given), "int64", "uint8")  # 0..1 or 0..255 cannot be told apart by their type
+        refused(lambda: rgbd(given), "int64", "uint8")  # int64 does not show whether the range is 0..1 or 0..255
         return
     assert (rgbd(given).rgb == RGB).all()
 
 
-def test_a_grey_image_is_repeated() -> None:
+def test_a_grey_image_is_repeated_in_three_channels() -> None:
     for given in (RGB[..., 0], RGB[..., :1]):
         assert (rgbd(given).rgb == RGB[..., :1]).all()
 
@@ -87,7 +87,7 @@ def test_a_grey_image_is_repeated() -> None:
     ],
     ids=["floats to 255", "centred", "16 bits", "bool", "channels first", "two channels", "a batch", "NaN"],
 )
-def test_images_that_are_not_clear_are_refused(rgb: np.ndarray, words: list[str]) -> None:
+def test_ambiguous_images_are_errors(rgb: np.ndarray, words: list[str]) -> None:
     refused(lambda: rgbd(rgb), *words)
 
 
@@ -100,7 +100,7 @@ def test_integer_depth_is_millimetres_and_float_depth_is_metres() -> None:
     assert (rgbd(depth=np.full((H, W), 2000.0), depth_scale=1000.0).cloud.xyz_m == expected).all()
 
 
-def test_depth_that_a_sensor_did_not_measure_is_none() -> None:
+def test_zero_and_non_finite_depth_gives_no_points() -> None:
     depth = DEPTH.copy()
     depth[0, :4] = [0, np.nan, np.inf, -np.inf]
     frame = rgbd(depth=depth)
@@ -123,7 +123,7 @@ def test_depth_that_a_sensor_did_not_measure_is_none() -> None:
         (DEPTH, {"depth_scale": np.nan}, ["positive"]),
     ],
 )
-def test_depth_that_is_not_clear_is_refused(depth: np.ndarray, more: dict[str, Any], words: list[str]) -> None:
+def test_ambiguous_or_unusable_depth_is_an_error(depth: np.ndarray, more: dict[str, Any], words: list[str]) -> None:
     refused(lambda: rgbd(depth=depth, **more), *words)
 
 
@@ -152,13 +152,11 @@ def test_intrinsics_are_a_matrix_four_numbers_or_a_camera(make: Callable[..., an
         (annotator.Camera(64, 48, 60.0, 60.0, 31.5, 23.5), ["64 x 48", "32 x 24"]),
     ],
 )
-def test_intrinsics_of_no_such_camera_are_refused(
-    make: Callable[..., annotator.Frame], given: Any, words: list[str]
-) -> None:
+def test_invalid_intrinsics_are_errors(make: Callable[..., annotator.Frame], given: Any, words: list[str]) -> None:
     refused(lambda: make(intrinsics=given), *words)
 
 
-def test_distortion_has_as_many_coefficients_as_opencv_takes() -> None:
+def test_distortion_needs_as_many_coefficients_as_opencv_accepts() -> None:
     refused(lambda: rgbd(distortion=(0.1, 0.2)), "coefficients")
     refused(
         lambda: rgbd(intrinsics=annotator.Camera(W, H, 30.0, 30.0, 15.5, 11.5), distortion=(0.1, 0.0, 0.0, 0.0)),
@@ -167,12 +165,12 @@ def test_distortion_has_as_many_coefficients_as_opencv_takes() -> None:
 
 
 @pytest.mark.parametrize("up", [(0, 0, 0), (0, np.nan, 0), (0, -1), "up"])
-def test_up_is_a_direction(up: Any) -> None:
+def test_an_invalid_up_direction_is_an_error(up: Any) -> None:
     with pytest.raises(ValueError):
         rgbd(up=up)
 
 
-def test_points_come_into_the_camera_and_take_the_colour_of_their_pixel() -> None:
+def test_points_are_transformed_to_the_camera_and_coloured_by_their_pixel() -> None:
     points = np.array([[2.0, 0, 0], [2, 0.1, 0], [-2, 0, 0], [np.nan, 0, 0], [0.05, 0, 0], [2, 9, 0]])
     frame = cloud(points, reflectance=np.linspace(0, 1, 6))
     np.testing.assert_allclose(frame.cloud.xyz_m, [[0, 0, 2], [-0.1, 0, 2]], atol=1e-6)
@@ -181,7 +179,7 @@ def test_points_come_into_the_camera_and_take_the_colour_of_their_pixel() -> Non
     np.testing.assert_allclose(frame.cloud.reflectance, [0, 0.2], atol=1e-6)
 
 
-def test_a_transform_is_a_matrix_or_a_rigid_transform_and_none_is_the_identity() -> None:
+def test_a_transform_is_a_matrix_or_a_rigid_transform_and_defaults_to_the_identity() -> None:
     expected = cloud().cloud.xyz_m
     assert len(expected) > 100
     T = RigidTransform.from_matrix(T_CAMERA_LIDAR)
@@ -206,7 +204,7 @@ def test_a_transform_that_is_not_rigid_is_refused(T: Any, words: list[str]) -> N
     refused(lambda: cloud(T=T), "T_camera_points", *words)
 
 
-def test_points_that_the_camera_does_not_see_are_refused_with_the_likely_reason() -> None:
+def test_points_outside_the_image_are_an_error_with_the_likely_cause() -> None:
     behind = np.array([[0.0, 0, -2], [0, 0.1, -2], [0.1, 0, -3]])
     refused(lambda: cloud(behind, T=None), "0 of 3 points lie on the image", "0 are in front")
     # the LiDAR's own frame is not the camera's
@@ -229,17 +227,17 @@ def test_points_that_the_camera_does_not_see_are_refused_with_the_likely_reason(
         ("points", ["numbers"]),
     ],
 )
-def test_points_that_are_not_clear_are_refused(points: Any, words: list[str]) -> None:
+def test_invalid_point_arrays_are_errors(points: Any, words: list[str]) -> None:
     refused(lambda: cloud(points), *words)
 
 
-def test_reflectance_is_one_share_a_point() -> None:
+def test_reflectance_needs_one_value_in_0_to_1_per_point() -> None:
     refused(lambda: cloud(reflectance=np.ones(7)), "(4000,)")
     refused(lambda: cloud(reflectance=np.full(4000, 255.0)), "0..1")
     refused(lambda: cloud(reflectance=np.full(4000, np.nan)), "0..1")
 
 
-def test_a_recording_that_is_taken_apart_and_put_together_is_the_same(generated: Path) -> None:
+def test_a_recorded_frame_can_be_rebuilt_from_its_arrays(generated: Path) -> None:
     frame = annotator.open_recording(generated / "people").frame(0)
     assert frame.depth_m is not None
     again = rgbd(frame.rgb, frame.depth_m, frame.camera.matrix, up=frame.up)

@@ -1,4 +1,4 @@
-"""A project from Python: what it detects, stores, exports, and how far that is what the commands do."""
+"""Projects in the Python API detect, store and export, with the same results as the commands."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def people(tmp_path: Path, generated: Path) -> Any:
 
 @pytest.fixture
 def trained(people: annotator.Project, knowing: Knowing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """The project has two models, whose weights files stand for a detector that knows the truth; which were loaded?"""
+    """Registers two models that load as perfect detectors; returns the list of loaded weights files."""
     loaded: list[Path] = []
 
     def load(path: Path, *_: Any, **__: Any) -> Any:
@@ -52,7 +52,7 @@ def test_detection_takes_the_projects_detectors_and_settings(
     assert [path.parent.name for path in trained] == ["image", "view"]
     for frame, each in zip(frames, found, strict=True):
         assert each.key == frame.key and len(each.proposals) == 3
-    # as the batch does it: orientation from gravity, the kind of boxes from the detectors
+    # as in a batch run: orientation from gravity, the kind of boxes from the detectors
     pair = knowing("people", BoxKind.SILHOUETTE)
     people.annotate(image_detector=pair.image, view_detector=pair.view, limit=2)
     for frame, each in zip(stored, found, strict=True):
@@ -64,7 +64,7 @@ def test_detection_takes_the_projects_detectors_and_settings(
     assert len(people.detect(frames[0]).proposals) == 3 and len(trained) == 2
 
 
-def test_2d_boxes_of_ones_own_need_no_image_detector(
+def test_given_2d_boxes_need_no_image_detector(
     people: annotator.Project, trained: list[Path], knowing: Knowing
 ) -> None:
     frame = people.read(people.frames()[0])
@@ -76,17 +76,17 @@ def test_2d_boxes_of_ones_own_need_no_image_detector(
     assert [path.parent.name for path in trained] == ["view"]
 
 
-def test_live_frames(people: annotator.Project, trained: list[Path]) -> None:
+def test_watch_detects_on_each_frame(people: annotator.Project, trained: list[Path]) -> None:
     frames = (people.read(frame) for frame in people.frames()[:2])
     assert [len(detected.found.proposals) for detected in people.watch(frames)] == [3, 3]
 
 
-def test_without_detectors_it_says_what_to_do(people: annotator.Project) -> None:
+def test_without_detectors_the_error_names_the_training_command(people: annotator.Project) -> None:
     with pytest.raises(DetectionError, match="annotator train people"):
         people.detect(people.read(people.frames()[0]))
 
 
-def test_what_is_stored_can_be_found_exported_and_read(
+def test_stored_proposals_can_be_exported_evaluated_and_imported(
     people: annotator.Project, knowing: Knowing, tmp_path: Path
 ) -> None:
     pair = knowing("people")
@@ -115,7 +115,7 @@ def test_recordings_bring_their_labels(tmp_path: Path, generated: Path) -> None:
         assert len(again.frames()) == 5
 
 
-def test_words_that_nobody_knows_are_refused(people: annotator.Project, tmp_path: Path, knowing: Knowing) -> None:
+def test_invalid_option_values_are_errors(people: annotator.Project, tmp_path: Path, knowing: Knowing) -> None:
     with pytest.raises(ArgumentError, match="format must be one of rcv"):
         people.export(tmp_path / "out", "pascal")
     with pytest.raises(ArgumentError, match="states must be some of proposed"):

@@ -1,4 +1,4 @@
-"""Proposals with detectors that the caller brings."""
+"""Proposals with the caller's detectors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def overlaps(hands: annotator.Recording, index: int, found: annotator.FramePropo
     return [max(annotator.iou_3d(each.box, truth.box) for each in found.proposals) for truth in truths]
 
 
-def test_one_frame_or_several(hands: annotator.Recording, knowing_all: Any) -> None:
+def test_propose_takes_one_frame_or_several(hands: annotator.Recording, knowing_all: Any) -> None:
     frames = [hands.frame(0), hands.frame(1)]
     boxes = knowing_all.detect(frames)
     several = annotator.propose(frames, image_boxes=boxes, view_detector=knowing_all, rotation="free")
@@ -45,7 +45,7 @@ def test_one_frame_or_several(hands: annotator.Recording, knowing_all: Any) -> N
     assert annotator.propose([], image_boxes=[], view_detector=knowing_all) == []
 
 
-def test_functions_are_detectors(hands: annotator.Recording, knowing_all: Any) -> None:
+def test_functions_can_be_detectors(hands: annotator.Recording, knowing_all: Any) -> None:
     def on_image(frame: annotator.Frame) -> Sequence[annotator.Box2D]:
         assert frame.depth_m is not None
         return list(knowing_all.detect([frame])[0])
@@ -59,7 +59,7 @@ def test_functions_are_detectors(hands: annotator.Recording, knowing_all: Any) -
     assert min(overlaps(hands, 0, found)) > 0.95
 
 
-def test_a_function_gets_the_whole_frame_where_a_part_is_asked_for(hands: annotator.Recording) -> None:
+def test_a_function_detector_gets_the_whole_frame_for_a_region(hands: annotator.Recording) -> None:
     frame = hands.frame(0)
     inside = annotator.Box2D("hand", 30.0, 40.0, 60.0, 70.0, 0.5)
     outside = annotator.Box2D("hand", 200.0, 200.0, 220.0, 220.0, 0.9)
@@ -69,20 +69,20 @@ def test_a_function_gets_the_whole_frame_where_a_part_is_asked_for(hands: annota
     assert [box.xyxy for box in found] == [(10.0, 10.0, 40.0, 40.0)]
 
 
-def test_what_is_no_detector_is_refused(hands: annotator.Recording) -> None:
+def test_an_object_that_is_not_a_detector_is_an_error(hands: annotator.Recording) -> None:
     for given in ("yolo", annotator.NearestCluster):
         with pytest.raises(ArgumentError, match="is not a detector"):
             as_detector(given)
 
 
-def test_a_view_detector_without_training_finds_what_stands_free(hands: annotator.Recording, knowing_all: Any) -> None:
+def test_nearest_cluster_finds_separate_objects_without_training(hands: annotator.Recording, knowing_all: Any) -> None:
     for index in range(2):
         found = annotator.propose(hands.frame(index), image_detector=knowing_all, view_detector=HAND, rotation="free")
-        # of a hand that covers a part of itself only the visible points are boxed
+        # where a hand occludes itself, the box contains only the visible points
         assert min(overlaps(hands, index, found)) > 0.25
 
 
-def test_nearest_cluster_looks_at_pseudo_views_only(hands: annotator.Recording) -> None:
+def test_nearest_cluster_accepts_only_pseudo_views(hands: annotator.Recording) -> None:
     with pytest.raises(DetectionError, match="pseudo-views only"):
         HAND.detect([hands.frame(0)])
     with pytest.raises(ValueError, match="label"):
@@ -106,7 +106,7 @@ def test_nearest_cluster_boxes_the_nearer_of_two_groups() -> None:
     assert HAND.detect([nothing]) == [[]]
 
 
-def test_arguments_that_do_not_go_together_are_refused(hands: annotator.Recording) -> None:
+def test_invalid_or_conflicting_arguments_are_errors(hands: annotator.Recording) -> None:
     frame, box = hands.frame(0), annotator.Box2D("hand", 10.0, 10.0, 50.0, 50.0)
 
     def refused(match: str, frames: Any = frame, **given: Any) -> None:
@@ -134,7 +134,7 @@ def test_settings_reach_the_recursion(hands: annotator.Recording, knowing_all: A
     assert {len(each.trace) for each in found.proposals} == {1}
 
 
-def test_live_frames_start_from_the_ones_before(hands: annotator.Recording, knowing_all: Any) -> None:
+def test_watch_reads_each_frame_only_when_needed(hands: annotator.Recording, knowing_all: Any) -> None:
     asked: list[int] = []
 
     def camera() -> Iterator[annotator.Frame]:
@@ -151,7 +151,7 @@ def test_live_frames_start_from_the_ones_before(hands: annotator.Recording, know
     assert len(list(seen)) == 1
 
 
-def test_labels_are_written_read_and_measured(hands: annotator.Recording, tmp_path: Path) -> None:
+def test_labels_can_be_written_read_and_evaluated(hands: annotator.Recording, tmp_path: Path) -> None:
     frames = [hands.frame(0), hands.frame(1)]
     truth = {frame.key: annotator.read_truth(hands, i, frame) for i, frame in enumerate(frames)}
     annotator.write_labels(tmp_path / "boxes.json", truth)

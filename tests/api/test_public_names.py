@@ -1,4 +1,4 @@
-"""What `import annotator` offers, what it costs, and that type checkers and readers find the same names."""
+"""The public names of `annotator`: complete, documented, visible to type checkers, and cheap to import."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("numpy", "torch", "open3d", "viser", "cv2", "scipy", "numba", "sqlalchemy", "pydantic", "ultralytics")
 
 
-def test_importing_loads_nothing_heavy() -> None:
+def test_import_loads_no_heavy_package() -> None:
     script = f"import annotator, json, sys; print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
     answer = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert json.loads(answer.stdout) == []
 
 
-def test_all_names_are_there_and_are_those_of_the_api() -> None:
+def test_the_package_exports_the_names_of_the_api() -> None:
     assert set(annotator.__all__) == {*api.__all__, "__version__"}
     for name in api.__all__:
         assert getattr(annotator, name) is getattr(api, name)
     assert set(annotator.__all__) <= set(dir(annotator))
 
 
-def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'Boxes'"):
         _ = annotator.Boxes  # type: ignore[attr-defined]
 
@@ -49,6 +49,6 @@ def test_the_guide_has_a_row_for_every_name() -> None:
     assert set(api.__all__) <= rows, f"docs/python.md does not mention {sorted(set(api.__all__) - rows)}"
 
 
-def test_every_public_object_says_what_it_is() -> None:
+def test_every_public_name_has_a_docstring() -> None:
     for name in api.__all__:
         assert (getattr(api, name).__doc__ or "").strip(), f"{name} has no docstring"

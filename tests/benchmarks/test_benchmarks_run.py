@@ -41,7 +41,7 @@ def program(name: str, *words: str | Path, json_asked: bool = True) -> tuple[dic
 
 
 def in_process(module: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object) -> Any:
-    """The same in this process."""
+    """Runs a benchmark in this process; returns its JSON object."""
     monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, words), "--json"])
     module.main()
     lines = capsys.readouterr().out.splitlines()
@@ -59,7 +59,9 @@ def two_frames(generated: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_axes(two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_axes_compares_all_strategies(
+    two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     result = in_process(axes, monkeypatch, capsys, two_frames)
     assert list(result) == ["results", "default_axes"]
     assert result["default_axes"] == "consensus"
@@ -80,7 +82,7 @@ def test_axes(two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         assert 0 < row["mean_iou"] <= 1
         assert 0 <= row["share_70"] <= row["share_50"] <= 1
         assert row["ms_per_object"] > 0
-        assert row["false_positives"] == 0, "a perfect detector sees nothing that is not there"
+        assert row["false_positives"] == 0, "a perfect detector has no false positives"
         assert 1 <= row["steps"] <= 10
     by_axes = {row["axes"]: row["mean_iou"] for row in result["results"]}
     assert by_axes["consensus"] > 0.97
@@ -100,7 +102,7 @@ def test_a_proposal_that_overlaps_no_true_box_is_false() -> None:
     assert axes.best_ious([], [Truth("a", box)]) == []
 
 
-def test_axes_with_jitter_one_strategy_and_free(
+def test_axes_with_jitter_depends_on_the_seed(
     two_frames: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["--jitter", "0.02", "--free", "--strategies", "camera"]
@@ -131,7 +133,9 @@ def test_axes_on_a_kitti_drive(
     assert min(consensus.values()) > 0.95
 
 
-def test_pseudo_view(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pseudo_view_measures_each_combination(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["--points", 500, 2000, "--size-px", 64, 96, "--repeats", 2]
     result = in_process(pseudo_view, monkeypatch, capsys, *words)
     assert list(result) == ["results"]
@@ -144,7 +148,7 @@ def test_pseudo_view(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     assert all(list(row) == ["points", "size_px", "ms"] and row["ms"] > 0 for row in result["results"])
 
 
-def test_memory() -> None:
+def test_memory_reports_peaks_and_growth() -> None:
     words = ["--frames", "1", "3", "--different", "2", "--width", "160", "--engine", "local", "--workers", "1"]
     result, lines = program("memory", *words)
     assert list(result) == ["results", "growth_mb_per_1000_frames"]
@@ -155,7 +159,7 @@ def test_memory() -> None:
     assert any("peak MB" in line for line in lines)
 
 
-def test_batch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_batch_compares_engines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--frames", 4, "--different", 2, "--width", 160, "--steps", 1, "--engines", "local", "--workers", 1]
     result = in_process(batch, monkeypatch, capsys, *words, "--repeats", 2)
     rows = [(row["engine"], row["workers"]) for row in result["results"]]
@@ -165,7 +169,7 @@ def test_batch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
     assert result["ray_against_local"] is None
 
 
-def test_store() -> None:
+def test_store_reports_times() -> None:
     result, lines = program("store", "--frames", "30", "--proposed", "4", "--objects", "2")
     assert {"add_recording_ms", "write_proposals_median_ms", "queue_teach_ms", "queue_worst_ms"} <= result.keys()
     assert all(took_ms > 0 for took_ms in result.values())
@@ -176,7 +180,9 @@ def test_store() -> None:
     ("frames", "peaks", "expected"),
     [((20, 220), (300.0, 500.0), 1.0), ((10, 20, 30), (5.0, 5.0, 5.0), 0.0), ((7,), (300.0,), math.nan)],
 )
-def test_growth_is_a_slope(frames: tuple[int, ...], peaks: tuple[float, ...], expected: float) -> None:
+def test_memory_growth_is_the_slope_of_the_peaks(
+    frames: tuple[int, ...], peaks: tuple[float, ...], expected: float
+) -> None:
     assert growth(frames, peaks) == pytest.approx(expected, nan_ok=True)
 
 
@@ -189,7 +195,9 @@ def test_a_lengthened_recording_repeats_its_frames(generated: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_the_loop(generated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_loop_reports_scores_and_times(
+    generated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With real trainings of one epoch."""
     words = [generated / "hands", "--epochs", 1, "--views", 16, "--operator", "silhouette"]
     result = in_process(loop, monkeypatch, capsys, *words)
@@ -221,7 +229,7 @@ def test_listing_recognises_the_data_sets_that_it_creates(
         ("memory", ["--frames", "1", "--different", "0"]),
     ],
 )
-def test_unusable_input_is_one_line(name: str, words: list[str], tmp_path: Path) -> None:
+def test_unusable_input_is_an_error_without_a_traceback(name: str, words: list[str], tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", f"benchmarks.{name}", *words], cwd=ROOT, capture_output=True, text=True, timeout=500
     )

@@ -10,7 +10,9 @@ from annotator.types.errors import ConfigError
 from benchmarks import evaluation
 
 
-def said(words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> dict[str, float]:
+def benchmark_result(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> dict[str, float]:
     monkeypatch.setattr("sys.argv", ["evaluation", *words, "--json"])
     evaluation.main()
     result: dict[str, float] = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -19,11 +21,11 @@ def said(words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captu
 
 def test_both_protocols_are_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--kitti-frames", "5", "--sunrgbd-frames", "5", "--repeat", "1"]
-    result = said(words, monkeypatch, capsys)
+    result = benchmark_result(words, monkeypatch, capsys)
     assert list(result) == ["kitti_s", "sunrgbd_s"]
     assert all(seconds > 0 for seconds in result.values())
 
 
 def test_numbers_below_1_are_errors(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ConfigError, match="must be 1 or more"):
-        said(["--repeat", "0"], monkeypatch, capsys)
+        benchmark_result(["--repeat", "0"], monkeypatch, capsys)

@@ -21,7 +21,7 @@ BOUNDS = {"kitti_max_ap": 1e-3, "sunrgbd_max_map": 1e-6, "iou_max_rel": 1e-6, "c
 
 @pytest.fixture(scope="module")
 def measured(shared: Path) -> dict[str, object]:
-    """Measured in a separate process, which is faster than here, where the types of all calls are checked."""
+    """Measured in a separate process, which is faster: in this one, beartype checks all calls."""
     command = [sys.executable, "-m", "benchmarks.golden", str(shared.resolve() / "golden"), "--json"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -50,7 +50,7 @@ def test_every_number_is_compared(shared: Path, measured: dict[str, object]) -> 
 
 
 @pytest.mark.shared
-def test_counts_are_those_of_the_devkit(shared: Path) -> None:
+def test_curve_counts_equal_those_of_the_devkit(shared: Path) -> None:
     """Compares the number of objects, first matches and samples of every curve, not only the area."""
     from annotator.evaluation.kitti import evaluate_kitti
     from annotator.evaluation.kitti.protocol import DIFFICULTIES
@@ -72,7 +72,7 @@ def test_counts_are_those_of_the_devkit(shared: Path) -> None:
 
 
 @pytest.mark.shared
-def test_the_other_conventions(shared: Path) -> None:
+def test_coordinate_conventions_agree(shared: Path) -> None:
     differences = list(convention_differences(shared / "golden" / golden.CONVENTIONS))
     assert len(differences) == 15
     for difference in differences:
@@ -82,7 +82,7 @@ def test_the_other_conventions(shared: Path) -> None:
 
 
 @pytest.fixture
-def some(shared: Path, tmp_path: Path) -> Path:
+def two_parts(shared: Path, tmp_path: Path) -> Path:
     """A folder with two of the parts."""
     names = (golden.SUNRGBD, golden.SUNRGBD_TRUTH, golden.SUNRGBD_FOUND, golden.PAIRS)
     for name in names:
@@ -91,23 +91,23 @@ def some(shared: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.shared
-def test_a_wrong_number_is_found_and_named(some: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    path = some / golden.SUNRGBD
+def test_a_wrong_number_is_found_and_named(two_parts: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    path = two_parts / golden.SUNRGBD
     path.write_text(path.read_text().replace("0.25,chair,0.610", "0.25,chair,0.710"))
-    monkeypatch.setattr("sys.argv", ["golden", str(some), "--json"])
+    monkeypatch.setattr("sys.argv", ["golden", str(two_parts), "--json"])
     golden.main()
     said = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert said["sunrgbd_max_map"] == pytest.approx(0.1, abs=1e-3)
     assert said["worst"]["sunrgbd_max_map"] == "chair at 0.25"
     assert said["iou_max_rel"] < 1e-6
-    assert (said["kitti_max_ap"], said["conventions_max_px"]) == (None, None), "there are no such files"
+    assert (said["kitti_max_ap"], said["conventions_max_px"]) == (None, None), "their files are absent"
 
 
 @pytest.mark.shared
-def test_a_broken_file_is_named(some: Path) -> None:
-    (some / golden.SUNRGBD_FOUND).write_text("image,class\n")
+def test_a_broken_file_is_named(two_parts: Path) -> None:
+    (two_parts / golden.SUNRGBD_FOUND).write_text("image,class\n")
     with pytest.raises(FormatError, match=golden.SUNRGBD_FOUND):
-        golden.measure(some)
+        golden.measure(two_parts)
 
 
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:

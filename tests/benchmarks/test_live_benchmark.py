@@ -37,7 +37,7 @@ KEYS = {
 
 @pytest.fixture
 def trained(tmp_path: Path, knowing: Any, monkeypatch: pytest.MonkeyPatch) -> list[loop.Arguments]:
-    """The arguments of the trainings, which are not run."""
+    """Replaces the training; returns the arguments of each call."""
     asked: list[loop.Arguments] = []
 
     @contextmanager
@@ -50,7 +50,7 @@ def trained(tmp_path: Path, knowing: Any, monkeypatch: pytest.MonkeyPatch) -> li
     monkeypatch.setattr(loop, "trained_project", trained_project)
     monkeypatch.setattr(live, "_detectors", lambda project, args: knowing("hands"))
     monkeypatch.setattr(live, "WARM_UP_S", 0.5)
-    # a busy machine has few frames a second
+    # on a busy machine, frames are far apart in time
     monkeypatch.setattr(detection, "MAX_SEED_AGE_S", 60.0)
     return asked
 

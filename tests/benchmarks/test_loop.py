@@ -78,7 +78,7 @@ def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
     return put
 
 
-def test_the_report(generated: Path, untrained: Callable[..., TrainingStandIn]) -> None:
+def test_the_report_contains_all_scores(generated: Path, untrained: Callable[..., TrainingStandIn]) -> None:
     untrained()
     result = run(Arguments(generated / "people"))
     assert set(result) == KEYS | {"operator", "axes", "backend", "seconds"}
@@ -87,7 +87,9 @@ def test_the_report(generated: Path, untrained: Callable[..., TrainingStandIn]) 
     assert float(str(result["mean_iou"])) > 0.8
 
 
-def test_masks_alone(own_copy: Callable[[str], Path], untrained: Callable[..., TrainingStandIn]) -> None:
+def test_without_true_boxes_only_mask_scores_are_computed(
+    own_copy: Callable[[str], Path], untrained: Callable[..., TrainingStandIn]
+) -> None:
     """Labelled by silhouettes and scored by the masks; scores that need true boxes are NaN."""
     folder = own_copy("people")
     (folder / "truth" / "boxes.json").unlink()
@@ -156,14 +158,14 @@ def test_a_kept_project_is_reused_or_refused(
     run(Arguments(folder, project=kept, operator=BoxKind.SILHOUETTE, free=True))
 
 
-def test_arguments_that_exclude_each_other(generated: Path) -> None:
+def test_conflicting_arguments_are_errors(generated: Path) -> None:
     with pytest.raises(ConfigError, match="exclude each other"):
         run(Arguments(generated / "people", upright=True, free=True))
     with pytest.raises(ConfigError, match="--label is only for recordings with masks"):
         run(Arguments(generated / "people", label="person"))
 
 
-def test_nothing_to_score(generated: Path, own_copy: Callable[[str], Path]) -> None:
+def test_a_recording_without_boxes_and_masks_is_an_error(generated: Path, own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("hands")
     for path in (folder / "truth").rglob("*"):
         if path.is_file():

@@ -284,7 +284,7 @@ def test_sun_rgbd_on_a_real_frame(shared: Path, stand_in: TrainingStandIn, tmp_p
     assert result["paper"]["mAP"] == 44.95
 
 
-def test_the_papers_tables_add_up() -> None:
+def test_the_mean_of_the_papers_table_is_its_map() -> None:
     assert np.mean(SUNRGBD_ROW) == pytest.approx(SUNRGBD_MAP, abs=0.01)
     assert {len(names) for names in SUNRGBD_CLASSES.values()} == {len(SUNRGBD_ROW)} == {10}
 
@@ -297,19 +297,19 @@ def test_a_class_without_detections_has_an_ap_of_0(
     assert aps["Car"] == car
     assert set(aps["Cyclist"]) == {"bbox", "bev", "3d", "aos"}
     assert all(ap == {"R11": [0.0] * 3, "R40": [0.0] * 3} for ap in aps["Cyclist"].values())
-    assert aps["Van"] is None, "nothing true is of this class: it was not missed"
+    assert aps["Van"] is None, "a class without true objects has no AP"
     kitti_table(aps, 0.5).show()
     assert "no truth" in capsys.readouterr().out
 
 
-def test_the_settings_of_the_paper() -> None:
+def test_the_paper_preset_has_the_papers_settings() -> None:
     trainings = Trainings(Preset.PAPER, image_size=1280)
     assert (trainings.view.model, trainings.view.image_size_px, trainings.view_px) == ("yolov5x6", 640, 640)
     assert (trainings.image.image_size_px, trainings.image.epochs) == (1280, 300)
     assert Trainings(Preset.PRODUCT, epochs=2).view.epochs == 2
 
 
-def test_without_lists_every_frame_is_on_one_side(kitti: Path, tmp_path: Path) -> None:
+def test_without_lists_every_frame_is_in_one_split(kitti: Path, tmp_path: Path) -> None:
     (tmp_path / "training").symlink_to(kitti / "training")
     recording = open_recording(tmp_path)
     split = split_of(recording, 3)

@@ -29,13 +29,13 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], Callabl
     yield takes
 
 
-def test_a_ratio_is_that_of_medians(clock: Callable[..., Callable[[], None]]) -> None:
+def test_a_ratio_compares_medians(clock: Callable[..., Callable[[], None]]) -> None:
     # the first run of each does not count, and the median ignores one slow run
     work, yardstick = clock(99.0, 3.0, 3.0, 30.0, 3.0), clock(99.0, 2.0)
     assert measured(Ratio("a / b", work, yardstick, most=2.0, repeats=3), 1) == Outcome("a / b", 1.5, 2.0)
 
 
-def test_the_best_round_counts_and_a_good_one_is_the_last(
+def test_the_best_round_counts_and_a_good_round_ends_the_measurement(
     clock: Callable[..., Callable[[], None]],
 ) -> None:
     slow_first = clock(1.0, *[6.0] * 3, 1.0, *[3.0] * 3, 1.0, *[1.0] * 3)
@@ -47,7 +47,9 @@ def test_the_best_round_counts_and_a_good_one_is_the_last(
     assert never.is_worse
 
 
-def test_the_report(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ratios_above_their_bounds_give_exit_code_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(ratios, "measured", lambda ratio, _: (ratio.work(), Outcome(ratio.name, 1e9, ratio.most))[1])
     result = run(Arguments())
     names = [row["name"] for row in result["ratios"]]  # type: ignore[attr-defined]

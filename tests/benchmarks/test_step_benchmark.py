@@ -12,7 +12,7 @@ from benchmarks import step
 from benchmarks.stopwatch import Stopwatch
 
 
-def test_step(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "argv", ["step", "--points", "2000", "--repeats", "1", "--size-px", "64", "--json"])
     step.main()
     assert len(capsys.readouterr().out.splitlines()) > 10

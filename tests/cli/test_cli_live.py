@@ -97,7 +97,7 @@ def test_sigterm_keeps_the_recorded_frames(
             interrupted.append(first)
             signal.raise_signal(first)
 
-    def with_a_kill(call: Callable[..., Any]) -> Callable[..., Any]:
+    def after_sigterm(call: Callable[..., Any]) -> Callable[..., Any]:
         def killing(*args: Any, **settings: Any) -> Any:
             signal.raise_signal(signal.SIGTERM)
             return call(*args, **settings)
@@ -105,11 +105,11 @@ def test_sigterm_keeps_the_recorded_frames(
         return killing
 
     def killed(number: int, stack: object) -> None:
-        raise AssertionError("the process would be gone")
+        raise AssertionError("SIGTERM would have ended the process")
 
     monkeypatch.setattr(live_run.LivePage, "show", showing)
     for place, name in ((Pipeline, "end"), (Recorder, "finish"), (live_run, "store")):
-        monkeypatch.setattr(place, name, with_a_kill(getattr(place, name)))
+        monkeypatch.setattr(place, name, after_sigterm(getattr(place, name)))
     before = signal.signal(signal.SIGTERM, killed)
     try:
         words = ("--limit", 3, "--rate", 2) if first is None else ("--loop",)

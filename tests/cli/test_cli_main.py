@@ -176,7 +176,7 @@ def test_an_unknown_command_suggests_the_nearest(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("words", [["new"], ["inspect", "a", "b"], ["new", "x", "--classes", "a", "--rotation", "up"]])
-def test_an_invalid_command_line(words: list[str]) -> None:
+def test_an_invalid_command_line_gives_exit_code_2(words: list[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2
@@ -235,7 +235,7 @@ def test_an_unexpected_error_is_reported_as_a_bug(
         main(["fake", "--debug"])
 
 
-def test_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_gives_exit_code_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def run() -> None:
         """Is interrupted with Ctrl-C."""
         raise KeyboardInterrupt
@@ -253,7 +253,7 @@ def test_debug_after_two_dashes_is_an_argument(
     assert json.loads(capsys.readouterr().out) == ["a", "--", "--debug"]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="pipes break otherwise elsewhere")
+@pytest.mark.skipif(os.name != "posix", reason="other systems handle closed pipes differently")
 def test_a_closed_pipe_is_not_an_error() -> None:
     code = """
 import sys

@@ -67,7 +67,7 @@ def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytes
     assert "recordings" in capsys.readouterr().out
 
 
-def test_a_moved_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_move_accepts_only_the_same_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_recording(tmp_path / "take")
     assert main(["new", "hands", "--classes", "hand"]) == 0
     assert main(["add", "hands", str(recording)]) == 0
@@ -81,7 +81,9 @@ def test_a_moved_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "it has: take" in capsys.readouterr().err
 
 
-def test_the_folder_of_projects(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_projects_option_overrides_the_environment_variable(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """--projects takes precedence over the environment variable, and that over ./projects; read at call time."""
     assert main(["new", "a", "--classes", "x", "--projects", str(tmp_path / "given")]) == 0
     assert (tmp_path / "given/a/project.json").is_file()

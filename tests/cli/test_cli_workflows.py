@@ -93,7 +93,7 @@ def test_add_lists_unreadable_frames(root: Path, own_copy: Callable[[str], Path]
     assert "unreadable: 000003: " in said
 
 
-def test_simulate(project: str, capsys: Capture) -> None:
+def test_simulate_draws_silhouettes_by_default(project: str, capsys: Capture) -> None:
     said = run(capsys, "simulate", project, "people", "--every", "2")
     assert "3 frames, 9 objects, 45 2D boxes drawn" in said
     assert stats(capsys)["labels"]["total"] == 0, "silhouettes by default"
@@ -146,7 +146,7 @@ def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
 # --- annotate --------------------------------------------------------------------------------------------------------
 
 
-def test_annotate_twice(trained: str, capsys: Capture) -> None:
+def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
     said = run(capsys, "annotate", trained, "--axes", "camera", "--limit", "2")
     assert said.startswith("2 frames done, 6 proposals (0 frames without), 0 skipped, 0 failed; ")
     assert "s per frame" in said
@@ -197,7 +197,7 @@ def test_only_the_first_failures_are_listed() -> None:
 # --- export ----------------------------------------------------------------------------------------------------------
 
 
-def test_export(root: Path, generated: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_export_writes_a_dataset(root: Path, generated: Path, tmp_path: Path, capsys: Capture) -> None:
     run(capsys, "new", "room", "--classes", "person", "robot")
     run(capsys, "add", "room", generated / "people")
     said = run(capsys, "export", "room", "--format", "rcv", "out/3D_ROOM")
@@ -215,7 +215,7 @@ def test_export(root: Path, generated: Path, tmp_path: Path, capsys: Capture) ->
 # --- generate, demo --------------------------------------------------------------------------------------------------
 
 
-def test_generate(tmp_path: Path, root: Path, capsys: Capture) -> None:
+def test_generate_writes_a_recording(tmp_path: Path, root: Path, capsys: Capture) -> None:
     words = ["generate", "made/hands", "--preset", "hands", "--frames", "2", "--width", "64", "--height", "48"]
     assert run(capsys, *words) == "made/hands: 2 frames of hands\n"
     recording = open_recording(tmp_path / "made" / "hands")

@@ -106,7 +106,7 @@ def test_missing_or_damaged_weights(tmp_path: Path, backend: Backend) -> None:
         make(tmp_path / "bad.pt", backend=backend)
 
 
-def test_threads(tiny_model: TrainedModel) -> None:
+def test_thread_numbers_are_used_and_restored(tiny_model: TrainedModel) -> None:
     torch = api().torch
     before = torch.get_num_threads()
     network = TorchNetwork(tiny_model.weights, pick_device("cpu"), threads=before + 1)
@@ -147,7 +147,7 @@ print(json.dumps({"asked": asked, "loaded": loaded, "backend": detector.backend}
 def test_a_stored_export_runs_without_torch_and_network_access(
     tiny_model: TrainedModel, tmp_path: Path, backend: Backend
 ) -> None:
-    """Two image sizes come first together in a fresh process, where OpenVINO's bindings once deadlocked."""
+    """Detects on two image sizes at once in a fresh process, where OpenVINO's bindings once deadlocked."""
     make(tiny_model.weights, backend=backend)
     home = tmp_path / "home"
     home.mkdir()

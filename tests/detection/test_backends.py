@@ -99,7 +99,7 @@ def test_end_to_end_predictions_are_ranked_as_in_ultralytics(random_weights: dic
 
 @pytest.mark.parametrize("backend", EXPORTED)
 def test_output_does_not_depend_on_the_batch(random_weights: dict[str, Path], backend: Backend) -> None:
-    """Equal to the bit in a batch or alone, and with one thread or two."""
+    """Bitwise equal in a batch and alone, with one thread and with two."""
     network, alone = (
         opened(random_weights["yolo11n"], backend, threads=2),
         opened(random_weights["yolo11n"], backend, threads=1),
@@ -110,7 +110,7 @@ def test_output_does_not_depend_on_the_batch(random_weights: dict[str, Path], ba
         np.testing.assert_array_equal(alone.predict([batch])[0], answer)
 
 
-def test_images_are_computed_alone_where_batches_give_other_output(
+def test_images_run_alone_if_batches_change_the_output(
     random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = opened(random_weights["yolo11n"], "openvino", threads=2)

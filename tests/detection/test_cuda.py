@@ -42,7 +42,7 @@ def test_batches_are_padded_and_the_number_of_graphs_is_bounded(monkeypatch: pyt
 
 
 def test_decoding_in_full_precision_reduces_the_error(tmp_path: Path) -> None:
-    """The error is smaller than with decoding in half precision, and far smaller than the change by swapped colours."""
+    """The error is smaller than with half-precision decoding, and far smaller than that of swapped colour channels."""
     torch, weights = api().torch, untrained(tmp_path / "detector.pt", "yolo11n")
 
     def network() -> Any:

@@ -29,7 +29,7 @@ def sample(group: str, boxes: Sequence[Box2D] = (BOX,), seed: int = 0, origin: s
     return TrainingSample(picture(seed), tuple(boxes), group, origin)
 
 
-def test_the_corner_is_half_a_pixel_from_the_first_centre() -> None:
+def test_yolo_coordinates_start_half_a_pixel_before_the_first_pixel_centre() -> None:
     assert yolo_line(Box2D("a", -0.5, -0.5, 31.5, 23.5), 32, 24, 3) == "3 0.5000000 0.5000000 1.0000000 1.0000000"
     assert yolo_line(Box2D("a", -0.5, -0.5, 7.5, 5.5), 32, 24, 0) == "0 0.1250000 0.1250000 0.2500000 0.2500000"
 
@@ -104,7 +104,7 @@ def test_a_single_group_is_validated_on_itself_with_a_note(tmp_path: Path) -> No
     assert "val: images/train" in (tmp_path / "set" / "data.yaml").read_text()
 
 
-def test_the_manifest_counts(tmp_path: Path) -> None:
+def test_the_manifest_counts_images_and_boxes(tmp_path: Path) -> None:
     beside = Box2D("hand", 40.0, 3.0, 50.0, 9.0)
     samples = [
         sample("1", (BOX, beside)),
@@ -166,7 +166,7 @@ def test_images_may_be_functions_or_files(tmp_path: Path) -> None:
         np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
 
 
-def test_jpeg_images(tmp_path: Path) -> None:
+def test_images_can_be_jpegs(tmp_path: Path) -> None:
     smooth = np.broadcast_to(np.arange(64, dtype=np.uint8)[None, :, None] * 3, (48, 64, 3)).copy()
     samples = [TrainingSample(smooth, (BOX,), str(i), "drawn") for i in range(2)]
     manifest = write_dataset(tmp_path / "set", samples, ["hand"], image_format="jpg")

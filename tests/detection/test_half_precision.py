@@ -47,9 +47,9 @@ def opened(weights: Path, backend: Backend, threads: int | None = None) -> Netwo
 @pytest.mark.usefixtures("bfloat16")
 @pytest.mark.parametrize("name", ["yolo11n", "yolo26n"])
 def test_output_agrees_with_torch_up_to_rounding(tmp_path: Path, name: str) -> None:
-    """The rounding error depends on weights and processor; it must be far below the change by swapped colours.
+    """The rounding error depends on weights and processor; it must be far below that of swapped colour channels.
 
-    Torch, which rounds all layers and not only those before the last, has an error of an eighth of that change.
+    Torch, which rounds all layers including the last, has an eighth of that error.
     """
     weights, pictures = untrained(tmp_path / name / "detector.pt", name), batches()[2]
     torch, exact, half = (opened(weights, backend) for backend in ("torch", "openvino", "openvino-bf16"))

@@ -29,7 +29,7 @@ def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -
     assert (torch.linalg.eigvalsh(product) > -1e-3).all()
 
 
-def test_it_solves_a_least_squares_problem() -> None:
+def test_the_optimiser_solves_a_least_squares_problem() -> None:
     torch = api().torch
     from annotator.detection.muon import MuonSgd
 
@@ -53,7 +53,7 @@ def test_it_solves_a_least_squares_problem() -> None:
     assert losses[-1] < 0.01 * losses[0]
 
 
-def test_its_state_can_be_saved_and_restored() -> None:
+def test_the_state_of_the_optimiser_can_be_saved_and_restored() -> None:
     torch = api().torch
     from annotator.detection.muon import MuonSgd
 

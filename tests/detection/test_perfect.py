@@ -13,7 +13,7 @@ from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, Point
 from annotator.types.errors import DetectionError
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
-FISHY = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
+DISTORTED = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
 
 
 def make_box(center: tuple[float, float, float], size: tuple[float, float, float], turn: float = 0.4) -> OrientedBox:
@@ -35,7 +35,7 @@ def make_frame(truths: list[Truth], counts: list[int], key: str = "000001", came
 
 
 def make_view(xyz: np.ndarray, size: tuple[int, int] = (120, 90), scale: float = 0.02) -> PseudoView:
-    """Along an oblique direction, centred on the points."""
+    """A view along an oblique direction, centred on the points."""
     axes = Rotation.from_euler("zyx", [0.3, -0.5, 0.8]).as_matrix()
     middle = (xyz @ axes[:2].T).mean(axis=0)
     rgb = np.zeros((size[1], size[0], 3), np.uint8)
@@ -46,7 +46,7 @@ NEAR = Truth("Car", make_box((0.0, 0.1, 3.0), (1.0, 0.6, 0.4)))
 FAR = Truth("Van", make_box((1.0, -0.3, 5.0), (0.8, 0.8, 0.8), 1.1))
 
 
-def test_it_is_a_detector() -> None:
+def test_the_perfect_detector_is_a_detector() -> None:
     detector = PerfectDetector.for_frame(make_frame([NEAR, FAR], [50, 30]), [NEAR, FAR])
     assert isinstance(detector, Detector)
     assert detector.labels == ("Car", "Van")
@@ -96,8 +96,8 @@ def test_objects_with_too_few_points_are_not_detected() -> None:
     assert [[b.label for b in boxes] for boxes in detector.detect([frame, view])] == [["Car"], ["Car"]]
 
 
-@pytest.mark.parametrize("camera", [CAMERA, FISHY])
-def test_image_box_is_that_of_the_visible_part(camera: Camera) -> None:
+@pytest.mark.parametrize("camera", [CAMERA, DISTORTED])
+def test_the_image_box_contains_only_the_visible_part(camera: Camera) -> None:
     wall = Truth("wall", make_box((1.0, 0.2, 1.0), (0.2, 0.4, 4.0)))
     assert box_corners(wall.box)[:, 2].min() < NEAR_M
     frame = make_frame([wall], [20], camera=camera)
@@ -105,7 +105,7 @@ def test_image_box_is_that_of_the_visible_part(camera: Camera) -> None:
     assert boxes == [box_on_image(camera, wall.box, "wall")]
 
 
-def test_boxes_on_a_region_are_those_of_the_image_clipped() -> None:
+def test_boxes_on_a_region_are_those_of_the_image_shifted_and_clipped() -> None:
     frame = make_frame([NEAR, FAR], [50, 50])
     detector = PerfectDetector.for_frame(frame, [NEAR, FAR])
     whole = {box.label: box for box in detector.detect([frame])[0]}
@@ -150,7 +150,7 @@ def test_image_jitter_is_a_share_of_the_box() -> None:
     np.testing.assert_allclose(error.std(axis=0), 0.05 * np.array([width, height] * 2), rtol=0.15)
 
 
-def test_views_of_several_frames_in_one_batch_find_their_frame() -> None:
+def test_views_of_several_frames_in_one_batch_are_matched_to_their_frames() -> None:
     first, second = make_frame([NEAR], [50], "000001"), make_frame([FAR], [50], "000002")
     detector = PerfectDetector([Scene.of(first, [NEAR]), Scene.of(second, [FAR])])
     views = [make_view(f.cloud.select(np.arange(10, 40)).xyz_m, (300, 300)) for f in (second, first)]

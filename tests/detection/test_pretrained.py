@@ -81,7 +81,9 @@ def test_local_weights_are_used_without_a_download(downloads: list[str], tmp_pat
     assert downloads == []
 
 
-def test_pretrained_never_downloads_nothing(downloads: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pretrained_weights_or_network_access_there_is_no_download(
+    downloads: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(api(), "user_offline", True)
     assert "YOLO_OFFLINE" in find_starting_point(TrainingConfig()).note
     assert not find_starting_point(TrainingConfig(pretrained="never")).pretrained
@@ -97,7 +99,7 @@ def test_weights_from_a_file(downloads: list[str], tmp_path: Path) -> None:
     assert downloads == []
 
 
-def test_an_error_in_the_thread_reaches_the_caller() -> None:
+def test_an_error_in_the_timed_thread_reaches_the_caller() -> None:
     def fail() -> None:
         raise KeyError("inside")
 
@@ -116,7 +118,7 @@ def save_model(path: Path, name: str) -> Path:
     return path
 
 
-def test_a_start_is_checked_without_training_or_download(downloads: list[str], tmp_path: Path) -> None:
+def test_initial_weights_are_checked_without_training_or_download(downloads: list[str], tmp_path: Path) -> None:
     check_start(TrainingConfig())
     check_start(TrainingConfig(pretrained="never"))
     check_start(TrainingConfig(pretrained=save_model(tmp_path / "own.pt", "yolo11n")))

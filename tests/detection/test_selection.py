@@ -19,8 +19,8 @@ def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
     np.testing.assert_allclose(selected.scores, [0.4, 0.9])
 
 
-def test_end_to_end_boxes_may_count_for_two_classes() -> None:
-    """As many anchors as rows, so that the axes cannot be distinguished by their lengths."""
+def test_an_end_to_end_box_may_be_a_candidate_of_two_classes() -> None:
+    """With as many anchors as rows, so that swapped axes would still have valid shapes."""
     raw = np.zeros((1, 6, 6), np.float32)
     raw[0, :, 2] = [1, 2, 11, 12, 0.4, 0.3]
     selected = candidates(raw, True, 0.05)
@@ -31,7 +31,7 @@ def test_end_to_end_boxes_may_count_for_two_classes() -> None:
     ]
 
 
-def test_scores_below_the_threshold_give_nothing() -> None:
+def test_scores_below_the_threshold_give_no_candidates() -> None:
     selected = candidates(np.zeros((3, 5, 7), np.float32), False, 0.0)
     assert selected.boxes.shape == (0, 4)
     assert len(selected.picture) == len(selected.scores) == len(selected.numbers) == 0

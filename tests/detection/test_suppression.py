@@ -16,8 +16,8 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return shared / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - shared)
 
 
-def slowly(boxes: np.ndarray, scores: np.ndarray, groups: np.ndarray, iou: float) -> list[int]:
-    """The definition, one pair at a time."""
+def suppress_in_loops(boxes: np.ndarray, scores: np.ndarray, groups: np.ndarray, iou: float) -> list[int]:
+    """Reference implementation of the definition, one pair at a time."""
     kept: list[int] = []
     for i in sorted(range(len(boxes)), key=lambda i: (-scores[i], i)):
         if all(groups[i] != groups[k] or overlap(boxes[i], boxes[k]) <= iou for k in kept):
@@ -29,13 +29,13 @@ def slowly(boxes: np.ndarray, scores: np.ndarray, groups: np.ndarray, iou: float
 @given(
     seed=st.integers(0, 10**6), count=st.integers(0, 40), iou=st.sampled_from([0.0, 0.3, 0.6, 1.0]), ties=st.booleans()
 )
-def test_it_agrees_with_the_definition(seed: int, count: int, iou: float, ties: bool) -> None:
+def test_suppression_agrees_with_the_definition(seed: int, count: int, iou: float, ties: bool) -> None:
     rng = np.random.default_rng(seed)
     low = rng.uniform(0, 30, (count, 2))
     boxes = np.concatenate([low, low + rng.uniform(1, 25, (count, 2))], axis=1)
     scores = np.round(rng.random(count), 1 if ties else 6)
     groups = rng.integers(0, 3, count)
-    assert suppress(boxes, scores, groups, iou).tolist() == slowly(boxes, scores, groups, iou)
+    assert suppress(boxes, scores, groups, iou).tolist() == suppress_in_loops(boxes, scores, groups, iou)
 
 
 def test_only_boxes_of_the_same_group_suppress_each_other() -> None:

@@ -49,7 +49,7 @@ def test_a_tile_contains_its_object_at_the_scale_of_detection(
     assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (across, along)
     assert (around.label_uids, around.group, around.origin, around.look_px) == (("uid",), "g", "drawn", 0)
     assert anywhere.load().shape == around.load().shape
-    for cut in anywhere.boxes:  # each label has pixels in the tile, perhaps not all
+    for cut in anywhere.boxes:  # each labelled object has pixels in the tile, possibly cut off
         assert (cut.x_max - cut.x_min, cut.y_max - cut.y_min) == (across, along)
         low_x, low_y, high_x, high_y = white(anywhere.load())
         assert max(cut.x_min, -0.5) == low_x and min(cut.x_max, SIZE_PX - 0.5) == high_x
@@ -70,7 +70,7 @@ def test_objects_of_any_size_and_position_fit_into_their_tile(x: float, y: float
 
 
 def test_boxes_scale_with_the_rounded_size_of_the_image() -> None:
-    """61 rows become 53, not 53.4."""
+    """61 rows become 53 rows, not 53.4."""
     box = Box2D("a", 99.5, 40.5, 119.5, 60.5)
     sample = TrainingSample(picture(61, 256, box), (box,), "g", "drawn", look_px=224)
     around = next(tiled([sample], SIZE_PX))

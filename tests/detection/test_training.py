@@ -26,15 +26,15 @@ def epochs_of(folder: Path) -> list[int]:
         return [int(row["epoch"]) for row in csv.DictReader(file)]
 
 
-def left_by_the_run(model: TrainedModel) -> list[str]:
+def files_of_run(model: TrainedModel) -> list[str]:
     """The files of a training's folder, without the exports that other tests store there."""
     return sorted(path.name for path in model.weights.parent.iterdir() if not path.name.startswith("detector-"))
 
 
 @pytest.mark.slow
-def test_files_of_a_finished_run(tiny_model: TrainedModel, tiny_dataset: Path) -> None:
+def test_a_finished_run_has_weights_metrics_and_curves(tiny_model: TrainedModel, tiny_dataset: Path) -> None:
     folder = tiny_model.weights.parent
-    assert left_by_the_run(tiny_model) == ["curves.csv", "detector.pt", "model.json", "run.json"]
+    assert files_of_run(tiny_model) == ["curves.csv", "detector.pt", "model.json", "run.json"]
     assert read_trained(folder) == tiny_model
     assert tiny_model.classes == ("blue", "red")
     # the accuracy depends on the processor
@@ -52,9 +52,9 @@ def test_a_finished_run_is_not_repeated_and_can_be_moved(
 ) -> None:
     folder = tmp_path / "moved"
     folder.mkdir()
-    for name in left_by_the_run(tiny_model):
+    for name in files_of_run(tiny_model):
         (folder / name).write_bytes((tiny_model.weights.parent / name).read_bytes())
-    again = train_detector(tiny_dataset, folder, quick_config, lambda _: pytest.fail("it trains"))
+    again = train_detector(tiny_dataset, folder, quick_config, lambda _: pytest.fail("trained again"))
     assert again.weights == folder / "detector.pt"
     assert again.metrics == tiny_model.metrics
 

@@ -68,7 +68,7 @@ def test_importing_the_package_loads_no_torch(tmp_path: Path) -> None:
     assert list(home.iterdir()) == []
 
 
-def test_loading_is_silent_and_leaves_the_process_as_it_was(tmp_path: Path) -> None:
+def test_loading_has_no_side_effects_except_the_stated_variables_and_settings(tmp_path: Path) -> None:
     out, home = run(SILENT, tmp_path)
     state = json.loads(out)
     assert state["asked"] == []
@@ -96,7 +96,7 @@ def test_errors_of_unusable_weights_name_the_file(content: bytes | None, tmp_pat
         load_weights(path, pick_device("cpu"))
 
 
-def test_weights_with_code_are_refused(tmp_path: Path) -> None:
+def test_weights_that_contain_code_are_refused(tmp_path: Path) -> None:
     import pickle
     import zipfile
 
@@ -115,7 +115,7 @@ def test_weights_with_code_are_refused(tmp_path: Path) -> None:
     assert not target.exists()
 
 
-def test_devices() -> None:
+def test_unknown_devices_are_errors() -> None:
     assert str(pick_device("cpu")) == "cpu"
     assert str(pick_device("auto")).startswith(("cpu", "cuda"))
     for name in ("abacus", "cuda:99"):

@@ -20,7 +20,7 @@ from annotator.types.errors import DetectionError
 
 pytestmark = pytest.mark.slow
 
-# A confidence that every picture has boxes of, whatever a training has taught.
+# A confidence so low that every image has boxes, whatever the network has learned.
 ANY = 0.001
 BEST = 5
 
@@ -39,15 +39,15 @@ def detector(tiny_model: TrainedModel) -> YoloDetector:
     return make(tiny_model.weights)
 
 
-def test_it_is_a_detector(detector: YoloDetector) -> None:
+def test_a_trained_model_is_a_detector(detector: YoloDetector) -> None:
     assert isinstance(detector, Detector)
     assert detector.labels == ("blue", "red")
 
 
-def test_it_finds_and_classifies_the_trained_objects(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    """Red and blue are told apart only where the colours reach the network in the order of the training.
+def test_the_trained_objects_are_found_and_classified(detector: YoloDetector, scene: Callable[..., Any]) -> None:
+    """Red and blue are distinguished only if the colour channels have the same order as in training.
 
-    On other processors it learns other weights: the bounds are far from what it learns here, and far from chance.
+    Other processors give other weights, so the bounds are loose, but far from chance.
     """
     scenes = [scene(seed) for seed in range(100, 116)]
     detected = detector.detect(scenes)
@@ -59,8 +59,8 @@ def test_it_finds_and_classifies_the_trained_objects(detector: YoloDetector, sce
 
 
 def test_boxes_are_sorted_by_score_and_inside_the_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    eager = make(detector.weights, confidence=0.001)
-    for boxes in eager.detect([scene(seed) for seed in range(8)]):
+    sensitive = make(detector.weights, confidence=0.001)
+    for boxes in sensitive.detect([scene(seed) for seed in range(8)]):
         scores = [box.score for box in boxes]
         assert scores == sorted(scores, reverse=True)
         assert len(boxes) > 1
@@ -96,7 +96,7 @@ def test_a_region_is_scaled_as_a_part_of_its_image(detector: YoloDetector, scene
     assert detected == make(detector.weights, confidence=ANY).detect([own])[0] != []
 
 
-def test_it_agrees_with_ultralytics_own_predictor(
+def test_detections_agree_with_ultralytics_own_predictor(
     tiny_model: TrainedModel, scene: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -135,7 +135,7 @@ def test_boxes_scale_with_the_image(detector: YoloDetector, scene: Callable[...,
         np.testing.assert_allclose(np.array(b.xyxy) + 0.5, 2 * (np.array(a.xyxy) + 0.5), atol=1.0)
 
 
-def test_an_empty_batch_and_a_blank_image(detector: YoloDetector) -> None:
+def test_an_empty_batch_and_a_blank_image_are_accepted(detector: YoloDetector) -> None:
     assert detector.detect([]) == []
     assert len(detector.detect([Picture(np.full((1, 300, 3), 114, np.uint8))])) == 1
 
@@ -148,7 +148,7 @@ def test_an_invalid_image_is_an_error(detector: YoloDetector, rgb: np.ndarray) -
         detector.detect([Picture(rgb)])
 
 
-def test_the_fingerprint_follows_weights_and_settings(
+def test_the_fingerprint_depends_on_weights_and_settings(
     detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path
 ) -> None:
     def fingerprint(weights: Path = tiny_model.weights, size: int = 96, **settings: Any) -> str:
@@ -165,7 +165,7 @@ def test_the_fingerprint_follows_weights_and_settings(
 
 
 @pytest.mark.parametrize("name", ["o'neil", "a [1]", "100%", " "])
-def test_special_characters_in_the_folder_of_the_weights(
+def test_the_folder_of_the_weights_may_contain_special_characters(
     detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path, name: str
 ) -> None:
     path = tmp_path / name / "yolov5n.pt"
@@ -175,6 +175,6 @@ def test_special_characters_in_the_folder_of_the_weights(
 
 
 @pytest.mark.parametrize("settings", [{"confidence": 1.5}, {"iou": -0.1}, {"image_size_px": 8}])
-def test_settings_out_of_range(settings: dict[str, Any]) -> None:
+def test_settings_out_of_range_are_errors(settings: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=next(iter(settings))):
         DetectorConfig(**{"image_size_px": 96, **settings})

@@ -1,7 +1,7 @@
-"""Small KITTI scenes, and the benchmark's rules once more: one frame, one threshold, one box at a time.
+"""Small KITTI scenes, and a reference implementation of the benchmark: one frame, one threshold, one box at a time.
 
-The rules are written down here as the devkit's readme and the list of its traps tell them, without any of the code that
-is tested, so that both must have understood them alike.
+It follows the devkit's readme and its known pitfalls, and uses none of the code under test, so that a
+misunderstanding in one of the two shows as a difference.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NEIGHBOUR = {"car": "van", "pedestrian": "person_sitting", "cyclist": None}
 
 @dataclass(frozen=True)
 class Box:
-    """A row; the 3D box is that of a car somewhere unless said otherwise."""
+    """A row; the 3D box is that of a car by default."""
 
     label: str
     edges: tuple[float, float, float, float]
@@ -39,7 +39,7 @@ Frame = list[Box]
 
 
 def columns(frames: list[Frame]) -> KittiRows:
-    """The boxes as the evaluation takes them."""
+    """The boxes as the evaluation's input."""
     rows = [(number, box) for number, frame in enumerate(frames) for box in frame]
     numbers = [[b.truncated, b.occluded, b.alpha, *b.edges, *b.size, *b.bottom, b.rotation_y, b.score] for _, b in rows]
     return KittiRows.from_table(
@@ -78,7 +78,7 @@ class Counted:
 
 
 def truth_role(box: Box, label: str, level: int) -> int:
-    """0 counts, 1 is ignored, -1 does not exist."""
+    """0: counts; 1: ignored; -1: not considered."""
     own = box.label.lower() == label
     if not own:
         return 1 if box.label.lower() == NEIGHBOUR[label] else -1
@@ -87,14 +87,14 @@ def truth_role(box: Box, label: str, level: int) -> int:
 
 
 def found_role(box: Box, label: str, level: int) -> int:
-    """0 counts, 1 is ignored (too small, of whatever class), -1 does not exist."""
+    """0: counts; 1: ignored (too small, any class); -1: not considered."""
     if height(box) < LIMITS[level][0]:
         return 1
     return 0 if box.label.lower() == label else -1
 
 
 def count(found: Frame, truth: Frame, label: str, level: int, needed: float, threshold: float | None) -> Counted:
-    """The greedy assignment; without a threshold the surest detection wins, else the one that overlaps most."""
+    """The greedy assignment: the highest score wins without a threshold, the largest overlap with one."""
     roles = [found_role(box, label, level) for box in found]
     free = [r >= 0 and (threshold is None or box.score >= threshold) for r, box in zip(roles, found, strict=True)]
     valid = [index for index, is_free in enumerate(free) if is_free and roles[index] == 0]
@@ -140,7 +140,7 @@ def samples(found: list[Frame], truth: list[Frame], label: str, level: int, need
 
 
 def thresholds(scores: list[float], objects: int) -> list[float]:
-    """A score is passed over where the next one is nearer to the recall that is wanted."""
+    """Skips a score if the next one is nearer to the wanted recall."""
     chosen, wanted = [], 0.0
     for index, score in enumerate(scores):
         this, following = (index + 1) / objects, (index + 2) / objects

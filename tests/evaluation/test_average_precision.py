@@ -1,4 +1,4 @@
-"""Average precision on cases small enough to be worked out by hand."""
+"""Average precision on small cases computed by hand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("boxes", "scores", "truth", "ignored", "expected"), CASES)
-def test_by_hand(
+def test_average_precision_equals_the_value_computed_by_hand(
     boxes: list[OrientedBox],
     scores: list[float],
     truth: list[OrientedBox],
@@ -47,7 +47,7 @@ def test_average_precision_without_true_boxes_is_nan() -> None:
 
 def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
     first, second = FrameResult([box(0)], [0.5], [box(0)]), FrameResult([box(0)], [0.9], [box(5)])
-    # the better score is the wrong one: recall 1/2 at precision 1/2
+    # the false positive has the higher score: recall 1/2 at precision 1/2
     assert average_precision([first, second], 0.5) == pytest.approx(0.25)
 
 

@@ -1,4 +1,4 @@
-"""KITTI's protocol: against its rules written plainly, by laws, and on cases worked out by hand."""
+"""KITTI's protocol: against a reference implementation, by properties, and on cases computed by hand."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def evaluated(found: list[Frame], truth: list[Frame]) -> KittiResult:
 
 
 def bbox(found: Frame, truth: Frame, level: int = EASY) -> tuple[int, int, float]:
-    """Of one frame with cars: how many count, how many are found, and the best precision."""
+    """For one frame with cars: the number that count, the number found, and the best precision."""
     curve = evaluated([found], [truth]).curves["Car"][Metric.BBOX][level]
     return curve.objects, curve.found, float(curve.samples[0])
 
 
-# --- against the rules, one box at a time ----------------------------------------------------------------------------
+# --- against the reference implementation ----------------------------------------------------------------------------
 
 side = st.integers(0, 3).map(lambda v: 20.0 * v)
 height = st.sampled_from([20.0, 25.0, 30.0, 40.0, 44.0, 50.0])
@@ -53,7 +53,7 @@ true_frames = st.lists(row(("Car", "Van", "Pedestrian", "Person_sitting", "DontC
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(found_frames, true_frames), min_size=1, max_size=3))
-def test_as_the_rules_say(frames: list[tuple[Frame, Frame]]) -> None:
+def test_the_evaluation_agrees_with_the_reference_implementation(frames: list[tuple[Frame, Frame]]) -> None:
     """Crowded scenes full of ties: equal scores, equal overlaps, boxes within boxes, heights at the limits."""
     found, truth = [f for f, _ in frames], [t for _, t in frames]
     result = evaluated(found, truth)
@@ -67,11 +67,11 @@ def test_as_the_rules_say(frames: list[tuple[Frame, Frame]]) -> None:
             np.testing.assert_allclose(curves[Metric.AOS][level].samples, similarity, atol=1e-12)
 
 
-# --- laws ------------------------------------------------------------------------------------------------------------
+# --- properties ------------------------------------------------------------------------------------------------------
 
 
 def drive(frames: int, seed: int) -> list[Frame]:
-    """Cars apart from each other, three a frame."""
+    """Three separate cars per frame."""
     rng = np.random.default_rng(seed)
     return [
         [
@@ -133,23 +133,23 @@ def test_the_order_of_frames_and_rows_has_no_effect() -> None:
     assert points(evaluated(mixed[: len(order)], mixed[len(order) :])) == pytest.approx(points(evaluated(found, truth)))
 
 
-def test_rows_of_a_frame_may_stand_apart() -> None:
+def test_rows_of_a_frame_need_not_be_adjacent() -> None:
     truth, found = columns(drive(20, 1)), columns(jittered(drive(20, 1), 2))
     apart = found.take(np.argsort(np.arange(len(found)) % 3, kind="stable"))
     assert points(evaluate_kitti(apart, truth)) == pytest.approx(points(evaluate_kitti(found, truth)))
 
 
-def test_a_false_detection_never_helps() -> None:
+def test_a_false_positive_never_increases_ap() -> None:
     truth = drive(30, 4)
     found = jittered(truth, 5)
     before = points(evaluated(found, truth))
     for score in (-5.0, 0.3, 2.0):
-        ghost = CAR.moved(edges=(1000, 300, 1100, 360), bottom=(-40.0, 1.5, 60.0), score=score)
-        worse = [[*frame, ghost] for frame in found]
+        false_positive = CAR.moved(edges=(1000, 300, 1100, 360), bottom=(-40.0, 1.5, 60.0), score=score)
+        worse = [[*frame, false_positive] for frame in found]
         after = points(evaluated(worse, truth))
         assert all(after[name] <= before[name] + 1e-9 for name in before), score
         if score < 0:
-            assert after == pytest.approx(before), "below all that is right it changes nothing"
+            assert after == pytest.approx(before), "below all true positives it changes nothing"
 
 
 def test_orientation_similarity_is_never_above_precision() -> None:
@@ -166,9 +166,9 @@ SMALL = CAR.moved(edges=(100, 100, 200, 139.9))
 BY_HAND = [
     pytest.param([CAR], [CAR], (1, 1, 1.0), id="found"),
     pytest.param([CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="missed"),
-    pytest.param([CAR.moved(label="CAR")], [CAR], (1, 1, 1.0), id="case-means-nothing"),
+    pytest.param([CAR.moved(label="CAR")], [CAR], (1, 1, 1.0), id="case-is-ignored"),
     pytest.param([CAR, CAR], [CAR], (1, 1, 0.5), id="found-twice"),
-    pytest.param([CAR, CAR.moved(score=0.5)], [CAR], (1, 1, 1.0), id="found-twice-the-second-unsure"),
+    pytest.param([CAR, CAR.moved(score=0.5)], [CAR], (1, 1, 1.0), id="found-twice-the-second-with-a-lower-score"),
     pytest.param([CAR, CAR.moved(edges=FAR)], [CAR], (1, 1, 0.5), id="one-of-two-is-false"),
     pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(label="Van", edges=FAR)], (1, 1, 1.0), id="on-a-van"),
     pytest.param([CAR, CAR.moved(edges=FAR)], [CAR, CAR.moved(label="Truck", edges=FAR)], (1, 1, 0.5), id="on-a-truck"),
@@ -183,26 +183,31 @@ BY_HAND = [
         [CAR, CAR.moved(edges=FAR)],
         [CAR, Box("DontCare", (500, 0, 669, 300), truncated=-1, occluded=-1)],
         (1, 1, 0.5),
-        id="too-little-of-it-in-a-dontcare-area",
+        id="too-little-overlap-with-a-dontcare-area",
     ),
     pytest.param([CAR, SMALL.moved(edges=(600, 100, 700, 139))], [CAR], (1, 1, 1.0), id="too-small-to-be-false"),
-    pytest.param([SMALL, CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="taken-by-a-small-one"),
+    pytest.param([SMALL, CAR.moved(edges=FAR)], [CAR], (1, 0, 0.0), id="matched-by-a-small-one"),
     pytest.param(
         [CAR.moved(score=0.5), SMALL.moved(label="Pedestrian")], [CAR], (1, 0, 0.0), id="a-small-one-of-another-class"
     ),
-    pytest.param([CAR], [CAR.moved(edges=(100, 100, 200, 140))], (0, 0, 0.0), id="truth-of-the-limit's-height"),
+    pytest.param([CAR], [CAR.moved(edges=(100, 100, 200, 140))], (0, 0, 0.0), id="truth-at-the-height-limit"),
     pytest.param(
-        [CAR.moved(edges=(100, 100, 200, 140))], [CAR.moved(edges=(100, 100, 200, 141))], (1, 1, 1.0), id="found-at-it"
+        [CAR.moved(edges=(100, 100, 200, 140))],
+        [CAR.moved(edges=(100, 100, 200, 141))],
+        (1, 1, 1.0),
+        id="detection-at-the-height-limit",
     ),
 ]
 
 
 @pytest.mark.parametrize(("found", "truth", "expected"), BY_HAND)
-def test_by_hand(found: Frame, truth: Frame, expected: tuple[int, int, float]) -> None:
+def test_matches_and_precision_equal_those_computed_by_hand(
+    found: Frame, truth: Frame, expected: tuple[int, int, float]
+) -> None:
     assert bbox(found, truth) == pytest.approx(expected)
 
 
-def test_thresholds_lie_nearest_to_the_recalls() -> None:
+def test_thresholds_are_those_nearest_to_the_recalls() -> None:
     assert score_thresholds(np.array([0.2, 0.9, 0.5]), 3).tolist() == [0.9, 0.5, 0.2], "fewer objects than samples"
     assert score_thresholds(np.zeros(0), 3).tolist() == []
     scores = np.arange(400, 0, -1.0)
@@ -210,10 +215,10 @@ def test_thresholds_lie_nearest_to_the_recalls() -> None:
     assert len(chosen) == 41
     np.testing.assert_allclose(np.diff(chosen)[1:-1], -10)
     assert (chosen[0], chosen[-1]) == (400.0, 1.0)
-    assert len(score_thresholds(scores[:200], 400)) == 21, "half of the recall"
+    assert len(score_thresholds(scores[:200], 400)) == 21, "up to a recall of one half"
 
 
-def test_a_sample_is_that_of_its_number() -> None:
+def test_one_found_object_fills_only_the_first_sample() -> None:
     """One object found: only sample 0 has a value, so R40 is 0 whatever the precision."""
     curve = evaluated([[CAR]], [[CAR]]).curves["Car"][Metric.BBOX][EASY]
     assert curve.samples.tolist() == [1.0] + [0.0] * 40
@@ -230,13 +235,13 @@ def test_metrics_without_values_are_missing() -> None:
     assert set(no_angle) == {Metric.BBOX, Metric.BEV, Metric.BOX_3D}
     no_image = evaluated([[CAR.moved(edges=(-1, -1, -1, -1))]], [[CAR]]).curves["Car"]
     assert set(no_image) == {Metric.BEV, Metric.BOX_3D}
-    assert no_image[Metric.BOX_3D][EASY].found == 0, "without a height it is ignored everywhere"
+    assert no_image[Metric.BOX_3D][EASY].found == 0, "a box without a height is ignored in all metrics"
     assert evaluated([[]], [[CAR]]).curves == {}
     assert evaluated([], []).curves == {}
 
 
-def test_the_ground_and_space_have_their_own_overlaps() -> None:
-    """A car of 4 x 1.6 m: 1 m along its length leaves 3/5 of the union, half its height less again."""
+def test_bev_and_3d_use_their_own_overlaps() -> None:
+    """A car of 4 x 1.6 m that is shifted by 1 m along its length has a BEV IoU of 3/5."""
     ahead = CAR.moved(bottom=(1.0, 1.5, 20.0))
     turned = CAR.moved(rotation_y=math.pi / 2)
     pairs = {"ahead": (ahead, CAR), "turned": (ahead.moved(rotation_y=math.pi), CAR), "crossed": (turned, CAR)}
@@ -253,14 +258,14 @@ def test_the_ground_and_space_have_their_own_overlaps() -> None:
     assert (result[Metric.BEV][EASY].found, result[Metric.BOX_3D][EASY].found) == (1, 0), "0.9 of 2.1 m is below a half"
 
 
-def test_dontcare_areas_have_no_effect_on_the_ground() -> None:
+def test_dontcare_areas_affect_only_the_image_metric() -> None:
     truth = [[CAR, Box("DontCare", (500, 0, 900, 300), size=(-1, -1, -1), bottom=(-1000, -1000, -1000))]]
     found = [[CAR, CAR.moved(edges=FAR, bottom=(20.0, 1.5, 20.0))]]
     curves = evaluated(found, truth).curves["Car"]
     assert [float(curves[m][EASY].samples[0]) for m in (Metric.BBOX, Metric.BEV, Metric.BOX_3D)] == [1.0, 0.5, 0.5]
 
 
-def test_a_large_frame_count_is_cut_into_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = drive(30, 8)
     found = columns(jittered(truth, 9))
     whole = points(evaluate_kitti(found, columns(truth)))
@@ -268,7 +273,7 @@ def test_a_large_frame_count_is_cut_into_blocks(monkeypatch: pytest.MonkeyPatch)
     assert points(evaluate_kitti(found, columns(truth))) == whole
 
 
-def test_rows_are_a_table() -> None:
+def test_rows_can_be_filtered_and_selected() -> None:
     rows: KittiRows = columns([[CAR], [CAR.moved(label="Van")]])
     assert len(rows) == 2
     assert rows.is_of("van").tolist() == [False, True]

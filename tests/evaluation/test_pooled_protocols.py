@@ -1,4 +1,4 @@
-"""SUN RGB-D's protocol and that of oriented boxes: laws, cases by hand, and a plain computation of the same."""
+"""The SUN RGB-D and oriented protocols: properties, cases by hand, and a reference implementation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def box(x: float, y: float = 0.0, size: tuple[float, float, float] = (1, 1, 1), 
 
 
 def rooms(count: int, seed: int) -> list[Row]:
-    """Turned boxes of three classes, some of them near to each other."""
+    """Rotated boxes of three classes, some of which overlap."""
     rng = np.random.default_rng(seed)
     return [
         (
@@ -62,7 +62,7 @@ def shaken(rows: list[Row], seed: int) -> list[Row]:
 
 
 def plain_average_precision(found: list[Row], truth: list[Row], threshold: float) -> float:
-    """VoteNet's words as loops; one class."""
+    """Reference implementation of VoteNet's definition, for one class."""
     taken: set[int] = set()
     hits = []
     for frame, _, own, _ in sorted(found, key=lambda row: -row[3]):
@@ -82,7 +82,7 @@ def plain_average_precision(found: list[Row], truth: list[Row], threshold: float
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_against_plain_loops(seed: int) -> None:
+def test_average_precision_agrees_with_plain_loops(seed: int) -> None:
     truth = rooms(60, seed)
     found = [*shaken(truth, seed + 10), *rooms(20, seed + 20), *shaken(truth, seed + 30)]
     result = evaluate_sunrgbd(BoxTable.of(found), BoxTable.of(truth), (0.1, 0.25, 0.5))
@@ -123,19 +123,21 @@ def test_the_order_of_rows_has_no_effect() -> None:
 
 @settings(deadline=None, max_examples=10)
 @given(st.integers(0, 1000))
-def test_a_false_detection_never_helps(seed: int) -> None:
+def test_a_false_positive_never_increases_ap(seed: int) -> None:
     truth = rooms(30, seed)
     found = shaken(truth, seed + 1)
     before = evaluate_sunrgbd(BoxTable.of(found), BoxTable.of(truth))
-    ghosts = [(0, label, box(100.0), score) for label in ("bed", "chair", "desk") for score in (-1.0, 2.0)]
-    last = evaluate_sunrgbd(BoxTable.of([*found, *ghosts[::2]]), BoxTable.of(truth))
-    first = evaluate_sunrgbd(BoxTable.of([*found, *ghosts]), BoxTable.of(truth))
+    false_positives = [(0, label, box(100.0), score) for label in ("bed", "chair", "desk") for score in (-1.0, 2.0)]
+    last = evaluate_sunrgbd(BoxTable.of([*found, *false_positives[::2]]), BoxTable.of(truth))
+    first = evaluate_sunrgbd(BoxTable.of([*found, *false_positives]), BoxTable.of(truth))
     for threshold in (0.15, 0.25, 0.5):
-        assert last.mean(threshold) == pytest.approx(before.mean(threshold)), "below all others it changes nothing"
+        assert last.mean(threshold) == pytest.approx(before.mean(threshold)), (
+            "below all other detections it changes nothing"
+        )
         assert first.mean(threshold) <= before.mean(threshold) + 1e-12
 
 
-def test_frames_and_classes_are_apart() -> None:
+def test_boxes_match_only_within_their_frame_and_class() -> None:
     truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
     found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
     result = evaluate_sunrgbd(found, truth)
@@ -143,7 +145,7 @@ def test_frames_and_classes_are_apart() -> None:
     assert result.detections == {"a": 2, "b": 1}
 
 
-def test_without_a_detection_and_without_truth() -> None:
+def test_ap_without_detections_is_0_and_without_truth_nan() -> None:
     some, none = BoxTable.of([(0, "a", box(0), 1.0)]), BoxTable.of([])
     assert evaluate_sunrgbd(none, some).mean(0.25) == 0.0
     assert math.isnan(evaluate_sunrgbd(some, none).mean(0.25))
@@ -152,8 +154,8 @@ def test_without_a_detection_and_without_truth() -> None:
     assert math.isnan(found.rotation_error_rad)
 
 
-def test_assigned_pairs_make_the_most_of_it() -> None:
-    """The first box could have either; each gets one, and the mean counts both."""
+def test_the_assignment_maximises_the_total_iou() -> None:
+    """The first detection overlaps two true boxes; each detection gets one, and the mean counts both."""
     truth = BoxTable.of([(0, "a", box(0.0), 1.0), (0, "a", box(0.6), 1.0), (0, "a", box(50.0), 1.0)])
     found = BoxTable.of([(0, "a", box(0.2), 0.9), (0, "a", box(0.0), 0.8)])
     result = evaluate_oriented(found, truth).classes["a"]
@@ -173,16 +175,23 @@ QUARTER, HALF, TENTH = (Rotation.from_rotvec([0, 0, angle]) for angle in (math.p
 POSES = [
     pytest.param((1, 2, 3), (1, 2, 3), TURN, 0.0, 0.0, id="the-same"),
     pytest.param((1, 2, 3), (1, 2, 3), TURN * TENTH, 0.1, 0.0, id="turned"),
-    pytest.param((1, 2, 3), (1, 2, 3), TURN * HALF * TENTH, 0.1, 0.0, id="front-is-back"),
-    pytest.param((1, 2, 3), (2, 1, 3), TURN * QUARTER, 0.0, 0.0, id="length-and-width-have-changed-names"),
+    pytest.param((1, 2, 3), (1, 2, 3), TURN * HALF * TENTH, 0.1, 0.0, id="half-turn"),
+    pytest.param((1, 2, 3), (2, 1, 3), TURN * QUARTER, 0.0, 0.0, id="length-and-width-swapped"),
     pytest.param((1, 2, 3), (1, 2, 3), TURN * QUARTER, math.pi / 2, 0.0, id="a-quarter-turn-of-a-long-box"),
-    pytest.param((1, 1.05, 3), (1, 1.05, 3), TURN * QUARTER, 0.0, 0.05 / 1.05 / 3 + 0.05 / 3, id="of-a-square-one"),
+    pytest.param(
+        (1, 1.05, 3),
+        (1, 1.05, 3),
+        TURN * QUARTER,
+        0.0,
+        0.05 / 1.05 / 3 + 0.05 / 3,
+        id="a-quarter-turn-of-a-nearly-square-box",
+    ),
     pytest.param((1, 2, 4), (1.1, 2, 4), TURN, 0.0, 0.1 / 3, id="longer"),
 ]
 
 
 @pytest.mark.parametrize(("true_size", "size", "turn", "rotation_rad", "size_error"), POSES)
-def test_pose_errors(true_size, size, turn, rotation_rad, size_error) -> None:
+def test_pose_errors_ignore_symmetries_of_the_box(true_size, size, turn, rotation_rad, size_error) -> None:
     errors = pose_errors(one(0.5, size, turn), one(0.0, true_size, TURN))
     assert errors.center_m[0] == pytest.approx(0.5)
     assert errors.rotation_rad[0] == pytest.approx(rotation_rad, abs=1e-7)
@@ -202,7 +211,7 @@ def test_the_labelling_of_the_axes_has_no_effect(seed: int, naming: int) -> None
     renamed = OrientedBox.from_parts(np.zeros(3), turns[0] @ name, np.abs(name).T @ sizes[0])
     before, after = pose_errors(a, b), pose_errors(BoxTable.of([(0, "a", renamed, 1.0)]), b)
     assert after.rotation_rad[0] == pytest.approx(before.rotation_rad[0], abs=1e-7)
-    assert 0 <= before.rotation_rad[0] <= 2 * math.pi / 3 + 1e-7, "one of four turns is nearer"
+    assert 0 <= before.rotation_rad[0] <= 2 * math.pi / 3 + 1e-7, "one of the symmetric rotations is within 120 degrees"
 
 
 # --- pairs -----------------------------------------------------------------------------------------------------------
@@ -211,14 +220,14 @@ groups = st.lists(st.integers(0, 4), max_size=12)
 
 
 @given(groups, groups)
-def test_pairs_are_all_of_the_same_group(a: list[int], b: list[int]) -> None:
+def test_pairs_within_contains_all_pairs_of_the_same_group(a: list[int], b: list[int]) -> None:
     rows, cols = pairs_within(np.array(a, np.int64), np.array(b, np.int64))
     expected = [(i, j) for i, x in enumerate(a) for j, y in enumerate(b) if x == y]
     assert list(zip(rows.tolist(), cols.tolist(), strict=True)) == expected
 
 
 @given(st.lists(st.integers(0, 4), max_size=12))
-def test_places_within_groups(values: list[int]) -> None:
+def test_place_within_counts_earlier_members_of_the_group(values: list[int]) -> None:
     ordered = sorted(values)
     expected = [ordered[:i].count(value) for i, value in enumerate(ordered)]
     assert place_within(np.array(ordered, np.int64)).tolist() == expected

@@ -1,4 +1,4 @@
-"""Frames, labels and boxes for tests of dataset formats, small and quick to write."""
+"""Small frames, labels and boxes for tests of dataset formats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CSV files of boxes: what is read, and how what is broken is refused."""
+"""Reading CSV files of boxes, and the errors of damaged ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_rows_are_read(tmp_path: Path) -> None:
     assert read_box_csv(file_of(tmp_path, HEAD), scored=True) == []
 
 
-def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
+def test_columns_may_have_any_order(tmp_path: Path) -> None:
     pairs = list(zip(HEAD.split(","), ROW.split(","), strict=True))[::-1]
     path = file_of(tmp_path, ",".join(name for name, _ in pairs), ",".join(value for _, value in pairs))
     assert read_box_csv(path, scored=True)[0].center_m == (-0.5, 3.25, -0.75)
@@ -52,14 +52,14 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("lines", "line", "problem"), BROKEN)
-def test_what_is_broken_is_named(tmp_path: Path, lines: list[str], line: int, problem: str) -> None:
+def test_errors_name_the_file_and_line(tmp_path: Path, lines: list[str], line: int, problem: str) -> None:
     path = file_of(tmp_path, *lines)
     with pytest.raises(FormatError, match=problem) as caught:
         read_box_csv(path, scored=True)
     assert (caught.value.path, caught.value.line) == (path, line)
 
 
-def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_missing_and_non_utf_8_files_are_errors(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be read"):
         read_box_csv(tmp_path / "missing.csv", scored=True)
     (tmp_path / "boxes.csv").write_bytes(HEAD.encode() + b"\n\xff\xfe")

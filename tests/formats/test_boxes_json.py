@@ -1,4 +1,4 @@
-"""boxes.json: what it may hold, and what is refused."""
+"""Reading boxes.json, and the errors of invalid files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write(folder: Path, content: object) -> Path:
     return path
 
 
-def test_one_object_a_list_of_objects_and_an_empty_list(tmp_path: Path):
+def test_a_frame_may_have_one_object_a_list_or_an_empty_list(tmp_path: Path):
     boxes = read_boxes(write(tmp_path, {"a": UNIT, "b": [UNIT, UNIT | {"track": 4, "note": "?"}], "c": []}))
     assert {key: len(truths) for key, truths in boxes.items()} == {"a": 1, "b": 2, "c": 0}
     (truth,) = boxes["a"]
@@ -59,13 +59,13 @@ def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, fram
         pytest.param('{"a": {"label": "x", "center": [0, NaN, 0]}}', "a.0.center.1", id="nan"),
     ],
 )
-def test_a_bad_file_is_refused(tmp_path: Path, content: object, complaint: str):
+def test_an_invalid_file_is_an_error(tmp_path: Path, content: object, complaint: str):
     path = write(tmp_path, content)
     with pytest.raises(FormatError, match=complaint) as caught:
         read_boxes(path)
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_file_is_no_empty_list(tmp_path: Path):
+def test_a_missing_file_is_an_error(tmp_path: Path):
     with pytest.raises(FormatError, match="cannot be read"):
         read_boxes(tmp_path / "boxes.json")

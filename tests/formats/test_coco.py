@@ -1,4 +1,4 @@
-"""COCO detection files: the pixel convention, the round trip, and every way a file can be wrong."""
+"""COCO detection files: the pixel convention, round trips, and errors of invalid files."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def put(folder: Path, content: Any) -> Path:
     return path
 
 
-def test_edges_become_pixels_whose_first_centre_is_zero(tmp_path: Path) -> None:
+def test_coordinates_are_shifted_by_half_a_pixel(tmp_path: Path) -> None:
     first, second = read_coco(put(tmp_path, GOOD))
     assert (first.file_name, first.width_px, first.height_px) == ("a.png", 10, 8)
-    # a box around the whole image covers [-0.5, width - 0.5], as Camera has it
+    # a box around the whole image covers [-0.5, width - 0.5], as in Camera
     assert first.boxes[0] == Box2D("hand", -0.5, -0.5, 9.5, 7.5)
     assert first.boxes[1] == Box2D("person", 2.0, 2.5, 6.0, 4.5)
     assert (second.file_name, second.boxes) == ("sub/b.png", ())
@@ -108,7 +108,7 @@ def repeated(part: str, **changes: Any) -> dict[str, Any]:
         (repeated("categories", id=1), "category name 'hand' is used twice"),
     ],
 )
-def test_broken_file_says_what_and_where(tmp_path: Path, content: Any, says: str) -> None:
+def test_errors_name_the_file_and_the_place(tmp_path: Path, content: Any, says: str) -> None:
     path = put(tmp_path, content)
     with pytest.raises(FormatError) as caught:
         read_coco(path)
@@ -116,7 +116,7 @@ def test_broken_file_says_what_and_where(tmp_path: Path, content: Any, says: str
     assert says in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+def test_missing_and_non_utf_8_files_are_errors(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be read"):
         read_coco(tmp_path / "missing.json")
     (tmp_path / "latin.json").write_bytes(b'{"images": "\xe9"}')
@@ -145,7 +145,7 @@ def coco_images(draw: st.DrawFn) -> list[CocoImage]:
 
 @settings(max_examples=40)
 @given(coco_images())
-def test_what_is_written_reads_back(images: list[CocoImage]) -> None:
+def test_written_images_read_back(images: list[CocoImage]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "boxes.json")
         write_coco(path, images)
@@ -162,7 +162,7 @@ def test_what_is_written_reads_back(images: list[CocoImage]) -> None:
                 assert box.xyxy == pytest.approx(want.xyxy, abs=1e-9)
 
 
-def test_categories_keep_the_order_given_then_by_name(tmp_path: Path) -> None:
+def test_categories_are_in_the_given_order_then_by_name(tmp_path: Path) -> None:
     path = tmp_path / "out.json"
     boxes = tuple(Box2D(label, 0.0, 0.0, 1.0, 1.0) for label in ("zebra", "hand", "ant"))
     write_coco(path, [CocoImage("a.png", 10, 8, boxes)], classes=["person", "hand"])
@@ -188,7 +188,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-def test_the_same_name_twice_is_not_written(tmp_path: Path) -> None:
+def test_a_repeated_name_or_missing_folder_is_an_error(tmp_path: Path) -> None:
     image = CocoImage("a.png", 10, 8, ())
     with pytest.raises(FormatError, match=r"file_name 'a\.png' is used twice"):
         write_coco(tmp_path / "out.json", [image, image])

@@ -1,4 +1,4 @@
-"""What the writers of datasets share: they tell what is lost, and what cannot be written."""
+"""Functions shared by the dataset writers: reports of losses, and errors of images that cannot be written."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from annotator.formats.openlabel import write_openlabel
 from annotator.types.errors import FormatError
 
 
-def test_gravity_is_lost_where_it_is_not_down_the_image(tmp_path: Path) -> None:
+def test_gravity_is_lost_unless_it_points_down_the_image(tmp_path: Path) -> None:
     losses = Losses()
     items = [make_item(), make_item(key="b", up=None), make_item(key="c", up=(1.0, 0.0, 0.0))]
     write_openlabel(tmp_path / "out", items, "annotator 1", losses=losses)
     assert [(loss.kind, loss.count) for loss in losses.report()] == [(Lost.GRAVITY, 1)]
 
 
-def test_a_picture_that_is_too_large_for_its_format(tmp_path: Path) -> None:
+def test_an_image_too_large_for_its_format_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="an image of 70000 x 1 pixels is too large"), writing(tmp_path):
         encoded_image(np.zeros((1, 70000, 3), np.uint8), "jpg")

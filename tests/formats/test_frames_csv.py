@@ -1,4 +1,4 @@
-"""frames.csv: what is written reads back, whatever the names hold, and damage is named with its line."""
+"""frames.csv: round trips with any names, and errors that name the line."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from annotator.formats.frames_csv import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.types.errors import FormatError
 
-# a NUL and lone surrogates are in no file name
+# file names contain no NUL and no lone surrogates
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=8)
 
 
 @given(st.lists(st.builds(FrameOrigin, WORDS, WORDS, WORDS, st.none() | WORDS), unique_by=lambda o: o.id))
 @settings(deadline=None)
-def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
+def test_written_frames_read_back(origins: list[FrameOrigin]) -> None:
     assert list(parse_frames(Path("frames.csv"), dump_frames(origins)).values()) == origins
 
 
@@ -30,12 +30,12 @@ def test_what_is_written_reads_back(origins: list[FrameOrigin]) -> None:
         ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is not valid CSV"),
     ],
 )
-def test_damage_is_named_with_its_line(text: str, problem: str) -> None:
+def test_errors_name_the_line(text: str, problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         parse_frames(Path("frames.csv"), text)
 
 
-def test_a_table_of_that_name_about_other_things_is_left_alone(tmp_path: Path) -> None:
+def test_a_missing_or_unrelated_frames_csv_is_ignored(tmp_path: Path) -> None:
     assert read_frames(tmp_path) == {}
     (tmp_path / "frames.csv").write_text("time,exposure\n1,2\n")
     assert read_frames(tmp_path) == {}

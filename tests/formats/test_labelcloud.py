@@ -1,4 +1,4 @@
-"""labelCloud: its own conventions, round trips without drift, and angles whose unit is never guessed."""
+"""labelCloud: its conventions, round trips without drift, and an error if the unit of the angles is unclear."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 
-# Looks 30 degrees down: against gravity is up and, where the camera looks, back.
+# The up direction of a camera that looks down by 30 degrees.
 LOOKS_DOWN = (0.0, -np.sqrt(0.75), -0.5)
 UPRIGHT_X = make_box((1.0, 2.0, 3.0), (0.0, -np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
@@ -36,8 +36,8 @@ def objects(out: Path, name: str = "rec-000003") -> list[dict[str, Any]]:
     return content
 
 
-def test_a_project_by_hand(tmp_path: Path) -> None:
-    """In a level camera's frame: centre (z, -x, -y); the box's length points to the camera's -x, left."""
+def test_a_project_equals_the_one_by_hand(tmp_path: Path) -> None:
+    """With a level camera, the centre is (z, -x, -y). The box's length points to the camera's left, -x."""
     box = make_box((0.5, 0.25, 2.0), (0.0, 0.0, 0.0), (4.0, 2.0, 1.5))
     turned = OrientedBox.from_parts(
         box.center_m, np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]]), box.size_m
@@ -57,7 +57,7 @@ def test_a_project_by_hand(tmp_path: Path) -> None:
             }
         ],
     }
-    assert list(label["objects"][0]["rotations"]) == ["x", "y", "z"], "labelCloud takes them in the order of the file"
+    assert list(label["objects"][0]["rotations"]) == ["x", "y", "z"], "labelCloud reads them in the order of the file"
     classes = json.loads((tmp_path / "out/labels/_classes.json").read_text())
     assert (classes["format"], classes["type"], classes["default"]) == ("centroid_rel", "object_detection", 0)
     assert [(each["id"], each["name"], len(each["color"])) for each in classes["classes"]] == [
@@ -66,19 +66,19 @@ def test_a_project_by_hand(tmp_path: Path) -> None:
     ]
 
 
-def test_corners_in_labelclouds_order() -> None:
-    """Length along y: a quarter turn to the left about z."""
+def test_vertices_are_in_labelclouds_order() -> None:
+    """A quarter turn to the left about z: the length is along y."""
     entry = vertices_object("a", make_box((0.0, 0.0, 0.0), (0.0, 0.0, np.pi / 2), (4.0, 2.0, 1.0)))
     low = [[1, -2, -0.5], [-1, -2, -0.5], [-1, 2, -0.5], [1, 2, -0.5]]
     np.testing.assert_allclose(np.array(entry.vertices), low + [[x, y, 0.5] for x, y, _ in low], atol=1e-8)
 
 
-def test_clouds_stand_upright_where_the_camera_does_not(tmp_path: Path) -> None:
-    """A point straight below the camera is at -z of the cloud, and the calibration leads back."""
+def test_clouds_of_a_tilted_camera_are_upright(tmp_path: Path) -> None:
+    """A point directly below the camera is at -z in the cloud; the calibration maps back to the camera."""
     item = make_item([make_label(UPRIGHT_X)], up=LOOKS_DOWN)
     T = level_pose(item.frame.up)
     np.testing.assert_allclose(T.apply(-np.array(LOOKS_DOWN)), [0, 0, -1], atol=1e-12)
-    # ahead is the level part of where it looks
+    # ahead is the horizontal part of the viewing direction
     np.testing.assert_allclose(T.apply([0.0, 0.0, 1.0]), [np.sqrt(0.75), 0, -0.5], atol=1e-12)
     assert write(tmp_path / "out", [item]).report() != ()
     data = (tmp_path / "out/pointclouds/rec-000003.ply").read_bytes()
@@ -91,7 +91,7 @@ def test_clouds_stand_upright_where_the_camera_does_not(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), None])
-def test_a_camera_that_looks_straight_up_or_down_has_a_level_frame_too(up: tuple[float, ...] | None) -> None:
+def test_a_camera_that_looks_straight_up_or_down_has_a_level_frame(up: tuple[float, ...] | None) -> None:
     R = level_pose(None if up is None else np.array(up)).rotation.as_matrix()
     np.testing.assert_allclose(R.T[:, 2], (0, -1, 0) if up is None else up, atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1)
@@ -103,7 +103,7 @@ GIMBAL = make_box((1.0, 2.0, 3.0), tuple(Rotation.from_euler("ZYX", [0.7, np.pi 
 @given(BOXES)
 @example(GIMBAL)
 @settings(max_examples=10, deadline=None)
-def test_boxes_read_back_and_ten_times_without_drift(box: OrientedBox) -> None:
+def test_ten_round_trips_of_boxes_do_not_drift(box: OrientedBox) -> None:
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     for dump in (centroid_object, vertices_object):
         have = box
@@ -117,14 +117,14 @@ def test_boxes_read_back_and_ten_times_without_drift(box: OrientedBox) -> None:
 
 @given(BOXES)
 @settings(max_examples=40, deadline=None)
-def test_a_text_that_was_read_is_written_as_it_was(box: OrientedBox) -> None:
+def test_a_box_that_was_read_is_written_unchanged(box: OrientedBox) -> None:
     if np.hypot(*box.rotation[:2, 0]) < 0.1:
-        return  # x and z turn nearly about one line; their last digits may share differently
+        return  # near gimbal lock, the last digits of x and z are not unique
     once = centroid_object("a", box)
     assert centroid_object("a", box_of(once, degrees=False)) == once
 
 
-def test_angles_are_those_of_scipy() -> None:
+def test_angles_equal_those_of_scipy() -> None:
     for rotation in Rotation.random(20, rng=np.random.default_rng(0)):
         z, y, x = rotation.as_euler("ZYX")
         np.testing.assert_allclose(angles_xyz(rotation.as_matrix()), [x, y, z], atol=1e-12)
@@ -160,7 +160,7 @@ def foreign(tmp_path: Path, form: str | None, *entries: dict[str, Any]) -> Path:
         (None, [(0, 0, 0)], False),
     ],
 )
-def test_what_the_angles_are(
+def test_the_unit_of_the_angles_is_detected(
     tmp_path: Path, form: str | None, angles: list[tuple[float, float, float]], degrees: bool
 ) -> None:
     found = read_labelcloud(foreign(tmp_path, form, *(entry(*each) for each in angles)))
@@ -194,7 +194,7 @@ FLAT = {"name": "a", "vertices": [[x, y, 0] for _ in (0, 1) for x, y in ((0, 0),
         ([entry(0, 0, float("nan"))], r"rotations\.z"),
     ],
 )
-def test_what_is_no_label_is_named(tmp_path: Path, entries: list[dict[str, Any]], problem: str) -> None:
+def test_errors_of_invalid_labels_name_the_place(tmp_path: Path, entries: list[dict[str, Any]], problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         read_labelcloud(foreign(tmp_path, None, *entries))
 
@@ -211,7 +211,7 @@ def test_what_is_no_label_is_named(tmp_path: Path, entries: list[dict[str, Any]]
         ),
     ],
 )
-def test_a_damaged_calibration(tmp_path: Path, text: str, problem: str) -> None:
+def test_a_damaged_calibration_is_an_error(tmp_path: Path, text: str, problem: str) -> None:
     foreign(tmp_path, None, entry(0, 0, 0))
     (tmp_path / "calib").mkdir()
     (tmp_path / "calib/000000.txt").write_text(text)
@@ -219,7 +219,7 @@ def test_a_damaged_calibration(tmp_path: Path, text: str, problem: str) -> None:
         read_labelcloud(tmp_path)
 
 
-def test_what_the_format_loses_and_replaces(tmp_path: Path) -> None:
+def test_losses_are_counted_and_only_own_exports_are_replaced(tmp_path: Path) -> None:
     out = tmp_path / "out"
     lens = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
     label = make_label(score=0.5, track_id=1, state=ReviewState.EDITED)

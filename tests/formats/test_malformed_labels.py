@@ -1,4 +1,4 @@
-"""Whatever is in a label file, a reader gives labels or an error for people that names the file; nothing is written."""
+"""Any content of a label file gives labels or an AnnotatorError that names the file, and nothing is written."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ RCV_LABELS = next(name for name in RCV if name.startswith("labels/"))
 
 
 def read_dataset(path: Path) -> None:
-    """All of the dataset that a file of it lies in."""
+    """Reads the whole dataset that contains the file."""
     dataset = read_rcv(path if (path / "dataset.json").is_file() else path.parent)
     for i in range(len(dataset)):
         dataset.named_labels(i)
@@ -118,7 +118,7 @@ TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[^\s,:\[\]{}"]+')
 
 @st.composite
 def damage(draw: st.DrawFn, content: bytes) -> bytes:
-    """A file after some accidents: cut off, parts lost, doubled or overwritten, values replaced."""
+    """The content with random damage: truncated, parts removed, repeated or overwritten, values replaced."""
     for _ in range(draw(st.integers(1, 3))):
         kind = draw(st.sampled_from(["cut", "lose", "double", "overwrite", "replace", "replace", "replace", "replace"]))
         at = draw(st.integers(0, len(content)))
@@ -142,7 +142,7 @@ def damage(draw: st.DrawFn, content: bytes) -> bytes:
 
 @contextmanager
 def only_reads(folder: Path) -> Iterator[None]:
-    """Nothing below a folder is made, changed or removed."""
+    """Asserts that nothing below the folder is created, changed or removed."""
 
     def state() -> list[tuple[str, int, int]]:
         return sorted((str(p), p.lstat().st_size, p.lstat().st_mtime_ns) for p in folder.rglob("*"))
@@ -153,7 +153,7 @@ def only_reads(folder: Path) -> Iterator[None]:
 
 
 def complaint(read: Reader, path: Path) -> str | None:
-    """What a reader says of a file; None where it read it. Any other exception is the test's failure."""
+    """The message of the AnnotatorError that a reader raises, or None; other exceptions fail the test."""
     try:
         read(path)
     except AnnotatorError as error:
@@ -166,7 +166,7 @@ def complaint(read: Reader, path: Path) -> str | None:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A sound file for every reader."""
+    """A valid file for each reader."""
     found = {}
     root = tmp_path_factory.mktemp("readers")
     for number, (name, (file, content, _)) in enumerate(READERS.items()):
@@ -179,19 +179,19 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def root_of(name: str, path: Path) -> Path:
-    """What the reader is given: the file, or the dataset that it lies in."""
+    """The reader's argument: the file, or the dataset that contains it."""
     return path.parents[READERS[name][0].count("/")] if name.startswith("rcv/") else path
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_sound_files_are_read(name: str, places: dict[str, Path]) -> None:
+def test_valid_files_are_read(name: str, places: dict[str, Path]) -> None:
     assert complaint(READERS[name][2], root_of(name, places[name])) is None
 
 
 @pytest.mark.parametrize("name", READERS)
 @given(data=st.data())
 @settings(max_examples=40)
-def test_damaged_files_are_told(name: str, places: dict[str, Path], data: st.DataObject) -> None:
+def test_damaged_files_are_read_or_are_errors(name: str, places: dict[str, Path], data: st.DataObject) -> None:
     path, (_, sound, read) = places[name], READERS[name]
     path.write_bytes(data.draw(damage(sound)))
     try:
@@ -202,7 +202,7 @@ def test_damaged_files_are_told(name: str, places: dict[str, Path], data: st.Dat
 
 
 def png_header(width: int, height: int) -> bytes:
-    """A picture that promises so many pixels and has none."""
+    """A PNG whose header states this size, without pixel data."""
 
     def chunk(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
@@ -212,7 +212,7 @@ def png_header(width: int, height: int) -> bytes:
 
 
 def bomb() -> bytes:
-    """300 MB in a few kilobytes."""
+    """An archive of about 300 kB that unpacks to 300 MiB."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.txt", b"\0" * (300 << 20))
@@ -245,7 +245,7 @@ def rcv(value: object, *place: str | int, file: str = RCV_LABELS) -> bytes:
 LABELS = f"rcv/{RCV_LABELS}"
 CLOUD = next(name for name in READERS if name.startswith("rcv/clouds"))
 PLY = READERS[CLOUD][1]
-# What was found by hand or by chance, each with what is said now; the first of them ended the program.
+# Cases found by hand or by fuzzing, with the expected message. The first one crashed the program.
 FOUND: list[tuple[str, bytes, str]] = [
     ("boxes_json", b'{"0": ' + b"9" * 5000 + b"}", "boxes.json: has a number that cannot be read"),
     ("boxes_json", b"[" * 200_000, "boxes.json: is nested too deeply"),
@@ -285,7 +285,7 @@ FOUND: list[tuple[str, bytes, str]] = [
 
 @contextmanager
 def content_of(path: Path, content: bytes, kept: bytes) -> Iterator[None]:
-    """A file has another content for a while."""
+    """Replaces a file's content temporarily."""
     path.write_bytes(content)
     try:
         yield
@@ -294,7 +294,9 @@ def content_of(path: Path, content: bytes, kept: bytes) -> Iterator[None]:
 
 
 @pytest.mark.parametrize(("name", "content", "says"), FOUND, ids=[f"{n}-{i}" for i, (n, _, _) in enumerate(FOUND)])
-def test_found_cases(name: str, content: bytes, says: str, places: dict[str, Path]) -> None:
+def test_known_cases_are_errors_without_large_memory_use(
+    name: str, content: bytes, says: str, places: dict[str, Path]
+) -> None:
     path, read = places[name], READERS[name][2]
     with content_of(path, content, READERS[name][1]):
         tracemalloc.start()
@@ -308,7 +310,7 @@ def test_found_cases(name: str, content: bytes, says: str, places: dict[str, Pat
     assert len(message) < 1000
 
 
-def test_links_do_not_lead_out_of_a_dataset(tmp_path: Path) -> None:
+def test_links_out_of_a_dataset_are_refused(tmp_path: Path) -> None:
     secret = tmp_path / "secret.json"
     secret.write_bytes(RCV[RCV_LABELS])
     for name in RCV:
@@ -340,7 +342,7 @@ def test_archives_with_hostile_names_write_nothing(tmp_path: Path) -> None:
     assert all(file.parent == path for file in files.values())
 
 
-def test_boxes_that_leave_their_reach_on_the_way_to_the_camera_are_told(tmp_path: Path) -> None:
+def test_boxes_out_of_range_after_the_transform_to_the_camera_are_errors(tmp_path: Path) -> None:
     turned = RigidTransform.from_rotation(Rotation.from_euler("z", 45, degrees=True))
     label, scene = tmp_path / "label.txt", tmp_path / "index.json"
     label.write_text("bed 1 2 30 40 1e9 1e9 0.3 0.5 1 0.4 0.6 0.8\n")
@@ -353,7 +355,7 @@ def test_boxes_that_leave_their_reach_on_the_way_to_the_camera_are_told(tmp_path
         assert caught.value.path == path
 
 
-def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+def test_named_pipes_are_errors_and_do_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.txt")
     with pytest.raises(FormatError, match=r"pipe\.txt: cannot be read \(not a regular file\)"):
         list(text_files(tmp_path))

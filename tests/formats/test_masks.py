@@ -1,4 +1,4 @@
-"""Masks: object numbers in, object numbers out."""
+"""Reading masks of object numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write(path: Path, mask: np.ndarray) -> Path:
     ("written", "numbers"),
     [([0, 255], [0, 1]), ([0, 0], [0, 0]), ([0, 1], [0, 1]), ([0, 3], [0, 3]), ([2, 255], [2, 255])],
 )
-def test_numbers_come_back_and_a_single_object_is_number_one(tmp_path: Path, written: list[int], numbers: list[int]):
+def test_object_numbers_are_read_and_a_single_255_becomes_1(tmp_path: Path, written: list[int], numbers: list[int]):
     mask = read_mask(write(tmp_path / "m.png", np.array([written], np.uint8)))
     assert mask.dtype == np.uint8
     assert mask.tolist() == [numbers]

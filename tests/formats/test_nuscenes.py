@@ -1,4 +1,4 @@
-"""nuScenes: its conventions by hand, tables that hold together, and others' tables seen from each of their cameras."""
+"""nuScenes: its conventions by hand, consistent tables, and other tools' tables as seen by each camera."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def tables(out: Path) -> dict[str, list[dict[str, Any]]]:
     return {path.stem: json.loads(path.read_text()) for path in (out / "v1.0-annotator").glob("*.json")}
 
 
-def test_tables_by_hand(tmp_path: Path) -> None:
-    """A level camera: its (x, y, z) is the global (z, -x, -y); the box is turned left by 90 degrees about global z."""
+def test_tables_equal_those_by_hand(tmp_path: Path) -> None:
+    """A level camera: its (x, y, z) is the global (z, -x, -y); the box is rotated left by 90 degrees about global z."""
     R_camera_global = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     turned = R_camera_global @ Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
     box = OrientedBox.from_parts(np.array([0.5, 0.25, 0.125]), turned, np.array([4.0, 2.0, 3.0]))
@@ -56,8 +56,8 @@ def test_tables_by_hand(tmp_path: Path) -> None:
     assert (tmp_path / "out" / found["map"][0]["filename"]).is_file()
 
 
-def test_rows_know_each_other(tmp_path: Path) -> None:
-    """Every token that is named exists, and chains of prev and next lead through all rows in order."""
+def test_tokens_and_chains_are_consistent(tmp_path: Path) -> None:
+    """Every referenced token exists, and the prev/next chains visit all rows in order."""
     items = [
         make_item([make_label(uid=f"{n}", track_id=1), make_label(uid=f"{n}b", track_id=1)], key=f"{n}", index=n)
         for n in range(3)
@@ -85,8 +85,8 @@ def test_rows_know_each_other(tmp_path: Path) -> None:
     assert set(found["map"][0]["log_tokens"]) == set(rows["log"])
 
 
-def test_scenes_that_begin_together_begin_apart(tmp_path: Path) -> None:
-    """The devkit sorts scenes by their first time, and cannot where two are the same."""
+def test_scenes_with_equal_start_times_are_shifted_apart(tmp_path: Path) -> None:
+    """The devkit sorts scenes by their start time and fails if two are equal."""
     at_ns, names = 1_700_000_000_000_000_000, ("a", "b", "c")
     items = [
         make_item(recording=name, key=f"{n}", timestamp_ns=at_ns + n * 500_000_000) for n in range(2) for name in names
@@ -103,12 +103,12 @@ def test_scenes_that_begin_together_begin_apart(tmp_path: Path) -> None:
 
 @given(BOXES)
 @settings(max_examples=60, deadline=None)
-def test_boxes_read_back(box: OrientedBox) -> None:
+def test_written_boxes_read_back(box: OrientedBox) -> None:
     pose = box.T_camera_box
     assert_same_box(box_from(vector(pose.translation), quaternion(pose.rotation), width_length_height(box)), box)
 
 
-def test_parts_are_lists_of_scenes(tmp_path: Path) -> None:
+def test_splits_are_lists_of_scenes(tmp_path: Path) -> None:
     out = tmp_path / "out"
     items = [make_item([make_label()], split="train"), make_item(split="val", key="b", index=4)]
     write(out, [*items, make_item(recording="other", split="val")])
@@ -128,7 +128,7 @@ def test_parts_are_lists_of_scenes(tmp_path: Path) -> None:
         read_nuscenes(tmp_path)
 
 
-def test_what_the_format_loses(tmp_path: Path) -> None:
+def test_losses_are_counted(tmp_path: Path) -> None:
     lens = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
     label = make_label(score=0.5, track_id=1, state=ReviewState.EDITED)
     losses = write(tmp_path / "out", [make_item([label], up=None, camera=lens), make_item(key="b")])
@@ -137,7 +137,7 @@ def test_what_the_format_loses(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-# Turns a camera's axes to those of a vehicle that looks the same way.
+# Rotates a camera's axes to those of a vehicle with the same viewing direction.
 AHEAD = [0.5, -0.5, 0.5, -0.5]
 LOOKS_BACK = (Rotation.from_rotvec([0, 0, np.pi]) * Rotation.from_quat(AHEAD, scalar_first=True)).as_quat(
     scalar_first=True
@@ -145,7 +145,7 @@ LOOKS_BACK = (Rotation.from_rotvec([0, 0, np.pi]) * Rotation.from_quat(AHEAD, sc
 
 
 def foreign(folder: Path, **changes: Any) -> Path:
-    """A vehicle at (100, 0, 0) that drives to the left, a camera ahead and one back, a box 10 m ahead of each."""
+    """A vehicle at (100, 0, 0), heading left, with a front and a rear camera, and a box 10 m ahead of each."""
     left = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
     K = [[500, 0, 400], [0, 500, 225], [0, 0, 1]]
 
@@ -178,12 +178,12 @@ def foreign(folder: Path, **changes: Any) -> Path:
     return folder
 
 
-def test_each_camera_sees_its_own(tmp_path: Path) -> None:
+def test_each_camera_has_the_boxes_that_it_sees(tmp_path: Path) -> None:
     found = read_nuscenes(foreign(tmp_path))
     assert set(found) == {"F__17", "B__17"}
     (ahead,), (back,) = found["F__17"], found["B__17"]
     assert (ahead.label, ahead.track_id, back.track_id) == ("vehicle.car", None, 1)
-    # of the camera ahead: 10 m away; the length points where the camera looks
+    # front camera: 10 m away, with the length along the viewing direction
     facing = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     assert_same_box(ahead.box, OrientedBox.from_parts(np.array([0.0, 0.0, 10.0]), facing, np.array([4.0, 2.0, 1.5])))
     np.testing.assert_allclose(back.box.center_m, [0, 0, 10], atol=1e-9)
@@ -212,12 +212,12 @@ ROW = {"token": "a0", "sample_token": "s", "instance_token": "i0", "translation"
         ("instance", {"token": "i0"}, r"instance\.json: the file: Input should be a valid tuple"),
     ],
 )
-def test_tables_that_do_not_hold_are_named(tmp_path: Path, table: str, rows: Any, problem: str) -> None:
+def test_errors_of_invalid_tables_name_the_place(tmp_path: Path, table: str, rows: Any, problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         read_nuscenes(foreign(tmp_path, **{table: rows}))
 
 
-def test_a_truncated_table(tmp_path: Path) -> None:
+def test_a_truncated_table_is_an_error(tmp_path: Path) -> None:
     path = foreign(tmp_path) / "v1.0-mini" / "sensor.json"
     path.write_text('[\n{"token": "F",')
     with pytest.raises(FormatError, match=r"sensor\.json:2: is not valid JSON"):

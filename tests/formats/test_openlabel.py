@@ -1,4 +1,4 @@
-"""OpenLABEL: the standard's conventions, what is written reads back, others' documents are understood or refused."""
+"""OpenLABEL: the standard's conventions, round trips, and other tools' documents and their errors."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from annotator.formats.openlabel.write import dump
 from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 
-# A quarter turn about the camera's y axis (the right-hand rule takes x to -z): 1 ahead, 4 x 2 x 1.5 m.
+# 4 x 2 x 1.5 m, 1 m ahead, rotated by 90 degrees about the camera's y axis (right-hand rule: x becomes -z).
 TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
 
-def test_a_document_by_hand(tmp_path: Path) -> None:
+def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
     label = make_label(TURNED, score=0.75, track_id=7)
     assert write_openlabel(tmp_path / "out", [make_item([label])], "annotator 1") == {"hand": 1}
     content = json.loads((tmp_path / "out" / "rec.json").read_text())["openlabel"]
@@ -59,8 +59,8 @@ def test_a_document_by_hand(tmp_path: Path) -> None:
 
 
 def test_the_document_follows_the_schema(tmp_path: Path) -> None:
-    """The standard's own schema, as a package of others brings it, and its rules about references and intervals."""
-    core = pytest.importorskip("openlabel_checker.core", reason="openlabel-checker brings ASAM's schema")
+    """Checks ASAM's schema, and its rules for references and intervals, with the package openlabel-checker."""
+    core = pytest.importorskip("openlabel_checker.core", reason="openlabel-checker contains ASAM's schema")
     other = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
     items = [
         make_item([make_label(track_id=1), make_label(track_id=1, uid="u2")], index=0, key="a"),
@@ -84,7 +84,7 @@ def test_the_document_follows_the_schema(tmp_path: Path) -> None:
     )
 )  # fmt: skip
 @settings(max_examples=60, deadline=None)
-def test_what_is_written_reads_back(labels: list[Any]) -> None:
+def test_written_documents_read_back(labels: list[Any]) -> None:
     scene = Scene("rec", "annotator 1")
     scene.add(make_item(labels), "images/x.png", "clouds/x.ply")
     text = dump(scene.document())
@@ -104,13 +104,13 @@ def test_tracks_keep_their_identity_over_frames() -> None:
     content = scene.document().openlabel
     objects = content.objects or {}
     spans = [[(i.frame_start, i.frame_end) for i in each.frame_intervals or ()] for each in objects.values()]
-    # two of one track in one frame are two objects; a label without a track is one over all frames by its uid
+    # two labels of a track in one frame are two objects; a label without a track is one object, identified by its uid
     assert spans == [[(0, 1), (4, 4)]] * 3
     assert content.frame_intervals == next(iter(objects.values())).frame_intervals
 
 
 def foreign(**changes: Any) -> dict[str, Any]:
-    """Another program's document: boxes in a LiDAR frame, 9 values, the camera known through the vehicle."""
+    """Another tool's document: boxes of 9 values in the LiDAR frame; the vehicle frame connects LiDAR and camera."""
     content: dict[str, Any] = {
         "metadata": {"schema_version": "1.0.0"},
         "coordinate_systems": {
@@ -144,11 +144,11 @@ def written(tmp_path: Path, content: dict[str, Any]) -> Path:
     return path
 
 
-def test_euler_angles_and_other_coordinate_systems(tmp_path: Path) -> None:
+def test_boxes_with_euler_angles_are_transformed_to_the_camera(tmp_path: Path) -> None:
     (frame,) = read_openlabel(written(tmp_path, foreign())).values()
     (have,) = frame.boxes
     assert (frame.name, have.label, have.track_id, have.state) == ("000017", "car", 12, None)
-    # lidar: turned left by 90 degrees and at (1, 0, 2), so its (0, -4, 0) is (5, 0, 2) of the vehicle: 2 m ahead
+    # the LiDAR is rotated left by 90 degrees, at (1, 0, 2): its (0, -4, 0) is the vehicle's (5, 0, 2), 2 m ahead
     Rx, Ry, Rz = (Rotation.from_rotvec(np.eye(3)[axis] * angle) for axis, angle in enumerate((0.1, 0.2, 0.3)))
     R_vehicle = Rotation.from_rotvec([0, 0, np.pi / 2]) * Rz * Ry * Rx
     R_cam_vehicle = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -158,7 +158,7 @@ def test_euler_angles_and_other_coordinate_systems(tmp_path: Path) -> None:
     assert_same_box(have.box, want)
 
 
-def test_a_transform_of_the_frame_holds_in_place_of_the_pose(tmp_path: Path) -> None:
+def test_a_transform_in_the_frame_overrides_the_pose(tmp_path: Path) -> None:
     content = foreign()
     content["openlabel"]["frames"]["0"]["frame_properties"]["transforms"] = {
         "lidar_to_cam": {
@@ -170,7 +170,7 @@ def test_a_transform_of_the_frame_holds_in_place_of_the_pose(tmp_path: Path) -> 
     np.testing.assert_allclose(frame.boxes[0].box.center_m, [0, -4, 9], atol=1e-12)
 
 
-def test_objects_that_stand_still_are_in_the_frames_of_their_interval(tmp_path: Path) -> None:
+def test_static_objects_are_in_the_frames_of_their_interval(tmp_path: Path) -> None:
     cuboid = {"name": "c", "coordinate_system": "lidar", "val": [1, 2, 3, 0, 0, 0, 1, 1, 1, 1]}
     still = {
         "name": "s", "type": "pole", "object_data": {"cuboid": [cuboid]},
@@ -189,7 +189,7 @@ def cuboid_with(**changes: Any) -> dict[str, Any]:
 
 
 def numbered(uid: str) -> dict[str, Any]:
-    """The document with another number for its object."""
+    """The document with another id for its object."""
     return json.loads(json.dumps(foreign()).replace('"12"', f'"{uid}"'))
 
 
@@ -215,12 +215,12 @@ CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
         ({"vcd": {}}, "openlabel: Field required"),
     ],
 )
-def test_what_does_not_follow_the_standard_is_named(tmp_path: Path, content: dict[str, Any], problem: str) -> None:
+def test_errors_of_invalid_documents_name_the_place(tmp_path: Path, content: dict[str, Any], problem: str) -> None:
     with pytest.raises(FormatError, match=r"foreign\.json: .*" + problem):
         read_openlabel(written(tmp_path, content))
 
 
-def test_damaged_files_and_matrices(tmp_path: Path) -> None:
+def test_damaged_files_and_matrices_are_errors(tmp_path: Path) -> None:
     content = foreign()
     content["openlabel"]["coordinate_systems"]["cam"]["pose_wrt_parent"]["matrix4x4"][0] = 1
     with pytest.raises(FormatError, match=r"pose_wrt_parent of cam: matrix4x4 is not a rigid motion"):
@@ -233,7 +233,7 @@ def test_damaged_files_and_matrices(tmp_path: Path) -> None:
         read_openlabel(tmp_path)
 
 
-def test_two_cameras_with_one_file_name(tmp_path: Path) -> None:
+def test_two_cameras_with_one_file_name_are_an_error(tmp_path: Path) -> None:
     content = foreign(streams={"cam": {"type": "camera"}, "lidar": {"type": "camera"}})
     content["openlabel"]["frames"]["0"]["frame_properties"]["streams"]["lidar"] = {"uri": "left/000017.jpg"}
     with pytest.raises(FormatError, match="the frame 000017 has labels for two sensors"):

@@ -1,4 +1,4 @@
-"""Whatever is in the files of OpenLABEL, labelCloud and nuScenes: boxes, or an error that names a file."""
+"""Any content of OpenLABEL, labelCloud and nuScenes files gives boxes, or an error that names a file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "vertices": read_labelcloud,
     "nuscenes": read_nuscenes,
 }
-# Found by fuzzing for minutes: numbers whose squares overflow, texts where tokens are, lists that are too short.
+# Found by fuzzing: numbers whose squares overflow, invalid tokens, lists that are too short.
 VALUES = [None, True, -1, 2**70, 1e308, 1e-320, float("nan"), float("inf"), "", "../../x", "\0", [], {}, [1e200] * 10]
 
 
@@ -45,7 +45,7 @@ def datasets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def places(value: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """The way to every part of a document."""
+    """The path to every part of a document."""
     yield here
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in inner:
@@ -75,7 +75,7 @@ def damaged(data: st.DataObject, content: bytes, suffix: str) -> bytes:
 @pytest.mark.parametrize("name", READERS)
 @given(data=st.data())
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-def test_a_damaged_file_is_an_error_that_names_it(datasets: Path, name: str, data: st.DataObject) -> None:
+def test_damaged_files_are_read_or_are_errors_that_name_a_file(datasets: Path, name: str, data: st.DataObject) -> None:
     folder = datasets / name
     files = sorted(path for path in folder.rglob("*") if path.suffix in (".json", ".csv", ".txt"))
     path = data.draw(st.sampled_from(files))
@@ -89,7 +89,7 @@ def test_a_damaged_file_is_an_error_that_names_it(datasets: Path, name: str, dat
         path.write_bytes(whole)
 
 
-def test_a_frame_without_points_or_labels(tmp_path: Path) -> None:
+def test_frames_without_points_or_labels_read_back(tmp_path: Path) -> None:
     item = make_item([make_label()])
     bare = replace(item.frame, cloud=PointCloud(np.zeros((0, 3), np.float32)))
     items = [DatasetItem("rec", bare, item.labels), make_item(key="b", index=4)]

@@ -1,4 +1,4 @@
-"""YOLO datasets on disk: where pictures and labels are looked for, and what must not be read."""
+"""YOLO datasets on disk: where images and labels are found, and links that must not be followed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def put(folder: Path, **files: str) -> Path:
     return folder
 
 
-def test_what_is_written_reads_back(tmp_path: Path) -> None:
+def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ["Büro \U0001f600", "no"], ["val", "train"])
     writer.add(LabelledPicture("a.b.png", b"png", 4, 2, (BOX,), "train"))
     writer.add(LabelledPicture("c.png", b"png", 4, 2, (), "val"))
@@ -47,7 +47,7 @@ def test_what_is_written_reads_back(tmp_path: Path) -> None:
     assert [box.on(4, 2) for box in first.boxes] == [BOX] and second.boxes == ()
 
 
-def test_an_undivided_dataset_is_measured_on_what_it_trains_on(tmp_path: Path) -> None:
+def test_an_unsplit_dataset_is_validated_on_its_training_images(tmp_path: Path) -> None:
     writer = YoloWriter(tmp_path, ["no"])
     writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,)))
     writer.finish()
@@ -63,19 +63,21 @@ def test_an_undivided_dataset_is_measured_on_what_it_trains_on(tmp_path: Path) -
     [
         # only labels came back from the annotation tool
         ({"data.yaml": "train: images/train\nnames: [a, b]", "labels/train/x.txt": ROW}, [("x.txt", 1)]),
-        # an absolute path of the machine it was made on; services' way to say train/images
+        # an absolute path of another machine; `../train/images`, as some services write it
         ({"data.yaml": "path: /gone\ntrain: ../train/images\nnames: {0: a, 1: b}", "train/images/x.jpg": "",
           "train/labels/x.txt": ROW, "train/images/y.jpg": ""}, [("x.jpg", 1), ("y.jpg", 0)]),
-        # a list of pictures, labels beside them
+        # a list of images, with the labels beside them
         ({"data.yaml": "train: [list.txt]\nnames: [a, b]", "list.txt": "./d/x.png\n\nd/y.png\n", "d/x.png": "",
           "d/x.txt": ROW, "d/y.png": ""}, [("x.png", 1), ("y.png", 0)]),
-        # label files with their names
+        # label files with classes.txt
         ({"classes.txt": "a\nb\n", "x.txt": ROW, "y.txt": ""}, [("x.txt", 1), ("y.txt", 0)]),
         ({"classes.txt": "a\nb\n", "labels/x.txt": ROW, "images/x.png": ""}, [("x.png", 1)]),
     ],
     ids=["labels alone", "moved", "list", "classes.txt", "classes.txt above"],
 )  # fmt: skip
-def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures: list[tuple[str, int]]) -> None:
+def test_datasets_of_other_tools_are_read(
+    tmp_path: Path, files: dict[str, str], pictures: list[tuple[str, int]]
+) -> None:
     found = read_yolo(put(tmp_path, **files))
     assert [(picture.file_name, len(picture.boxes)) for picture in found] == pictures
     assert {box.label for picture in found for box in picture.boxes} == {"b"}
@@ -89,7 +91,7 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
         ({"classes.txt": "a\na\n", "x.txt": ""}, "names must be unique"),
         ({"data.yaml": "train: x\n  names: ["}, r"data\.yaml:2: is not valid YAML"),
         ({"data.yaml": "[" * 5000}, "is not valid YAML"),
-        # texts that are not what they claim, each of which PyYAML stumbles over in another way
+        # values that do not match their tag; PyYAML raises a different exception for each
         *(
             ({"data.yaml": f"names: [a]\ntrain: {value}"}, "is not valid YAML")
             for value in (
@@ -117,7 +119,7 @@ def test_datasets_of_other_tools(tmp_path: Path, files: dict[str, str], pictures
         ({"classes.txt": "a\n", "x.txt": "", "x.webp": ""}, r"x\.webp: only PNG and JPEG images are supported"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, files: dict[str, str], says: str) -> None:
+def test_errors_name_the_place(tmp_path: Path, files: dict[str, str], says: str) -> None:
     with pytest.raises(FormatError, match=says):
         read_yolo(put(tmp_path, **files))
 
@@ -154,7 +156,7 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
 
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "loop"], ids=["zero byte", "long", "loop"])
-def test_names_that_nothing_can_have_are_told(tmp_path: Path, name: str) -> None:
+def test_invalid_file_names_are_errors(tmp_path: Path, name: str) -> None:
     put(tmp_path, **{"list.txt": f"\n{name}\n", "data.yaml": "train: list.txt\nnames: [a]"})
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the dataset's folder, or is not a valid path"):

@@ -1,4 +1,4 @@
-"""YOLO's label files: where half a pixel lies, the round trip, and every way a line can be wrong."""
+"""YOLO label files: the pixel convention, round trips, and errors of invalid lines."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ NUMBERS = {"person": 0, "hand": 1}
 FILE = Path("labels/a.txt")
 
 
-def test_shares_are_measured_from_the_corner() -> None:
-    """Worked out by hand on a picture of 8 x 4 pixels: its corner is (-0.5, -0.5)."""
+def test_fractions_are_measured_from_the_corner() -> None:
+    """Computed by hand for an image of 8 x 4 pixels, whose corner is at (-0.5, -0.5)."""
     whole = Box2D("person", -0.5, -0.5, 7.5, 3.5)
     second_pixel = Box2D("hand", 0.5, -0.5, 1.5, 0.5)
     text = "0 0.5000000 0.5000000 1.0000000 1.0000000\n1 0.1875000 0.1250000 0.1250000 0.2500000\n"
@@ -28,7 +28,7 @@ def test_shares_are_measured_from_the_corner() -> None:
     assert dump_boxes([], NUMBERS, 8, 4) == "" and parse_boxes(FILE, " \n\n", NAMES) == ()
 
 
-def test_a_score_and_what_sticks_out_a_little() -> None:
+def test_a_score_is_read_and_boxes_are_clipped_to_the_image() -> None:
     (box,) = parse_boxes(FILE, "0 0.95 0.5 0.11 0.5 0.25\n", NAMES)
     assert box == YoloBox("person", (0.95, 0.5, 0.11, 0.5), 0.25)
     cut = box.on(100, 100)
@@ -37,7 +37,7 @@ def test_a_score_and_what_sticks_out_a_little() -> None:
 
 @st.composite
 def pictures(draw: st.DrawFn) -> tuple[tuple[int, int], list[Box2D]]:
-    """A picture's size and different boxes on it; every third of them touches an edge."""
+    """An image's size and different boxes on it, many of which touch an edge."""
     size = draw(st.integers(2, 5000)), draw(st.integers(2, 5000))
 
     def span(length: int) -> tuple[float, float]:
@@ -53,14 +53,14 @@ def pictures(draw: st.DrawFn) -> tuple[tuple[int, int], list[Box2D]]:
 
 
 @given(pictures())
-def test_ten_round_trips_lose_the_first_rounding_and_no_more(picture: tuple[tuple[int, int], list[Box2D]]) -> None:
+def test_ten_round_trips_round_only_once(picture: tuple[tuple[int, int], list[Box2D]]) -> None:
     size, boxes = picture
     back = boxes
     for _ in range(10):
         back = [box.on(*size) for box in parse_boxes(FILE, dump_boxes(back, NUMBERS, *size), NAMES)]
         assert [box.label for box in back] == [box.label for box in boxes]
         for box, want in zip(back, boxes, strict=True):
-            # seven decimals of a share: half of the last one in the centre, a quarter of it in half the size
+            # seven decimals of a fraction: half of the last digit for the centre, a quarter for half the size
             np.testing.assert_allclose(box.xyxy, want.xyxy, rtol=0, atol=1.5e-7 * max(size))
 
 
@@ -85,7 +85,7 @@ def test_ten_round_trips_lose_the_first_rounding_and_no_more(picture: tuple[tupl
         ("1 0.5 0.5 0.2 0.2", "the same box as in line 1"),
     ],
 )
-def test_a_broken_line_says_what_and_where(row: str, says: str) -> None:
+def test_errors_name_the_line(row: str, says: str) -> None:
     with pytest.raises(FormatError, match=rf"a\.txt:3: {says}|a\.txt:3: .*{says}"):
         parse_boxes(FILE, f"1 0.5 0.5 0.2 0.2\n\n{row}\n", NAMES)
 
@@ -95,9 +95,7 @@ rows = st.one_of(st.text(max_size=20), st.lists(numbers.map(repr), min_size=4, m
 
 
 @given(st.lists(rows, max_size=4), st.integers(1, 20000), st.integers(1, 20000))
-def test_whatever_a_file_holds_it_is_boxes_on_the_picture_or_an_error(
-    lines: list[str], width_px: int, height_px: int
-) -> None:
+def test_any_content_is_boxes_on_the_image_or_an_error(lines: list[str], width_px: int, height_px: int) -> None:
     try:
         boxes = parse_boxes(FILE, "\n".join(f"1 {line}" for line in lines), NAMES)
     except FormatError as error:

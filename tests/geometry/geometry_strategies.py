@@ -15,7 +15,7 @@ def vectors(reach: float = 1.0) -> st.SearchStrategy[np.ndarray]:
 
 @st.composite
 def rotations(draw: st.DrawFn) -> Rotation:
-    """Any rotation, and often one of the awkward ones: quarter and eighth turns about an axis."""
+    """Any rotation, often a degenerate one: multiples of 45 degrees about an axis."""
     if draw(st.booleans()):
         axis = np.eye(3)[draw(st.integers(0, 2))]
         return Rotation.from_rotvec(axis * draw(st.integers(0, 7)) * np.pi / 4)
@@ -35,7 +35,7 @@ def rigid_transforms(draw: st.DrawFn) -> RigidTransform:
 
 @st.composite
 def cameras(draw: st.DrawFn, size: tuple[int, int] = (64, 48)) -> Camera:
-    """A camera with no lens distortion, or a moderate one of every length that OpenCV knows."""
+    """A camera without lens distortion, or with moderate coefficients of any length that OpenCV supports."""
     width, height = size
     focal = draw(st.floats(0.9, 1.5)) * width
     ratio = draw(st.floats(0.95, 1.05))

@@ -31,17 +31,17 @@ def test_distort_agrees_with_opencv(camera: Camera) -> None:
 
 @settings(deadline=None)
 @given(cameras())
-def test_undistort_undoes_distort(camera: Camera) -> None:
+def test_undistort_inverts_distort(camera: Camera) -> None:
     xy = grid(0.6)
     np.testing.assert_allclose(undistort(camera.distortion, distort(camera.distortion, xy)), xy, atol=1e-8)
 
 
-def test_a_depth_camera_lens_is_undone_over_the_whole_image() -> None:
+def test_a_depth_camera_lens_is_inverted_over_the_whole_image() -> None:
     xy = grid(0.75)
     np.testing.assert_allclose(undistort(AZURE_KINECT, distort(AZURE_KINECT, xy)), xy, atol=1e-8)
 
 
-def test_strong_barrel_distortion_is_invertible_up_to_its_turning_point_only() -> None:
+def test_strong_barrel_distortion_is_inverted_up_to_its_turning_point() -> None:
     barrel = (-0.3, 0.0, 0.0, 0.0)
     # r - 0.3 r^3 grows up to r^2 = 1 / 0.9
     assert radius_limit_squared(barrel) == pytest.approx(1 / 0.9)
@@ -52,10 +52,10 @@ def test_strong_barrel_distortion_is_invertible_up_to_its_turning_point_only() -
     assert np.isnan(undistort(barrel, np.array([[1.5, 0.0]]))).all()
 
 
-def test_a_lens_that_always_grows_has_no_limit() -> None:
+def test_a_monotonic_lens_model_has_no_limit() -> None:
     assert radius_limit_squared((0.1, 0.01, 0.0, 0.0)) == np.inf
     assert radius_limit_squared(()) == np.inf
 
 
-def test_undistort_accepts_no_points() -> None:
+def test_undistort_accepts_an_empty_array() -> None:
     assert undistort(AZURE_KINECT, np.zeros((0, 2))).shape == (0, 2)

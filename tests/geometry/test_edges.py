@@ -13,7 +13,7 @@ from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox
 
 CAMERA = Camera(640, 480, 500.0, 510.0, 320.0, 235.0)
-BENT = Camera(640, 480, 500.0, 510.0, 320.0, 235.0, (-0.28, 0.09, 0.001, -0.0005, -0.012))
+DISTORTED = Camera(640, 480, 500.0, 510.0, 320.0, 235.0, (-0.28, 0.09, 0.001, -0.0005, -0.012))
 
 
 def box_at(x: float, y: float, z: float, size: float = 1.0, turn: float = 0.4) -> OrientedBox:
@@ -21,44 +21,44 @@ def box_at(x: float, y: float, z: float, size: float = 1.0, turn: float = 0.4) -
     return OrientedBox.from_parts(np.array([x, y, z]), rotation, np.array([size, 0.6 * size, 0.4 * size]))
 
 
-def test_a_box_in_full_view_has_its_twelve_edges() -> None:
+def test_a_box_in_full_view_has_twelve_edges() -> None:
     box = box_at(0.1, 0.0, 4.0)
     (pieces,) = visible_edges(CAMERA, [box])
     px = project(CAMERA, box_corners(box))
     assert np.allclose(pieces, px[np.array(EDGES)], atol=1e-6)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, BENT])
+@pytest.mark.parametrize("camera", [CAMERA, DISTORTED])
 @pytest.mark.parametrize(
     "place", [(0.0, 0.0, 3.0), (1.7, 0.2, 3.0), (-0.9, 0.8, 2.0), (0.0, 0.0, 0.4), (0.3, 0.1, 0.2)]
 )
-def test_the_pieces_have_the_extent_of_the_box(camera: Camera, place: tuple[float, float, float]) -> None:
+def test_the_visible_edges_stay_within_the_2d_box(camera: Camera, place: tuple[float, float, float]) -> None:
     box = box_at(*place)
     (pieces,) = visible_edges(camera, [box])
     spanned = box_on_image(camera, box, "x")
     assert spanned is not None
     inside = pieces.reshape(-1, 2).clip([-0.5, -0.5], [639.5, 479.5])
-    # a face may fill the picture beyond the edges that are seen, never the other way round
+    # a face may extend beyond the visible edges, but no edge beyond the faces
     assert (inside.min(axis=0) >= np.array(spanned.xyxy[:2]) - 0.1).all()
     assert (inside.max(axis=0) <= np.array(spanned.xyxy[2:]) + 0.1).all()
     assert np.isfinite(pieces).all()
 
 
-def test_invisible_boxes_have_no_pieces_and_the_order_is_kept() -> None:
+def test_invisible_boxes_have_no_edges_and_the_order_is_kept() -> None:
     behind, beside, shown = box_at(0, 0, -3.0), box_at(30.0, 0, 3.0), box_at(0, 0, 4.0)
     found = visible_edges(CAMERA, [behind, shown, beside])
     assert [len(pieces) for pieces in found] == [0, 12, 0]
     assert visible_edges(CAMERA, []) == []
 
 
-def test_edges_are_bent_on_a_distorted_image() -> None:
-    (pieces,) = visible_edges(BENT, [box_at(0.6, 0.4, 2.5)])
+def test_edges_are_curved_on_a_distorted_image() -> None:
+    (pieces,) = visible_edges(DISTORTED, [box_at(0.6, 0.4, 2.5)])
     assert len(pieces) == 12 * PIECES_DISTORTED
     ends = pieces.reshape(12, PIECES_DISTORTED, 2, 2)
-    assert np.allclose(ends[:, :-1, 1], ends[:, 1:, 0]), "the pieces of an edge follow each other"
+    assert np.allclose(ends[:, :-1, 1], ends[:, 1:, 0]), "the pieces of an edge are connected"
 
 
-def test_a_cut_segment_is_the_part_that_is_kept() -> None:
+def test_a_segment_is_cut_to_the_part_inside_all_planes() -> None:
     rng = np.random.default_rng(4)
     ends = rng.normal(size=(200, 2, 3))
     planes = np.column_stack([rng.normal(size=(5, 3)), np.full(5, -0.4)])

@@ -1,4 +1,4 @@
-"""Exact 3D IoU: laws, closed formulas, an independent computation, and pairs with known volumes."""
+"""Exact 3D IoU: properties, closed formulas, an independent computation, and pairs with known volumes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from annotator.geometry.iou import (
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
-# Turns that map a box's axes onto each other: the same box under another name.
+# Rotations that permute a box's axes: with its sizes permuted likewise, the box is the same.
 RELABELLINGS = [
     np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], np.float64),
     np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float64),
@@ -47,7 +47,7 @@ def volumes(a: list[OrientedBox], b: list[OrientedBox]) -> np.ndarray:
 
 
 def reference_volume(a: OrientedBox, b: OrientedBox) -> float:
-    """Half-space intersection around the centre of the largest ball inside, then the volume of its hull."""
+    """The volume by half-space intersection around the centre of the largest inscribed ball, and its convex hull."""
     planes = []
     for one in (a, b):
         normals = np.concatenate([one.rotation.T, -one.rotation.T])
@@ -69,7 +69,7 @@ def reference_volume(a: OrientedBox, b: OrientedBox) -> float:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("swapped", [False, True])
-def test_golden_pairs(shared: Path, swapped: bool) -> None:
+def test_volumes_equal_those_of_the_golden_pairs(shared: Path, swapped: bool) -> None:
     with (shared / "golden" / "iou3d_pairs.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 100
@@ -98,14 +98,14 @@ def test_golden_pairs(shared: Path, swapped: bool) -> None:
 
 @settings(deadline=None, max_examples=100)
 @given(boxes(), boxes())
-def test_symmetric_and_within_0_and_1(a: OrientedBox, b: OrientedBox) -> None:
+def test_iou_is_symmetric_and_within_0_and_1(a: OrientedBox, b: OrientedBox) -> None:
     assert 0.0 <= iou_3d(a, b) <= 1.0
     assert iou_3d(a, b) == pytest.approx(iou_3d(b, a), abs=1e-10)
 
 
 @settings(deadline=None, max_examples=100)
 @given(boxes())
-def test_a_box_overlaps_itself_completely_under_every_name(a: OrientedBox) -> None:
+def test_a_box_with_permuted_axes_has_an_iou_of_1(a: OrientedBox) -> None:
     assert iou_3d(a, a) == pytest.approx(1.0, abs=1e-12)
     for turn in RELABELLINGS:
         renamed = box(a.center_m, np.abs(turn.T) @ a.size_m, a.rotation @ turn)
@@ -114,7 +114,7 @@ def test_a_box_overlaps_itself_completely_under_every_name(a: OrientedBox) -> No
 
 @settings(deadline=None, max_examples=100)
 @given(boxes(), boxes(), rigid_transforms())
-def test_invariant_under_a_common_motion(a: OrientedBox, b: OrientedBox, T_dst_camera: RigidTransform) -> None:
+def test_iou_is_invariant_under_a_common_motion(a: OrientedBox, b: OrientedBox, T_dst_camera: RigidTransform) -> None:
     moved = iou_3d(a.transformed(T_dst_camera), b.transformed(T_dst_camera))
     assert moved == pytest.approx(iou_3d(a, b), abs=1e-10)
 
@@ -125,8 +125,10 @@ extent = st.tuples(*[st.integers(1, 4)] * 3)
 
 @settings(deadline=None, max_examples=100)
 @given(corner, extent, corner, extent, rotations(), st.sampled_from(RELABELLINGS))
-def test_aligned_boxes_follow_the_closed_formula(low_a, size_a, low_b, size_b, common: Rotation, turn) -> None:
-    """On a lattice, so that faces, edges and corners coincide in every way; turned as a pair."""
+def test_volumes_of_aligned_boxes_equal_the_closed_formula(
+    low_a, size_a, low_b, size_b, common: Rotation, turn
+) -> None:
+    """Boxes on a lattice, so that faces, edges and corners coincide in every way, rotated as a pair."""
     low_a, size_a, low_b, size_b = (0.5 * np.array(v) for v in (low_a, size_a, low_b, size_b))
     overlap = np.minimum(low_a + size_a, low_b + size_b) - np.maximum(low_a, low_b)
     expected = np.maximum(overlap, 0.0).prod()
@@ -135,7 +137,7 @@ def test_aligned_boxes_follow_the_closed_formula(low_a, size_a, low_b, size_b, c
     assert volumes([a], [b])[0] == pytest.approx(expected, rel=1e-10, abs=1e-11)
 
 
-def test_random_pairs_against_an_independent_computation() -> None:
+def test_volumes_of_random_pairs_agree_with_an_independent_computation() -> None:
     a, b = random_boxes(150, 1), random_boxes(150, 2)
     expected = [reference_volume(one, other) for one, other in zip(a, b, strict=True)]
     assert np.count_nonzero(expected) > 100
@@ -144,14 +146,14 @@ def test_random_pairs_against_an_independent_computation() -> None:
 
 @settings(deadline=None, max_examples=100)
 @given(boxes(0.5), boxes(0.5))
-def test_awkward_pairs_against_an_independent_computation(a: OrientedBox, b: OrientedBox) -> None:
-    """The strategy likes quarter and eighth turns, equal sizes and centres."""
+def test_volumes_of_degenerate_pairs_agree_with_an_independent_computation(a: OrientedBox, b: OrientedBox) -> None:
+    """The strategy prefers multiples of 45 degrees, equal sizes and equal centres."""
     assert volumes([a], [b])[0] == pytest.approx(reference_volume(a, b), rel=1e-7, abs=1e-5)
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 1e-16, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6])
-def test_boxes_that_differ_by_a_breath_of_rotation(tilt_rad: float) -> None:
-    """Nearly coplanar faces cross somewhere in rounding; what is lost never exceeds what a tilt can cut off."""
+def test_boxes_that_differ_by_a_tiny_rotation_lose_almost_no_volume(tilt_rad: float) -> None:
+    """Where nearly coplanar faces cross depends on rounding; the loss never exceeds what the tilt can cut off."""
     count = 4000
     rng = np.random.default_rng(3)
     centers, sizes = rng.normal(size=(count, 3)), rng.uniform(0.3, 2.0, (count, 3))
@@ -179,13 +181,13 @@ DIAGONAL = Rotation.from_rotvec(np.arctan(np.sqrt(2.0)) * np.array([1.0, -1.0, 0
         (box((0, 0, 0), (0.5, 0.5, 0.5)), 0.125),
         (box((0.25, 0.25, 0.25), (0.5, 0.5, 0.5)), 0.125),  # contained, three faces shared
         (box((0, 0, 0), (1, 1, 1e-6)), 1e-6),
-        (box((0, 0, 0.5), (1, 1, 1e-6)), 0.5e-6),  # a sheet half through a face
+        (box((0, 0, 0.5), (1, 1, 1e-6)), 0.5e-6),  # a sheet, half of it outside
         (box((0, 0, 0), (10, 10, 10), DIAGONAL), 1.0),
         (box((0, 0, 0), (1, 1, 1), EIGHTH), 2.0 * (np.sqrt(2.0) - 1.0)),  # a regular octagon
-        (box((0, 0, 0), (2**0.5, 2**0.5, 1), EIGHTH), 1.0),  # all four uprights inside faces
-        (box((0, 0, 0), (0.5**0.5, 0.5**0.5, 1), EIGHTH), 0.5),  # all four uprights in the unit box's faces
-        (box((0.5 + 0.5**0.5, 0, 0), (1, 1, 1), EIGHTH), 0.0),  # an upright edge touches a face
-        (box((0, 0, 0), (9, 9, 1e-4), DIAGONAL), 1e-4 * 0.75 * 3**0.5),  # the regular hexagon through the middle
+        (box((0, 0, 0), (2**0.5, 2**0.5, 1), EIGHTH), 1.0),  # all four vertical edges lie in faces
+        (box((0, 0, 0), (0.5**0.5, 0.5**0.5, 1), EIGHTH), 0.5),  # all four vertical edges lie in the unit box's faces
+        (box((0.5 + 0.5**0.5, 0, 0), (1, 1, 1), EIGHTH), 0.0),  # a vertical edge touches a face
+        (box((0, 0, 0), (9, 9, 1e-4), DIAGONAL), 1e-4 * 0.75 * 3**0.5),  # the regular hexagon through the centre
         (box((0, 0, 0.5), (9, 9, 1.0 - 1e-12)), 0.5),
     ],
 )
@@ -196,14 +198,14 @@ def test_known_volumes_with_a_unit_box(b: OrientedBox, expected: float) -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e-2, 1e2, 1e4])
-def test_volumes_scale_with_the_cube(scale: float) -> None:
+def test_volumes_scale_with_the_third_power(scale: float) -> None:
     a, b = parts(random_boxes(50, 5)), parts(random_boxes(50, 6))
     expected = intersection_volume_pairs(*a, *b)
     scaled = intersection_volume_pairs(a[0] * scale, a[1], a[2] * scale, b[0] * scale, b[1], b[2] * scale)
     np.testing.assert_allclose(scaled / scale**3, expected, rtol=1e-9, atol=1e-13)
 
 
-def test_far_from_the_origin_only_the_difference_of_the_centres_counts() -> None:
+def test_volumes_far_from_the_origin_are_as_accurate() -> None:
     a, b = parts(random_boxes(50, 5)), parts(random_boxes(50, 6))
     far = np.array([1e3, -2e3, 5e2])
     moved = intersection_volume_pairs(a[0] + far, a[1], a[2], b[0] + far, b[1], b[2])
@@ -217,7 +219,7 @@ def test_a_small_box_in_a_large_one_keeps_its_precision() -> None:
     np.testing.assert_allclose(volumes(large, small), [one.volume_m3 for one in small], rtol=1e-12)
 
 
-def test_a_long_list_is_the_same_as_one_pair_at_a_time() -> None:
+def test_many_pairs_are_computed_as_single_ones() -> None:
     a, b = random_boxes(400, 8), random_boxes(400, 9)
     together = iou_3d_pairs(a, b)
     np.testing.assert_allclose(together[::40], [iou_3d(a[i], b[i]) for i in range(0, 400, 40)], rtol=1e-12)
@@ -237,7 +239,7 @@ def test_matrix_and_chosen_pairs_agree_with_pairs() -> None:
     assert not matrix[far].any()
 
 
-def test_empty_lists() -> None:
+def test_empty_lists_give_empty_results() -> None:
     assert iou_3d_pairs([], []).shape == (0,)
     assert iou_3d_matrix([], [UNIT]).shape == (0, 1)
     assert iou_3d_matrix([UNIT], []).shape == (1, 0)

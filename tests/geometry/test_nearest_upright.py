@@ -1,4 +1,4 @@
-"""The nearest upright box: against a search over all upright boxes, and boxes that are upright already."""
+"""The nearest upright box, compared with a search over all yaws, and for boxes that are already upright."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @given(st.floats(-3.1, 3.1))
-def test_an_upright_box_comes_back(yaw: float) -> None:
+def test_an_upright_box_is_unchanged(yaw: float) -> None:
     box = OrientedBox.from_parts(CENTER, upright(yaw), SIZE)
     found, tilt = nearest_upright(box, UP)
     assert tilt < 1e-7
@@ -52,7 +52,7 @@ def test_no_other_upright_rotation_is_nearer(seed: int, lean: float) -> None:
     np.testing.assert_array_equal(found.size_m, SIZE)
 
 
-def test_upside_down_is_the_same_solid_with_the_same_heading() -> None:
+def test_a_box_upside_down_keeps_its_heading() -> None:
     R = upright(0.4) @ np.diag([1.0, -1.0, -1.0])
     box = OrientedBox.from_parts(CENTER, R, SIZE)
     found, tilt = nearest_upright(box, UP)
@@ -62,7 +62,7 @@ def test_upside_down_is_the_same_solid_with_the_same_heading() -> None:
 
 @pytest.mark.parametrize("roll", [np.pi / 2, -np.pi / 2])
 def test_a_box_that_lies_on_its_side_keeps_its_length(roll: float) -> None:
-    """Turned about its length: the height and the width change places."""
+    """Rotated about its length: height and width are swapped."""
     R = upright(0.4) @ Rotation.from_rotvec([roll, 0.0, 0.0]).as_matrix()
     box = OrientedBox.from_parts(CENTER, R, SIZE)
     found, tilt = nearest_upright(box, UP)
@@ -72,7 +72,7 @@ def test_a_box_that_lies_on_its_side_keeps_its_length(roll: float) -> None:
 
 
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, 1.4])
-def test_a_box_that_stands_on_its_end(pitch: float) -> None:
+def test_a_box_that_stands_on_end_has_its_length_as_height(pitch: float) -> None:
     R = upright(0.4) @ Rotation.from_rotvec([0.0, pitch, 0.0]).as_matrix()
     found, tilt = nearest_upright(OrientedBox.from_parts(CENTER, R, SIZE), UP)
     assert tilt == pytest.approx(abs(abs(pitch) - np.pi / 2), abs=1e-6)

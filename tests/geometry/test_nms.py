@@ -25,21 +25,23 @@ ROW = [cube(0.0), cube(0.2), cube(0.4), cube(5.0)]
 @pytest.mark.parametrize(
     ("scores", "labels", "threshold", "kept"),
     [
-        ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.5, [0, 2, 3]),  # what was dropped drops nothing itself
+        ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.5, [0, 2, 3]),  # a dropped box suppresses nothing
         ((0.8, 0.9, 0.7, 0.6), "aaaa", 0.5, [1, 3]),
         ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.3, [0, 3]),
         ((0.9, 0.8, 0.7, 0.6), "aaaa", 0.7, [0, 1, 2, 3]),
-        ((0.9, 0.8, 0.7, 0.6), "abaa", 0.5, [0, 1, 2, 3]),  # classes do not see each other
+        ((0.9, 0.8, 0.7, 0.6), "abaa", 0.5, [0, 1, 2, 3]),  # boxes of different classes do not suppress each other
         ((0.5, 0.5, 0.5, 0.5), "aaaa", 0.5, [0, 2, 3]),  # ties: the lower index wins
         ((0.5, 0.5, 0.5, 0.6), "aaaa", 0.3, [3, 0]),
         ((0.1, 0.2, 0.3, 0.4), "abab", 0.3, [3, 2, 1]),
     ],
 )
-def test_cases(scores: tuple[float, ...], labels: str, threshold: float, kept: list[int]) -> None:
+def test_overlapping_boxes_of_a_class_are_suppressed_by_score(
+    scores: tuple[float, ...], labels: str, threshold: float, kept: list[int]
+) -> None:
     assert nms_3d(ROW, np.array(scores), list(labels), threshold).tolist() == kept
 
 
-def test_an_iou_on_the_threshold_is_kept() -> None:
+def test_a_box_with_an_iou_at_the_threshold_is_kept() -> None:
     pair = [cube(0.0), cube(0.0)]
     iou = iou_3d(*pair)
     assert nms_3d(pair, np.array([0.5, 0.4]), ["a", "a"], iou).tolist() == [0, 1]
@@ -48,8 +50,8 @@ def test_an_iou_on_the_threshold_is_kept() -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(st.integers(0, 1000), st.integers(0, 25), st.floats(0.05, 0.9))
-def test_laws(seed: int, count: int, threshold: float) -> None:
-    """Kept boxes leave each other alone; each dropped one has a better kept one of its class on top of it."""
+def test_a_box_is_dropped_exactly_if_a_better_kept_box_overlaps_it(seed: int, count: int, threshold: float) -> None:
+    """Kept boxes do not overlap above the threshold; each dropped box overlaps a better kept box of its class."""
     rng = np.random.default_rng(seed)
     some = random_boxes(count, seed)
     scores = rng.integers(0, 5, count) / 4.0

@@ -1,4 +1,4 @@
-"""Normals of depth images and of loose points."""
+"""Normals of depth images and of unordered points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def degrees_off(normals: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def degrees_bent(camera: Camera) -> np.ndarray:
-    """By how much the image's scale and direction change, at most, within half a window of each pixel."""
+    """The largest change of the image's scale and direction within half a window of each pixel, degrees."""
     size = (camera.height_px, camera.width_px)
     scale = np.broadcast_to(px_per_ray(camera), (*size, 2, 2)).astype(np.float64)
     padded = np.pad(scale, ((4, 4), (4, 4), (0, 0), (0, 0)), mode="edge")
@@ -53,27 +53,27 @@ def test_normals_of_a_plane_point_towards_the_camera(camera: Camera, normal: np.
     seen = known(normals)
     assert not normals[depth == 0].any()
     np.testing.assert_allclose(np.linalg.norm(normals[seen], axis=-1), 1.0, atol=1e-5)
-    # depth after distance across, where the plane is not too steep to be told from a jump
+    # the change of depth per distance across; steeper planes cannot be distinguished from jumps
     steepness = np.linalg.norm(normal[:2]) * depth / distance_m
     fair = (depth > 0) & (steepness < 1.8)
     assert seen[fair].all()
-    # at the border the window reaches to one side only, so that what the lens bends within it counts
+    # at the border the window extends to one side only, so lens distortion within it matters
     off = np.where(fair, degrees_off(normals, -normal), 0.0)
     assert (off <= 0.1 + 0.6 * degrees_bent(camera)).all()
-    # 64 pixels across, so that is as much as within 100 pixels of a real camera
+    # the images are 64 px wide: 4 px here correspond to 40 px of a real camera
     assert off[4:-4, 4:-4].max() < 0.5
 
 
-def test_normals_stay_sharp_at_a_depth_jump() -> None:
-    """The edge of a box before a wall: no pixel sees the slope between the two."""
+def test_normals_are_not_blurred_at_a_depth_jump() -> None:
+    """A box in front of a wall: no normal is computed across the edge."""
     depth = np.full((120, 160), 2.0, np.float32)
     depth[40:80, 60:100] = 1.5
     normals = normals_from_depth(PINHOLE, depth)
     np.testing.assert_allclose(normals, np.broadcast_to([0.0, 0.0, -1.0], normals.shape), atol=1e-4)
 
 
-def test_normals_bend_at_a_crease_only() -> None:
-    """Two walls that meet in a corner: each keeps its normal up to the reach of the window."""
+def test_normals_change_only_at_a_crease() -> None:
+    """Two walls that meet in a corner: each keeps its normal up to the window's radius."""
     left, right = unit(np.array([1.0, 0.0, 1.0])), unit(np.array([-1.0, 0.0, 1.0]))
     depth = np.minimum(plane_depth(PINHOLE, left, 2.0), plane_depth(PINHOLE, right, 2.0))
     normals = normals_from_depth(PINHOLE, depth)
@@ -124,7 +124,7 @@ def sphere(count: int, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (outward + center).astype(np.float32), outward
 
 
-def test_normals_of_loose_points_on_a_sphere() -> None:
+def test_normals_of_unordered_points_on_a_sphere_point_to_the_sensor() -> None:
     points, outward = sphere(5000, np.array([0.0, 1.0, 4.0]))
     normals = normals_knn(points)
     assert normals.dtype == np.float32
@@ -135,7 +135,7 @@ def test_normals_of_loose_points_on_a_sphere() -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(rotations(), st.integers(3, 40))
-def test_normals_of_loose_points_turn_with_the_cloud(rotation: Rotation, k: int) -> None:
+def test_normals_of_unordered_points_rotate_with_the_cloud(rotation: Rotation, k: int) -> None:
     points, _ = sphere(60, np.array([0.0, 0.0, 5.0]))
     turned = rotation.apply(points.astype(np.float64))
     expected = rotation.apply(normals_knn(points, k).astype(np.float64))

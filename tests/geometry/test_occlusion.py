@@ -1,4 +1,4 @@
-"""Occlusion of boxes in scenes with a known result, and images without lens distortion."""
+"""Occlusion of boxes in scenes with a known result, and undistorted images."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def points(depth_m: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("left_m", "right_m", "margin_m", "share"),
     [
-        (4.0, 4.0, 0.0, 0.0),  # its own front, to the rounding
-        (4.5, 9.0, 0.0, 0.0),  # inside it, and a wall behind that is seen through it
+        (4.0, 4.0, 0.0, 0.0),  # the box's own front, up to rounding
+        (4.5, 9.0, 0.0, 0.0),  # points inside the box, and a wall seen through it
         (2.0, 9.0, 0.0, 0.5),
         (2.0, 3.9, 0.2, 0.5),
         (2.0, 3.9, 0.05, 1.0),
@@ -48,7 +48,7 @@ def test_a_box_around_the_camera_is_not_hidden() -> None:
     assert hidden.share == 0.0
 
 
-def test_a_straightened_image_shows_points_where_the_ideal_camera_has_them() -> None:
+def test_an_undistorted_image_shows_points_where_the_ideal_camera_projects_them() -> None:
     lens = Camera(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.2, 0.05, 0.001, 0.002))
     spot = np.array([[0.3, -0.2, 1.0]])
     u, v = np.rint(project(lens, spot)[0]).astype(int)

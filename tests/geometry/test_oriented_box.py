@@ -24,14 +24,14 @@ from annotator.types import Box2D, OrientedBox
 from annotator.types.errors import GeometryError
 
 
-def test_the_order_of_the_corners() -> None:
+def test_corners_have_the_documented_order() -> None:
     names = ["".join("+" if sign > 0 else "-" for sign in row) for row in CORNER_SIGNS]
     assert names == ["---", "+--", "++-", "-+-", "--+", "+-+", "+++", "-++"]
     box = OrientedBox.from_parts(np.array([1.0, 2.0, 3.0]), np.eye(3), np.array([2.0, 4.0, 6.0]))
     np.testing.assert_allclose(box_corners(box)[[0, 1, 6]], [[0, 0, 0], [2, 0, 0], [2, 4, 6]])
 
 
-def test_edges_join_corners_that_differ_along_one_axis() -> None:
+def test_edges_connect_corners_that_differ_along_one_axis() -> None:
     changes = [np.count_nonzero(CORNER_SIGNS[a] != CORNER_SIGNS[b]) for a, b in EDGES]
     assert changes == [1] * 12
     assert len({frozenset(edge) for edge in EDGES}) == 12
@@ -47,7 +47,7 @@ def test_corners_move_with_the_box(box: OrientedBox, T_dst_camera: RigidTransfor
 
 @settings(deadline=None)
 @given(st.lists(boxes(), min_size=1, max_size=4))
-def test_many_boxes_at_once(some: list[OrientedBox]) -> None:
+def test_corners_of_many_boxes_equal_those_of_single_ones(some: list[OrientedBox]) -> None:
     parts = [np.array([getattr(box, name) for box in some]) for name in ("center_m", "rotation", "size_m")]
     np.testing.assert_allclose(corners(*parts), [box_corners(box) for box in some], atol=1e-12)
     nested = corners(*[part[None, None] for part in parts])
@@ -56,7 +56,7 @@ def test_many_boxes_at_once(some: list[OrientedBox]) -> None:
 
 @settings(deadline=None)
 @given(boxes(), st.floats(0.5, 1.5), st.sampled_from([np.float32, np.float64]))
-def test_corners_are_inside_exactly_if_the_box_has_not_shrunk(box: OrientedBox, scale: float, dtype: type) -> None:
+def test_corners_are_inside_an_enlarged_and_outside_a_shrunk_box(box: OrientedBox, scale: float, dtype: type) -> None:
     points = box_corners(box).astype(dtype)
     if abs(scale - 1.0) < 1e-3:
         return
@@ -79,19 +79,19 @@ def test_a_box_without_extent_contains_no_points() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_nan_points_are_outside_and_no_points_are_no_mask(dtype: type) -> None:
+def test_nan_points_are_outside_and_an_empty_cloud_gives_an_empty_mask(dtype: type) -> None:
     box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
     assert contains(box, np.array([[np.nan, 0, 0], [0, 0, 0]], dtype)).tolist() == [False, True]
     assert contains(box, np.zeros((0, 3), dtype)).shape == (0,)
 
 
-def test_the_surface_belongs_to_the_box() -> None:
+def test_points_on_the_surface_are_inside() -> None:
     box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
     assert contains(box, np.array([[0.5, 0.5, 0.5], [0.5, 0.0, 0.0]])).all()
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_inside_is_inside_along_each_axis(dtype: type) -> None:
+def test_a_point_is_inside_if_it_is_inside_along_each_axis(dtype: type) -> None:
     rng = np.random.default_rng(0)
     wide = rng.normal(size=(3000, 5)).astype(dtype)
     wide[::7, 1] = np.nan
@@ -101,7 +101,7 @@ def test_inside_is_inside_along_each_axis(dtype: type) -> None:
             off = np.abs(np.abs(along) - box.size_m / 2).min(axis=1)
             expected = (np.abs(along) <= box.size_m / 2).all(axis=1)
             assert expected.any()
-            clear = ~(off < 1e-5)  # the others are on the surface but for rounding
+            clear = ~(off < 1e-5)  # the others are on the surface, up to rounding
             np.testing.assert_array_equal(contains(box, points)[clear], expected[clear])
 
 
@@ -111,7 +111,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 @pytest.mark.parametrize(
     "rotation",
     [MIRROR, np.zeros((3, 3)), 1.01 * np.eye(3), 1e200 * np.eye(3), np.nan * np.eye(3), np.eye(3) + 0.01, -np.eye(3)],
-    ids=["mirror", "nothing", "longer", "huge", "not numbers", "slanted", "turned inside out"],
+    ids=["mirror", "zeros", "scaled", "huge", "NaN", "sheared", "point reflection"],
 )
 def test_a_matrix_that_is_not_a_rotation_is_refused(rotation: np.ndarray) -> None:
     with pytest.raises(ValueError, match="proper rotation matrix"):
@@ -145,7 +145,7 @@ def test_invalid_positions_and_sizes_are_refused(center: list[float], size: list
 
 
 @pytest.mark.parametrize("edges", [(0, 0, np.nan, 1), (0, -np.inf, 1, 1), (1, 0, 1, 1), (0, 2, 1, 1)])
-def test_a_2d_box_has_finite_edges_in_order(edges: tuple[float, ...]) -> None:
+def test_a_2d_box_with_non_finite_or_unordered_edges_is_refused(edges: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"finite|positive width"):
         Box2D("thing", *map(float, edges))
 
@@ -164,7 +164,7 @@ def test_an_aligned_box_touches_the_points_on_every_side(points: np.ndarray, rot
     np.testing.assert_allclose(found.size_m, np.maximum(extents, MIN_SIDE_M), atol=1e-9)
 
 
-def test_an_aligned_box_of_one_point_is_small_and_of_no_points_is_refused() -> None:
+def test_an_aligned_box_has_a_minimum_size_and_needs_a_point() -> None:
     found = aligned_box(np.array([[1.0, 2.0, 3.0]]), np.eye(3))
     np.testing.assert_array_equal(found.size_m, MIN_SIDE_M)
     np.testing.assert_allclose(found.center_m, [1.0, 2.0, 3.0])

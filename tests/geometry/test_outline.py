@@ -13,8 +13,8 @@ from annotator.geometry.outline import FACES, NEAR_M, box_on_image, cut_polygon,
 from annotator.types import Camera, OrientedBox
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
-FISHY = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
-# a model that turns back within the picture: its corners have no ray
+DISTORTED = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.2, 0.03, 0.001, -0.001))
+# a lens model that folds back within the image: its corners have no ray
 FOLDING = Camera(200, 160, 150.0, 150.0, 99.5, 79.5, (-0.5, 0.0, 0.0, 0.0))
 
 
@@ -23,7 +23,7 @@ def straight_box(center: tuple[float, ...], size: tuple[float, ...]) -> Oriented
 
 
 def surface_px(camera: Camera, box: OrientedBox, steps: int = 41) -> np.ndarray:
-    """Pixels within the picture of samples of the box's surface in front of the camera."""
+    """Samples of the box's surface in front of the camera, as pixels within the image."""
     a, b = (grid.reshape(-1) for grid in np.meshgrid(*[np.linspace(-1, 1, steps)] * 2))
     local = [np.roll(np.column_stack([np.full(len(a), side), a, b]), k, 1) for k in range(3) for side in (-1.0, 1.0)]
     xyz = box.T_camera_box.apply(np.concatenate(local) * box.size_m / 2)
@@ -46,12 +46,12 @@ def test_faces_are_the_six_faces() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(boxes(2.0), cameras((200, 160)))
-def test_the_box_is_the_extent_of_the_visible_part(box: OrientedBox, camera: Camera) -> None:
-    """Boxes about the camera too: beside it, behind it, around it."""
+def test_the_2d_box_is_the_extent_of_the_visible_part(box: OrientedBox, camera: Camera) -> None:
+    """Also for boxes beside, behind and around the camera."""
     px = surface_px(camera, box)
     found = box_on_image(camera, box, "thing", 1e-6)
     if len(px) == 0:
-        # the samples are 3 cm apart, which is much on the image near the camera
+        # the samples are 3 cm apart, which is far apart on the image near the camera
         assert found is None or min(found.width_px, found.height_px) < 70
         return
     assert found is not None and found.label == "thing"
@@ -65,9 +65,9 @@ def test_the_box_is_the_extent_of_the_visible_part(box: OrientedBox, camera: Cam
         np.testing.assert_allclose(got, np.concatenate([low, high]), atol=12.0)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, FISHY])
+@pytest.mark.parametrize("camera", [CAMERA, DISTORTED])
 @pytest.mark.parametrize("turn", [0.0, 0.3, 0.9])
-def test_a_box_in_the_middle_of_the_picture_is_exact(camera: Camera, turn: float) -> None:
+def test_the_2d_box_of_a_box_in_full_view_is_exact(camera: Camera, turn: float) -> None:
     rotation = cv2.Rodrigues(np.array([turn, -turn / 2, turn / 3]))[0]
     box = OrientedBox.from_parts(np.array([0.1, -0.1, 4.0]), rotation, np.array([1.0, 0.6, 0.8]))
     px = surface_px(camera, box, 201)
@@ -76,18 +76,18 @@ def test_a_box_in_the_middle_of_the_picture_is_exact(camera: Camera, turn: float
     np.testing.assert_allclose(found.xyxy, np.concatenate([px.min(axis=0), px.max(axis=0)]), atol=0.02)
 
 
-def test_a_box_with_a_corner_behind_the_camera_has_the_box_of_its_visible_part() -> None:
-    """A wall along the right side: its near end, beside the camera, is out of the picture and must not count."""
-    # from 1 m behind to 5 m before the camera, 1 m to the right, 0.2 m to 0.3 m below the axis
+def test_a_box_that_extends_behind_the_camera_has_the_2d_box_of_its_visible_part() -> None:
+    """A wall along the right side: its near end, beside the camera, is outside the image and must not count."""
+    # from 1 m behind to 5 m in front of the camera, 1 m to the right, 0.2 m to 0.3 m below the axis
     wall = straight_box((1.05, 0.25, 2.0), (0.1, 0.1, 6.0))
     found = box_on_image(CAMERA, wall, "wall")
     assert found is not None
-    # it leaves the picture on the right, where it is 1.0 * 150 / 100 = 1.5 m away and reaches 30 px below the axis
+    # it leaves the image on the right, where it is 1.0 * 150 / 100 = 1.5 m away and extends 30 px below the axis
     expected = (99.5 + 150 / 5, 79.5 + 0.2 * 150 / 5, 199.5, 79.5 + 0.3 * 150 / 1.5)
     assert found.xyxy == pytest.approx(expected)
 
 
-def test_a_box_cut_off_at_a_slant_is_not_wider_than_its_visible_part() -> None:
+def test_a_diagonal_box_cut_by_the_image_border_has_the_2d_box_of_its_visible_part() -> None:
     turned = cv2.Rodrigues(np.array([0.0, 0.0, np.pi / 4]))[0]
     stick = OrientedBox.from_parts(np.array([0.0, 1.0, 3.0]), turned, np.array([3.0, 0.01, 0.01]))
     found = box_on_image(CAMERA, stick, "stick")
@@ -97,35 +97,35 @@ def test_a_box_cut_off_at_a_slant_is_not_wider_than_its_visible_part() -> None:
     assert found.x_max < 160
 
 
-def test_around_the_camera_is_the_whole_picture() -> None:
-    for camera in (CAMERA, FISHY):
+def test_the_2d_box_of_a_box_around_the_camera_is_the_whole_image() -> None:
+    for camera in (CAMERA, DISTORTED):
         found = box_on_image(camera, straight_box((0.0, 0.0, 0.0), (3.0, 3.0, 3.0)), "room")
         assert found is not None
         assert found.xyxy == pytest.approx((-0.5, -0.5, 199.5, 159.5))
 
 
 @pytest.mark.parametrize("center", [(0.0, 0.0, -3.0), (9.0, 0.0, 3.0), (0.0, -9.0, 3.0), (30.0, 0.0, 0.2)], ids=str)
-@pytest.mark.parametrize("camera", [CAMERA, FISHY, FOLDING], ids=["ideal", "fishy", "folding"])
+@pytest.mark.parametrize("camera", [CAMERA, DISTORTED, FOLDING], ids=["ideal", "distorted", "folding"])
 def test_objects_outside_the_image_have_no_box(camera: Camera, center: tuple[float, ...]) -> None:
     assert box_on_image(camera, straight_box(center, (1.0, 1.0, 1.0)), "thing") is None
 
 
-def test_a_lens_model_that_folds_back_shows_a_box_as_far_as_it_reaches() -> None:
-    # the model ends at 0.816 off the axis, at 0.544 on the image: 81.6 px from its centre
+def test_the_2d_box_ends_where_the_lens_model_folds_back() -> None:
+    # the model is valid up to 0.816 off the axis, which is at 0.544 on the image: 81.6 px from its centre
     found = box_on_image(FOLDING, straight_box((2.0, 0.0, 2.0), (4.0, 0.2, 0.1)), "bar")
     assert found is not None
     assert found.x_min == pytest.approx(99.5, abs=0.01)
     assert 99.5 + 81.0 < found.x_max < 99.5 + 81.7
 
 
-def test_slivers_give_no_box() -> None:
+def test_2d_boxes_below_the_minimum_size_are_dropped() -> None:
     far = straight_box((0.0, 0.0, 100.0), (1.0, 1.0, 1.0))
     assert box_on_image(CAMERA, far, "far") is None
     small = box_on_image(CAMERA, far, "far", 1.0)
     assert small is not None and small.width_px == pytest.approx(150 / 99.5)
 
 
-def test_the_box_of_points_covers_those_on_the_image() -> None:
+def test_the_2d_box_of_points_contains_those_on_the_image() -> None:
     xyz = np.array([[0.0, 0.0, 2.0], [0.4, 0.2, 2.0], [5.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.02, 0.05]], np.float32)
     found = points_on_image(CAMERA, xyz, "a")
     assert found is not None and found.xyxy == pytest.approx((99.5, 79.5, 129.5, 94.5), abs=1e-4)
@@ -133,7 +133,7 @@ def test_the_box_of_points_covers_those_on_the_image() -> None:
     assert points_on_image(CAMERA, xyz[:1], "a") is None
 
 
-def test_cutting_a_square() -> None:
+def test_a_polygon_is_cut_by_half_planes() -> None:
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     assert cut_polygon(square, np.array([[1.0, 0.0, -1.0]])) is square
     np.testing.assert_allclose(

@@ -14,7 +14,7 @@ from annotator.types import OrientedBox
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.floats(-0.1, 0.3), st.floats(0.01, 20))
-def test_the_same_points_as_without(seed: int, margin_m: float, size: float) -> None:
+def test_the_index_finds_the_same_points_as_a_full_search(seed: int, margin_m: float, size: float) -> None:
     rng = np.random.default_rng(seed)
     xyz = (rng.normal(size=(rng.integers(1, 400), 3)) * [1, 3, 9]).astype(np.float32)
     sides = size * rng.uniform(0.2, 1, 3)
@@ -25,7 +25,7 @@ def test_the_same_points_as_without(seed: int, margin_m: float, size: float) -> 
     assert index.count(box, margin_m) == len(wanted)
 
 
-def test_an_empty_cloud() -> None:
+def test_the_index_of_an_empty_cloud_finds_nothing() -> None:
     index = PointIndex.of(np.zeros((0, 3), np.float32))
     box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
     assert index.count(box) == 0

@@ -47,7 +47,7 @@ def test_project_agrees_with_opencv(camera: Camera) -> None:
 
 
 def test_the_centre_of_the_first_pixel_is_0_0() -> None:
-    """The one convention of pixels: a ray through K^-1 (0, 0, 1) lands on (0, 0), the corner is at -0.5."""
+    """The pixel convention: the ray K^-1 (0, 0, 1) projects to (0, 0), and the image's corner is at -0.5."""
     ray = np.linalg.inv(PINHOLE.matrix) @ [0.0, 0.0, 1.0]
     np.testing.assert_allclose(project(PINHOLE, 3.0 * ray[None]), [[0.0, 0.0]], atol=1e-12)
     depth = np.zeros((480, 640), np.float32)
@@ -66,7 +66,7 @@ def test_points_behind_the_camera_have_no_pixel(point: tuple[float, ...], distor
     np.testing.assert_allclose(both[1], [320.0, 240.0])
 
 
-def test_a_point_far_beyond_the_lens_is_not_folded_back_into_the_image() -> None:
+def test_a_point_beyond_the_lens_models_range_is_not_folded_back_into_the_image() -> None:
     camera = Camera(640, 480, 400.0, 400.0, 320.0, 240.0, (-0.3, 0.0, 0.0, 0.0))
     far_aside = np.array([[1.8, 0.0, 1.0]])
     folded = cv2.projectPoints(far_aside, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))[0]
@@ -82,7 +82,7 @@ def test_undistort_px_gives_the_ray_of_a_pixel(camera: Camera) -> None:
     np.testing.assert_allclose(project(camera, rays * 5.0), px, atol=1e-6)
 
 
-def test_pixels_that_the_lens_does_not_reach_have_no_point() -> None:
+def test_pixels_beyond_the_lens_models_range_have_no_point() -> None:
     camera = Camera(64, 48, 25.0, 25.0, 31.5, 23.5, (-0.3, 0.0, 0.0, 0.0))
     xyz, pixel = unproject_depth(camera, np.ones((48, 64), np.float32))
     assert 0 < len(xyz) < 64 * 48
@@ -108,7 +108,7 @@ def test_depth_of_another_size_is_refused() -> None:
         unproject_depth(PINHOLE, np.ones((240, 320), np.float32))
 
 
-def test_rays_are_kept_per_camera_value_and_cannot_be_written() -> None:
+def test_rays_are_cached_per_camera_and_read_only() -> None:
     rays = pixel_rays(PINHOLE)
     assert pixel_rays(Camera(640, 480, 500.0, 510.0, 319.5, 239.5)) is rays
     assert pixel_rays(Camera(640, 480, 500.0, 511.0, 319.5, 239.5)) is not rays

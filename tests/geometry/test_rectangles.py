@@ -30,7 +30,7 @@ def upright_box(rectangle: Rectangle) -> OrientedBox:
 
 @st.composite
 def rectangles(draw: st.DrawFn) -> Rectangle:
-    """On a half-metre lattice with many quarter and eighth turns, or anywhere."""
+    """On a half-metre lattice with yaws in multiples of 45 degrees, or anywhere."""
     lattice = draw(st.booleans())
     step = st.integers(-2, 2).map(lambda k: 0.5 * k) if lattice else st.floats(-1.0, 1.0)
     side = st.integers(1, 4).map(lambda k: 0.5 * k) if lattice else st.floats(0.2, 2.0)

@@ -1,4 +1,4 @@
-"""Thinning of clouds."""
+"""Thinning of point clouds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from annotator.geometry.thinning import thin
 
 
 @given(st.integers(0, 5000), st.integers(1, 1000))
-def test_thinning_keeps_the_bound_and_picks_each_point_once_in_order(n_points: int, most: int) -> None:
+def test_thinning_keeps_the_given_number_of_points_in_order(n_points: int, most: int) -> None:
     keep = thin(n_points, most)
     if n_points <= most:
         assert keep is None
@@ -22,7 +22,7 @@ def test_thinning_keeps_the_bound_and_picks_each_point_once_in_order(n_points: i
     assert keep[-1] < n_points
 
 
-def test_thinning_is_even_over_the_scan_and_always_the_same() -> None:
+def test_thinning_is_even_and_deterministic() -> None:
     keep = thin(1_000_000, 1000)
     assert keep is not None
     counts, _ = np.histogram(keep, bins=100, range=(0, 1_000_000))

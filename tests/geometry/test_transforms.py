@@ -17,7 +17,7 @@ from annotator.geometry.transforms import (
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
-NOTHING = np.zeros(3)
+ZERO = np.zeros(3)
 
 
 def is_rotation(matrix: np.ndarray) -> bool:
@@ -26,7 +26,7 @@ def is_rotation(matrix: np.ndarray) -> bool:
 
 @settings(deadline=None)
 @given(vectors(), vectors())
-def test_frame_is_right_handed_and_keeps_its_major_axis(major: np.ndarray, hint: np.ndarray) -> None:
+def test_axes_are_right_handed_and_keep_the_major_axis(major: np.ndarray, hint: np.ndarray) -> None:
     assume(np.linalg.norm(major) > 1e-6)
     frame = right_handed_axes(major, hint)
     assert is_rotation(frame)
@@ -37,11 +37,11 @@ def test_frame_is_right_handed_and_keeps_its_major_axis(major: np.ndarray, hint:
 
 
 @pytest.mark.parametrize("hint", [(0.0, 0.0, 5.0), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0), (1e-13, 0.0, 1.0)])
-def test_frame_with_a_hint_along_the_major_axis(hint: tuple[float, float, float]) -> None:
+def test_axes_with_a_hint_along_the_major_axis_are_a_rotation(hint: tuple[float, float, float]) -> None:
     assert is_rotation(right_handed_axes(np.array([0.0, 0.0, 2.0]), np.array(hint)))
 
 
-def test_frame_of_y_and_z_starts_at_y() -> None:
+def test_the_first_axis_is_the_major_axis() -> None:
     frame = right_handed_axes(np.array([0.0, 3.0, 0.0]), np.array([0.0, 1.0, 1.0]))
     np.testing.assert_allclose(frame, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-15)
 
@@ -49,9 +49,9 @@ def test_frame_of_y_and_z_starts_at_y() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: unit(NOTHING), "no direction"),
+        (lambda: unit(ZERO), "no direction"),
         (lambda: unit(np.array([np.nan, 0.0, 1.0])), "no direction"),
-        (lambda: right_handed_axes(NOTHING, np.ones(3)), "no direction"),
+        (lambda: right_handed_axes(ZERO, np.ones(3)), "no direction"),
         (lambda: right_handed_axes(np.ones(3), np.array([np.inf, 0.0, 0.0])), "finite"),
     ],
 )
@@ -62,7 +62,7 @@ def test_vectors_without_direction_are_refused(call, message: str) -> None:
 
 @settings(deadline=None)
 @given(boxes(), rigid_transforms())
-def test_a_4x4_matrix_maps_the_corners_of_equation_1(box: OrientedBox, T_dst_camera: RigidTransform) -> None:
+def test_a_4x4_matrix_maps_homogeneous_corners_as_in_equation_1(box: OrientedBox, T_dst_camera: RigidTransform) -> None:
     mapped = T_dst_camera.as_matrix() @ corners_4x8(box)
     np.testing.assert_allclose(mapped[:3].T, box_corners(box.transformed(T_dst_camera)), atol=1e-9)
     np.testing.assert_array_equal(mapped[3], 1.0)

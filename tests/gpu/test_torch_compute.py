@@ -1,4 +1,4 @@
-"""Work on points through torch, on its processor device: the same pictures, normals, clusters and boxes as numpy's."""
+"""Point processing in torch, on its CPU device, gives the same pictures, normals, clusters and boxes as numpy."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def some_cloud(count: int, rng: np.random.Generator, shade: str) -> PointCloud:
 
 
 @pytest.mark.parametrize("shade", ["rgb", "reflectance", "depth"])
-@pytest.mark.parametrize("count", [1, 40, 3000, 40_000])  # of the last, not each point is drawn
-def test_the_pictures_are_numpys(shade: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("count", [1, 40, 3000, 40_000])  # 40_000 points are thinned
+def test_pictures_agree_with_those_of_numpy(shade: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(count)
     whole = some_cloud(2 * count, rng, shade)
     frames = [np.eye(3), *Rotation.random(4, rng=rng).as_matrix()]
     keep = np.arange(2 * count) % 2 == 0
     config, show = ViewConfig(size_px=96), np.array([[1.0, 0.2, 2.5]])
-    # several calls of the device, so that the parts must come together in order
+    # forces several batches, which must be joined in order
     monkeypatch.setattr(drawing, "MAX_AT_ONCE", 4 * 96 * 96)
     held = DeviceCloud.of(whole, "cpu").select(keep)
     expected = render_pairs(whole.select(keep), frames, config, show)
@@ -61,12 +61,12 @@ def test_the_pictures_are_numpys(shade: str, count: int, monkeypatch: pytest.Mon
         assert view.metres_per_px == pytest.approx(other.metres_per_px, rel=1e-6)
         different += int((view.rgb != other.rgb).any(axis=2).sum())
         pixels += view.rgb.shape[0] * view.rgb.shape[1]
-    # a point between two pixels, or two points of one depth, may be rounded the other way
+    # points between two pixels, or of equal depth, may be rounded differently
     assert different <= 0.002 * pixels
 
 
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.002, 0.01)], ids=["ideal", "distorted"])
-def test_the_normals_are_numpys(distortion: tuple[float, ...]) -> None:
+def test_normals_agree_with_those_of_numpy(distortion: tuple[float, ...]) -> None:
     camera = Camera(120, 90, 100.0, 110.0, 60.0, 44.0, distortion)
     rng = np.random.default_rng(0)
     v, u = np.mgrid[:90, :120]
@@ -80,11 +80,11 @@ def test_the_normals_are_numpys(distortion: tuple[float, ...]) -> None:
     assert known.mean() > 0.8
     assert ((found != 0).any(axis=2) == known).mean() > 0.999
     both = known & (found != 0).any(axis=2)
-    # chords of unit vectors: as long as the angle, radians, where it is small
+    # the distance of unit vectors is the angle between them in radians, if small
     assert np.linalg.norm(found[both] - expected[both], axis=1).max() < 1e-3
 
 
-def test_the_clusters_are_numpys() -> None:
+def test_clusters_agree_with_those_of_numpy() -> None:
     rng = np.random.default_rng(3)
     faces = Rotation.random(rng=rng).as_matrix()
     directions = faces[rng.integers(0, 3, 900)] * rng.choice([-1.0, 1.0], (900, 1)) + rng.normal(0, 0.2, (900, 3))
@@ -117,8 +117,8 @@ def depth_frame() -> Frame:
     return replace(frame, cloud=PointCloud(xyz, rgb, pixel_index=pixel_index), depth_m=depth)
 
 
-class Watched(TorchCompute):
-    """Remembers what it was asked for."""
+class RecordingCompute(TorchCompute):
+    """Records the calls."""
 
     def __init__(self) -> None:
         super().__init__("cpu")
@@ -137,41 +137,41 @@ class Watched(TorchCompute):
         return super().axial_kmeans(*args)
 
 
-def test_a_frame_is_uploaded_once_and_its_boxes_are_numpys(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_is_uploaded_once_and_its_boxes_agree_with_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     frame, uploads = depth_frame(), []
     _, truths = frame_with([BOX])
     upload = DevicePoints.upload
     monkeypatch.setattr(
         DevicePoints, "upload", lambda cloud, device: uploads.append(len(cloud)) or upload(cloud, device)
     )
-    # silhouettes look at normals and their clusters, too
+    # proposals from silhouettes also use normals and their clusters
     perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
     config = RcvConfig(box_kind=BoxKind.SILHOUETTE)
-    watched = Watched()
-    (found,) = propose([frame], perfect, perfect, config, compute=watched)[0].proposals
+    recording_compute = RecordingCompute()
+    (found,) = propose([frame], perfect, perfect, config, compute=recording_compute)[0].proposals
     assert uploads == [len(frame.cloud)]
-    # the steps after the first two look along the normals' axes
-    assert watched.asked.count("normals") == 1
-    assert watched.asked.count("pictures") == len(found.trace)
-    assert watched.asked.count("clusters") == len(found.trace) - 2 > 0
+    # the steps after the first two use axes from the normals
+    assert recording_compute.asked.count("normals") == 1
+    assert recording_compute.asked.count("pictures") == len(found.trace)
+    assert recording_compute.asked.count("clusters") == len(found.trace) - 2 > 0
     (expected,) = propose([frame], perfect, perfect, config)[0].proposals
     assert len(found.trace) == len(expected.trace) > 1
     assert iou_3d(found.box, expected.box) > 0.98
 
 
-def test_a_device_that_is_not_there_is_named() -> None:
+def test_an_unknown_device_is_named() -> None:
     with pytest.raises(ComputeError, match=r"cannot process points on nonsense .*run the detectors on the CPU"):
         TorchCompute("nonsense")
 
 
-def test_detectors_on_the_processor_leave_the_points_there() -> None:
+def test_with_detectors_on_the_cpu_points_are_not_uploaded() -> None:
     perfect = PerfectDetector.for_frame(*frame_with([BOX]))
     frame, _ = frame_with([BOX])
     assert Detectors(perfect, perfect).compute.hold(frame) is frame
 
 
 @pytest.mark.parametrize(("device", "expected"), [("cuda:1", "cuda:1"), ("mps", None), ("cpu", None)])
-def test_points_go_where_the_view_detector_runs(
+def test_points_are_processed_on_the_device_of_the_view_detector(
     device: str, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []

@@ -1,7 +1,6 @@
-"""Our exports, opened with software that others wrote: what it sees is what was written.
-
-One project leaves in every format; corners must be where ours are, in whatever order a program names them. The readers
-run in `.venv-interop` (`scripts/setup interop`) as programs of their own, in `readers/`.
+"""Other tools read our exports as they were written.
+One project is exported in each format. Corners must agree, in any order. The readers in `readers/` run as separate
+programs in `.venv-interop` (`scripts/setup interop`).
 """
 
 from __future__ import annotations
@@ -40,13 +39,13 @@ Read = Callable[..., dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def read(tmp_path_factory: pytest.TempPathFactory) -> Read:
-    """`read("read_coco", ARGUMENT, ...)`: what a foreign reader says, as JSON."""
+    """`read("read_coco", ARGUMENT, ...)`: the JSON output of a reader."""
     if not (PYTHON.parent.parent / "setup.done").is_file():
         if os.environ.get("ANNOTATOR_INTEROP") == "required":
-            pytest.fail("scripts/setup interop has not finished, and the foreign readers are required")
-        pytest.skip("no .venv-interop; scripts/setup interop makes it")
+            pytest.fail("scripts/setup interop has not finished, but ANNOTATOR_INTEROP=required")
+        pytest.skip("no .venv-interop; run scripts/setup interop")
 
-    # some write logs where they are started
+    # some readers write logs to the working folder
     cwd = tmp_path_factory.mktemp("readers")
 
     def run(name: str, *arguments: str | Path) -> dict[str, Any]:
@@ -60,7 +59,7 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> Read:
 
 @pytest.fixture(scope="module")
 def project(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
-    """People in three frames with their true boxes as tracks, the first of each tilted by 10 degrees."""
+    """People in three frames with their true boxes as tracks; the first box of each frame is tilted by 10 degrees."""
     made = create_project(tmp_path_factory.mktemp("interop"), "interop", ("person", "dog"))
     register_recording(made, open_recording(generated / "people"))
     recording = open_recording(generated / "people")
@@ -77,7 +76,7 @@ def project(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 @pytest.fixture(scope="module")
 def frames(project: Project) -> dict[str, tuple[Frame, list[OrientedBox]]]:
-    """The labelled frames with their boxes, camera frame, by the name of their files."""
+    """The labelled frames and their boxes (camera frame), by file name."""
     source, stored = FrameSource(project), project.frames.of()
     return {
         f"people-{stored[index].key}": (
@@ -89,7 +88,7 @@ def frames(project: Project) -> dict[str, tuple[Frame, list[OrientedBox]]]:
 
 
 def assert_same_corners(seen: Sequence[Any], boxes: Sequence[OrientedBox], within_m: float = CORNER_M) -> None:
-    """Every box has its eight corners where ours are, in whatever order software names them."""
+    """Asserts that the eight corners of each box agree, in any order."""
     assert len(seen) == len(boxes)
     for corners, box in zip(seen, boxes, strict=True):
         distances, nearest = cKDTree(box_corners(box)).query(np.array(corners))
@@ -109,7 +108,9 @@ def test_the_formats_page_names_the_versions() -> None:
         assert f"{name} {pins[name]}" in page
 
 
-def test_nuscenes_devkit(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+def test_nuscenes_devkit_reads_boxes_clouds_and_tracks(
+    read: Read, project: Project, frames: dict[str, Any], tmp_path: Path
+) -> None:
     out = export(project, tmp_path / "out", ExportFormat.NUSCENES)
     seen = read("read_nuscenes", out, "v1.0-annotator")
     assert set(seen["frames"]) == set(frames)
@@ -123,7 +124,9 @@ def test_nuscenes_devkit(read: Read, project: Project, frames: dict[str, Any], t
         assert set(there["instances"]) == set(seen["tracks"])
 
 
-def test_labelcloud(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+def test_labelcloud_reads_boxes_and_clouds(
+    read: Read, project: Project, frames: dict[str, Any], tmp_path: Path
+) -> None:
     forms = {"centroid_rel": False, "vertices": True}
     outs = [
         export(project, tmp_path / form, ExportFormat.LABELCLOUD, options=ExportOptions(vertices=vertices))
@@ -135,7 +138,7 @@ def test_labelcloud(read: Read, project: Project, frames: dict[str, Any], tmp_pa
         for name, (frame, boxes) in frames.items():
             there = seen["frames"][name]
             assert (there["points"], there["colored"]) == (len(frame.cloud), frame.cloud.rgb is not None)
-            # its calibration is KITTI's: from the cloud's frame to the camera
+            # the calibration, in KITTI's format, maps the cloud's frame to the camera
             rows = [line.split() for line in (out / f"calib/{name}.txt").read_text().splitlines()]
             (T,) = (np.array(row[1:], np.float64).reshape(3, 4) for row in rows if row[0] == "Tr_velo_to_cam:")
             assert_same_corners([np.array(box["corners"]) @ T[:, :3].T + T[:, 3] for box in there["boxes"]], boxes)
@@ -143,7 +146,9 @@ def test_labelcloud(read: Read, project: Project, frames: dict[str, Any], tmp_pa
             np.testing.assert_allclose(first_m, frame.cloud.xyz_m[0], atol=CORNER_M)
 
 
-def test_openlabel(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+def test_openlabel_readers_find_the_boxes_and_no_errors(
+    read: Read, project: Project, frames: dict[str, Any], tmp_path: Path
+) -> None:
     out = export(project, tmp_path / "out", ExportFormat.OPENLABEL)
     (file,) = out.glob("*.json")
     seen = read("read_openlabel", file)
@@ -155,15 +160,15 @@ def test_openlabel(read: Read, project: Project, frames: dict[str, Any], tmp_pat
     assert "camera" in seen["systems"]
 
 
-def test_kitti(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
-    """Two decimals, upright: the corners are rebuilt from what torchvision reads, by KITTI's own definition."""
+def test_torchvision_reads_kitti_boxes(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+    """KITTI's rows are upright with two decimals; corners are computed by KITTI's definition."""
     export(project, tmp_path / "Kitti/raw", ExportFormat.KITTI)
     seen = read("read_kitti", tmp_path)
     assert set(seen["frames"]) == {frame.key for frame, _ in frames.values()}
     for frame, boxes in frames.values():
         there = seen["frames"][frame.key]
         assert there["size"] == [frame.camera.width_px, frame.camera.height_px]
-        # boxes out of the picture have no row
+        # boxes outside the image have no row
         shown = [box for box in boxes if box_on_image(frame.camera, box, "person") is not None]
         assert [found["type"] for found in there["objects"]] == ["person"] * len(shown)
         for found, box in zip(there["objects"], shown, strict=True):
@@ -174,13 +179,13 @@ def test_kitti(read: Read, project: Project, frames: dict[str, Any], tmp_path: P
             signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-1, 0) for z in (-0.5, 0.5)])
             corners = (signs * [length, h, w]) @ R.T + found["location"]
             assert_same_corners([corners], [upright], within_m=0.03)
-            # the 2D box is that of the rounded 3D box, on pixels that KITTI counts from 0 to width - 1
+            # the 2D box is that of the rounded 3D box, clipped to 0 .. width - 1 as in KITTI
             px = to_image(frame.camera, corners).clip(0, np.array(there["size"]) - 1)
             np.testing.assert_allclose(found["bbox"], [*px.min(axis=0), *px.max(axis=0)], atol=PIXEL)
 
 
 def draw(project: Project) -> None:
-    """Boxes on the image of a frame without labels, and on one that shows nothing."""
+    """Sets boxes on the image of an unlabelled frame, and none on another."""
     ids = [frame.id for frame in project.frames.of()]
     for index, boxes in ((2, DRAWN), (4, ())):
         revision = project.frames.get(ids[index]).revision
@@ -188,7 +193,7 @@ def draw(project: Project) -> None:
 
 
 def outlines(frames: dict[str, Any]) -> dict[str, list[Box2D]]:
-    """What the pictures show: the outlines of 3D boxes, and what `draw` drew."""
+    """The expected 2D boxes: outlines of the 3D boxes, and the boxes of `draw`."""
     found = {
         name: [box for each in boxes if (box := box_on_image(frame.camera, each, "person")) is not None]
         for name, (frame, boxes) in frames.items()
@@ -196,7 +201,9 @@ def outlines(frames: dict[str, Any]) -> dict[str, list[Box2D]]:
     return {**found, "people-000002": list(DRAWN), "people-000004": []}
 
 
-def test_coco_and_yolo(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+def test_pycocotools_and_ultralytics_read_the_2d_boxes(
+    read: Read, project: Project, frames: dict[str, Any], tmp_path: Path
+) -> None:
     draw(project)
     split = Split({"train": 0.6, "val": 0.4})
     coco = export(project, tmp_path / "coco", ExportFormat.COCO, split=split)
@@ -210,7 +217,7 @@ def test_coco_and_yolo(read: Read, project: Project, frames: dict[str, Any], tmp
             width, height = there["size"]
             ours = outlines(frames)[name.removesuffix(".png")]
             assert by_yolo[f"{part}/{name}"]["size"] == [width, height] == [320, 240]
-            # both measure from the picture's corner, half a pixel from the first one's centre
+            # both measure from the image's corner, half a pixel before the first pixel's centre
             corners = np.array([box.xyxy for box in ours]).reshape(-1, 4) + 0.5
             x, y, w, h, area = np.array([row[1:] for row in there["boxes"]]).reshape(-1, 5).T
             np.testing.assert_allclose(np.column_stack([x, y, x + w, y + h]), corners, atol=1e-6)

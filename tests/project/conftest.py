@@ -24,5 +24,5 @@ def recording(project: Project, tmp_path: Path) -> StoredRecording:
 
 @pytest.fixture
 def frame(project: Project, recording: StoredRecording) -> int:
-    """The id of an untouched frame."""
+    """The id of an unlabelled frame."""
     return project.frames.find(recording.id, "2").id

@@ -1,4 +1,4 @@
-"""Values for the store's tests, and hypothesis strategies that draw them."""
+"""Values and Hypothesis strategies for the tests of the store."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def same_box(a: OrientedBox, b: OrientedBox) -> bool:
 
 
 def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
-    """All rows of the derived tables in the order of their row ids, without these ids."""
+    """All rows of the derived tables, ordered by row id, without the ids."""
     state: dict[str, list[tuple[object, ...]]] = {}
     with project.store.read() as connection:
         for table in DERIVED_TABLES:
@@ -113,7 +113,7 @@ def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[l
 
 
 def actions(project: Project, views: list[str], step: Step) -> dict[str, Callable[[], object]]:
-    """The call for each kind in `STEPS`; raises `ProjectError` if the present state does not allow it."""
+    """The call for each kind in `STEPS`; raises `ProjectError` if the current state does not allow it."""
     _, place, a, b = step
     frame = project.frames.of()[place]
     labels = project.labels.of_frame(frame.id)
@@ -145,7 +145,7 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
 
 
 def _carried_over(frame: StoredFrame, track_id: int) -> FramePart:
-    """One frame's part of an action over several frames."""
+    """One frame's part of an action that spans several frames."""
     proposal = None if track_id % 2 else ProposalRecord.of(proposal_at(9.0))
     uid, box = uuid.uuid4().hex, BoxRecord.of(box_at(9.0))
     carried = LabelProposed(uid=uid, label="hand", box=box, track_id=track_id, proposal=proposal)

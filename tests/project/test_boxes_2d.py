@@ -20,7 +20,7 @@ def view(project: Project) -> str:
     return project.views.store(np.full((12, 16, 3), 7, np.uint8))
 
 
-def test_boxes_on_an_image(project: Project, frame: int) -> None:
+def test_setting_boxes_on_an_image_replaces_the_earlier_ones(project: Project, frame: int) -> None:
     assert project.boxes.on_image(frame) is None
     project.boxes.set_on_image(frame, HANDS, BoxKind.SILHOUETTE, by_hand())
     boxes = project.boxes.on_image(frame)
@@ -37,14 +37,16 @@ def test_boxes_on_an_image(project: Project, frame: int) -> None:
     assert (boxes.boxes, boxes.box_kind, boxes.source) == (HANDS[:1], BoxKind.BOX, Source.IMPORTED)
 
 
-def test_an_image_with_no_boxes_counts_as_labelled(project: Project, frame: int) -> None:
+def test_an_image_without_boxes_counts_as_labelled(project: Project, frame: int) -> None:
     project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
     boxes = project.boxes.on_image(frame)
     assert boxes is not None
     assert boxes.boxes == ()
 
 
-def test_labelled_images_of_the_project(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+def test_labelled_images_are_listed_in_frame_order(
+    project: Project, recording: StoredRecording, tmp_path: Path
+) -> None:
     other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
     for entry in reversed(project.frames.of()[2:]):
         project.boxes.set_on_image(entry.id, HANDS, BoxKind.BOX, by_hand())
@@ -52,7 +54,7 @@ def test_labelled_images_of_the_project(project: Project, recording: StoredRecor
     assert len(project.boxes.on_images([other.id])) == 1
 
 
-def test_boxes_on_a_view_of_a_frame(project: Project, frame: int, view: str) -> None:
+def test_boxes_on_a_view_raise_the_revision_of_its_frame(project: Project, frame: int, view: str) -> None:
     geometry = ViewGeometry(axes=matrix3(NOT_AXIS_ALIGNED), metres_per_px=0.001, origin_m=(-0.5, 1 / 3))
     receipt = project.boxes.set_on_view(view, HANDS, BoxKind.BOX, by_hand(), frame_id=frame, step=1, geometry=geometry)
     assert receipt.revision == project.frames.get(frame).revision == 1

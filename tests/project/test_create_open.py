@@ -1,4 +1,4 @@
-"""Creating, opening and listing projects; errors name the problem and the remedy."""
+"""Creating, opening and listing projects; errors name the problem and its solution."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, ProjectError
 
 
-def test_a_project_has_its_files(tmp_path: Path) -> None:
+def test_a_new_project_has_its_files(tmp_path: Path) -> None:
     settings = ProjectSettings(rotation=BoxRotation.UPRIGHT)
     create_project(tmp_path / "projects", "hands", ["hand"], settings=settings, clock=lambda: 123).close()
     folder = tmp_path / "projects" / "hands"
@@ -43,7 +43,7 @@ def test_a_project_has_its_files(tmp_path: Path) -> None:
         assert project.problems() == []
 
 
-def test_the_database_is_set_up_for_safety(project: Project) -> None:
+def test_the_database_has_safe_pragmas(project: Project) -> None:
     with project.store.read() as connection:
         wanted = {"journal_mode": "wal", "foreign_keys": 1, "synchronous": 2, "busy_timeout": 10_000}
         for pragma, value in wanted.items():
@@ -64,7 +64,7 @@ def test_bad_classes_are_refused(tmp_path: Path, classes: list[str]) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_project_is_left_alone(project: Project) -> None:
+def test_an_existing_project_is_not_overwritten(project: Project) -> None:
     before = (project.path / "project.json").read_bytes()
     with pytest.raises(ProjectError, match="exists already"):
         create_project(project.path.parent, "hands", ["other"])
@@ -167,7 +167,7 @@ def test_a_missing_folder_is_not_a_project(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_lasting_lock_is_reported(project: Project, frame: int) -> None:
+def test_a_lock_that_outlasts_the_timeout_is_reported(project: Project, frame: int) -> None:
     other = sqlite3.connect(project.path / "project.db", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     try:

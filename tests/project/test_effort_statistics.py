@@ -1,4 +1,4 @@
-"""The cost of a box by its origin, and the results of the proposals' review."""
+"""The effort per box by origin, and the results of reviewing proposals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target:
     return WriteContext(revision, "ann", effort=effort, effort_target=target)
 
 
-def test_nothing_yet(project: Project, frame: int) -> None:
+def test_without_boxes_effort_is_undefined(project: Project, frame: int) -> None:
     numbers = project.statistics()
     assert (numbers.effort.boxes, numbers.effort.seconds_a_box, numbers.effort.actions_a_box) == (0, None, None)
     assert numbers.accepted_untouched is None
@@ -26,7 +26,7 @@ def test_nothing_yet(project: Project, frame: int) -> None:
     assert all(part.boxes == 0 for part in numbers.effort.by_origin.values())
 
 
-def test_proposals_accepted_edited_and_rejected(project: Project, frame: int) -> None:
+def test_effort_of_accepted_edited_and_rejected_proposals_is_counted(project: Project, frame: int) -> None:
     uids = project.proposals.replace(frame, [proposal_at(5.0 * n) for n in range(4)], by_machine()).uids
     assert None not in uids
     project.labels.accept(frame, uids[0] or "", ann(1, 1, 2.0))
@@ -39,7 +39,7 @@ def test_proposals_accepted_edited_and_rejected(project: Project, frame: int) ->
     edited = parts["proposal edited"]
     assert (edited.boxes, edited.actions_a_box, edited.seconds_a_box) == (1, 4.0, 9.0)
     assert (numbers.effort.boxes, numbers.effort.actions_a_box, numbers.effort.seconds_a_box) == (2, 2.5, 5.5)
-    assert numbers.accepted_untouched == pytest.approx(1 / 3), "of three that were reviewed"
+    assert numbers.accepted_untouched == pytest.approx(1 / 3), "one of three reviewed proposals"
     assert numbers.iou_proposal_to_final == pytest.approx((1 + iou_3d(box_at(5.0), box_at(5.2))) / 2)
     assert numbers.labels.by_class_and_state["hand"] == {"proposed": 1, "accepted": 2, "edited": 0, "rejected": 1}
 
@@ -82,7 +82,7 @@ def test_effort_for_a_draft_counts_for_its_label(project: Project, frame: int) -
     assert numbers.by_origin["from nothing"].boxes == 1
 
 
-def test_effort_by_origin(project: Project, frame: int) -> None:
+def test_effort_is_counted_by_origin(project: Project, frame: int) -> None:
     box = BoxRecord.of(box_at())
     made = [
         LabelCreated(uid=str(n), label="hand", box=box, origin=origin)
@@ -100,4 +100,4 @@ def test_effort_by_origin(project: Project, frame: int) -> None:
         "copied",
         "import edited",
     }
-    assert project.statistics().effort.boxes == 4, "an imported box without an edit has no cost"
+    assert project.statistics().effort.boxes == 4, "an imported box without an edit has no effort"

@@ -1,4 +1,4 @@
-"""Undo and redo: per operator, over all frames, from the log; changes of other operators are never lost."""
+"""Undo and redo: per operator, over all frames, from the log. Changes of other operators are never lost."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def repr_of(label: object) -> str:
 
 
 def _take(project: Project, view: str, step: Step) -> None:
-    """Applies one action of ann; the project refuses actions that the present state does not allow."""
+    """Applies one action of ann; the project refuses actions that the current state does not allow."""
     more = {"undo": lambda: project.history.undo("ann"), "redo": lambda: project.history.redo("ann")}
     with contextlib.suppress(ProjectError):
         (actions(project, [view], step) | more)[step[0]]()
@@ -70,7 +70,7 @@ def _all(step: Callable[[], object]) -> int:
 
 @settings(max_examples=15)
 @given(STEPS, st.booleans())
-def test_undo_all_is_the_state_before_and_redo_all_the_state_after(steps: list[Step], restart: bool) -> None:
+def test_undoing_all_restores_the_first_state_and_redoing_all_the_last(steps: list[Step], restart: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         project = create_project(Path(folder), "p", ("hand", "person"))
         project.recordings.add(Path(folder) / "r", "rgbd", "r", ["0", "1"], True)
@@ -104,7 +104,7 @@ def test_undo_all_is_the_state_before_and_redo_all_the_state_after(steps: list[S
 
 @settings(max_examples=10)
 @given(STEPS)
-def test_rebuilt_and_maintained_state_agree_with_passes_and_undo_in_between(
+def test_rebuilt_and_maintained_state_agree_after_proposals_and_undo(
     steps: list[Step],
 ) -> None:
     with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
@@ -136,7 +136,7 @@ def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> N
     assert project.history.next("ann") == ("finalise frame 2", None), "a new action empties the redo stack"
 
 
-def test_each_operator_undoes_only_their_own(project: Project, recording: StoredRecording) -> None:
+def test_operators_undo_only_their_own_actions(project: Project, recording: StoredRecording) -> None:
     one, two = (frame.id for frame in project.frames.of()[:2])
     project.boxes.set_on_image(one, some_boxes(1), BoxKind.BOX, by_hand(0, "ann"))
     project.boxes.set_on_image(two, some_boxes(2), BoxKind.BOX, by_hand(0, "bob"))
@@ -147,7 +147,7 @@ def test_each_operator_undoes_only_their_own(project: Project, recording: Stored
         project.history.undo("ann")
 
 
-def test_an_undo_of_what_others_changed_since_is_refused_and_can_be_skipped(project: Project, frame: int) -> None:
+def test_an_undo_that_conflicts_with_a_later_change_is_refused_and_can_be_skipped(project: Project, frame: int) -> None:
     uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
     project.labels.accept(frame, uids[1], by_hand(1, "ann"))
     project.labels.accept(frame, uids[0], by_hand(2, "ann"))
@@ -168,7 +168,7 @@ def test_an_undo_of_what_others_changed_since_is_refused_and_can_be_skipped(proj
     assert project.labels.get(uids[1]).label.state is ReviewState.ACCEPTED
 
 
-def test_a_pass_that_replaced_the_proposal_is_named(project: Project, frame: int) -> None:
+def test_a_redo_that_conflicts_with_new_proposals_names_their_author(project: Project, frame: int) -> None:
     uid = project.proposals.replace(frame, [proposal_at(0.0)], by_machine()).uids[0]
     project.labels.accept(frame, uid, by_hand(1))
     project.history.undo("ann")
@@ -196,7 +196,7 @@ def test_an_action_without_effect_is_skipped(project: Project, frame: int) -> No
     assert project.boxes.on_image(frame) is None
 
 
-def test_a_removed_class_is_named(project: Project, frame: int) -> None:
+def test_an_undo_that_needs_a_removed_class_is_refused(project: Project, frame: int) -> None:
     project.labels.create(frame, [NewLabel("person", box_at())], by_hand(0))
     uid = project.labels.of_frame(frame)[0].uid
     project.labels.delete(frame, uid, by_hand(1))

@@ -74,7 +74,7 @@ def test_other_settings_process_all_frames_again(project: Project, recording: St
     assert _pending(project, second) == "01234"
     _do(project, second, "1")
     assert _pending(project, second) == "0234"
-    assert _pending(project, first) == "1", "frame 1 shows the second run's proposals"
+    assert _pending(project, first) == "1", "frame 1 has the second run's proposals"
 
 
 def test_a_failure_after_a_success_is_tried_again(project: Project, recording: StoredRecording) -> None:
@@ -85,13 +85,15 @@ def test_a_failure_after_a_success_is_tried_again(project: Project, recording: S
     assert project.statistics().frames_failed == 1
 
 
-def test_finalised_and_vanished_frames_are_left_out(project: Project, recording: StoredRecording) -> None:
+def test_finalised_and_missing_frames_are_left_out(project: Project, recording: StoredRecording) -> None:
     project.frames.finalise(project.frames.find(recording.id, "1").id, by_hand())
     project.recordings.rescan(recording.id, ["4", "1", "0", "2"])
     assert _pending(project, _start(project)) == "402"
 
 
-def test_only_the_recordings_asked_for(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+def test_pending_frames_can_be_limited_to_recordings(
+    project: Project, recording: StoredRecording, tmp_path: Path
+) -> None:
     other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
     key = _start(project).key
     assert [frame.key for frame in project.jobs.pending(key, [other.id])] == ["x"]
@@ -99,7 +101,7 @@ def test_only_the_recordings_asked_for(project: Project, recording: StoredRecord
     assert project.jobs.pending(key, []) == ()
 
 
-def test_a_refused_pass_leaves_no_result(project: Project, recording: StoredRecording, frame: int) -> None:
+def test_refused_proposals_leave_no_result(project: Project, recording: StoredRecording, frame: int) -> None:
     run = _start(project)
     share = RunShare(run.id, 1.0)
     project.frames.finalise(frame, by_hand())

@@ -1,4 +1,4 @@
-"""Kills at any moment, and concurrent processes: no acknowledged write is lost, and no write is partial."""
+"""With kills at any moment and concurrent processes, no acknowledged write is lost and no write is partial."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_acknowledged_writes_survive_a_kill_at_any_moment(project: Project, reco
             assert state_of(reopened) == maintained
 
 
-def test_two_processes_write_to_different_frames(project: Project, recording: StoredRecording) -> None:
+def test_two_processes_can_write_to_different_frames(project: Project, recording: StoredRecording) -> None:
     frames = [frame.id for frame in project.frames.of()][:2]
     writes = 40
     with _writer(project.path) as one, _writer(project.path) as two:
@@ -102,7 +102,7 @@ def test_two_processes_write_to_different_frames(project: Project, recording: St
     assert [project.frames.get(frame).revision for frame in frames] == [writes, writes]
 
 
-def test_exactly_one_of_two_processes_writes_on_a_revision(project: Project, frame: int) -> None:
+def test_only_one_of_two_processes_can_write_on_a_revision(project: Project, frame: int) -> None:
     rounds = 30
     wins = [0, 0]
     with _writer(project.path) as one, _writer(project.path) as two:
@@ -117,7 +117,7 @@ def test_exactly_one_of_two_processes_writes_on_a_revision(project: Project, fra
     assert [event.revision for event in project.log.of_frame(frame)] == list(range(1, rounds + 1))
 
 
-def test_threads_share_a_project(project: Project, frame: int) -> None:
+def test_only_one_of_several_threads_can_write_on_a_revision(project: Project, frame: int) -> None:
     rounds, threads = 10, 6
     barrier = threading.Barrier(threads)
     outcomes: list[str] = []
@@ -159,7 +159,7 @@ def test_an_error_inside_a_write_rolls_it_back(project: Project, frame: int) -> 
 def test_a_full_disk_is_reported_and_loses_nothing(project: Project, frame: int) -> None:
     project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
     before = state_of(project)
-    with project.store.read() as connection:  # the pool's only connection so far: the write uses it, too
+    with project.store.read() as connection:  # the pool's only connection so far, so the write uses it too
         pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
         connection.exec_driver_sql(f"PRAGMA max_page_count = {pages + 2}")
     many = [proposal_at(5.0 * n, steps=2, views=8) for n in range(100)]

@@ -127,7 +127,7 @@ def test_labels_of_older_databases_get_the_run_that_proposed_them(tmp_path: Path
     assert runs == {"a": 4, "b": None, "drawn": None}
 
 
-def test_a_newer_database_is_refused_and_not_touched(old: Path) -> None:
+def test_a_newer_database_is_refused_and_not_changed(old: Path) -> None:
     open_project(old).close()
     path = old / "project.db"
     newest = MIGRATIONS[-1].version

@@ -40,7 +40,7 @@ def test_a_registered_model_is_read_back(project: Project) -> None:
     assert model.manifest == project.models_folder / "a" / "manifest.json"
     assert (model.labels, model.box_kind, model.fingerprint) == (("hand", "person"), BoxKind.SILHOUETTE, "sha-a")
     assert model.metrics["map50"] == 0.9
-    assert model.metrics["loss"] != model.metrics["loss"], "not a number comes back as such"
+    assert model.metrics["loss"] != model.metrics["loss"], "NaN is read back as NaN"
     assert project.models.get(model.id).path == model.path
 
 
@@ -60,7 +60,7 @@ def test_each_role_has_its_own_active_model(project: Project) -> None:
     assert [model.id for model in project.models.all(DetectorKind.VIEW)] == [view.id]
 
 
-def test_models_move_with_the_project_and_others_stay(project: Project, tmp_path: Path) -> None:
+def test_paths_of_models_inside_the_project_move_with_it(project: Project, tmp_path: Path) -> None:
     _register(project, DetectorKind.VIEW, "a")
     outside = tmp_path / "outside.pt"
     outside.write_bytes(b"w")

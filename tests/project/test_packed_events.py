@@ -1,4 +1,4 @@
-"""Long events are compressed in the database, transparently for the project's API."""
+"""Long events are compressed in the database; the project's API does not show it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def fill(project: Project, frame: int) -> None:
     project.boxes.set_on_image(frame, [Box2D("hand", 1.0, 2.0, 3.0, 4.0)], BoxKind.BOX, by_hand(1))
 
 
-def test_long_events_are_packed_and_read_back(project: Project, frame: int) -> None:
+def test_long_events_are_compressed_and_read_back(project: Project, frame: int) -> None:
     fill(project, frame)
     packed, text = stored(project)
     assert isinstance(packed, bytes)
@@ -43,7 +43,7 @@ def test_long_events_are_packed_and_read_back(project: Project, frame: int) -> N
     assert [found.proposal.trace for found in latest.objects] == [proposal_at(steps=3, views=8).trace] * 3
 
 
-def test_long_events_of_older_versions_are_still_text(
+def test_uncompressed_long_events_of_older_versions_are_read(
     project: Project, frame: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as old:
@@ -77,7 +77,7 @@ def test_a_damaged_event_is_reported(project: Project, frame: int) -> None:
     ("table", "column", "damage"),
     [("labels", "box", '{"center_m": [1'), ("labels", "box", "{}"), ("recordings", "up", "[1")],
 )
-def test_a_damaged_row_is_told(project: Project, frame: int, table: str, column: str, damage: str) -> None:
+def test_a_damaged_row_is_reported(project: Project, frame: int, table: str, column: str, damage: str) -> None:
     project.labels.create(frame, [NewLabel("hand", box_at(0.0))], by_hand(0))
     with project.store.write() as connection:
         connection.exec_driver_sql(f"UPDATE {table} SET {column} = ?", (damage,))

@@ -41,12 +41,12 @@ def test_a_recording_is_registered_with_its_frames(project: Project, tmp_path: P
     ]
 
 
-def test_the_direction_of_gravity_may_be_unknown(project: Project, tmp_path: Path) -> None:
+def test_the_up_direction_may_be_unknown(project: Project, tmp_path: Path) -> None:
     assert project.recordings.add(tmp_path, "kitti", "walk", [], False).up is None
 
 
 @pytest.mark.parametrize("up", [[0, 0, 0], [1, 2], [np.nan, 0, 1], np.zeros((2, 3))])
-def test_an_impossible_direction_is_refused(project: Project, tmp_path: Path, up: object) -> None:
+def test_an_invalid_up_direction_is_refused(project: Project, tmp_path: Path, up: object) -> None:
     with pytest.raises(ProjectError, match="up direction"):
         project.recordings.add(tmp_path, "kitti", "walk", ["a"], True, up)
     assert project.recordings.all() == ()
@@ -59,7 +59,7 @@ def test_the_same_recording_twice_is_refused(project: Project, recording: Stored
     assert len(project.recordings.all()) == 1
 
 
-def test_recordings_of_one_name_get_a_suffix(project: Project, tmp_path: Path) -> None:
+def test_recordings_with_the_same_name_get_a_suffix(project: Project, tmp_path: Path) -> None:
     names = [project.recordings.add(tmp_path / str(n), "rgbd", "seq", ["a"], True).name for n in range(3)]
     assert names == ["seq", "seq-2", "seq-3"]
 
@@ -98,7 +98,7 @@ def test_errors_name_the_missing_recording_or_frame(project: Project, recording:
             call()
 
 
-def test_frames_of_some_recordings(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
+def test_frames_can_be_limited_to_recordings(project: Project, recording: StoredRecording, tmp_path: Path) -> None:
     other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
     assert [frame.key for frame in project.frames.of([other.id])] == ["x"]
     assert project.frames.of([]) == ()

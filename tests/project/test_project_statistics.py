@@ -1,4 +1,4 @@
-"""Counts of a project."""
+"""The statistics of a project."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from annotator.project import NewLabel, Project, RunShare, StoredRecording, Writ
 from annotator.project.efforts import ORIGINS
 from annotator.types import Box2D, BoxKind, Source
 
-NOTHING = {"boxes": 0, "seconds_a_box": None, "actions_a_box": None}
+NO_EFFORT = {"boxes": 0, "seconds_a_box": None, "actions_a_box": None}
 
 
-def test_an_empty_project_counts_nothing(project: Project) -> None:
+def test_an_empty_project_has_zero_counts(project: Project) -> None:
     numbers = json.loads(project.statistics().model_dump_json())
     assert numbers["recordings"] == numbers["frames"] == numbers["events"] == 0
     assert numbers["labels"] == {
@@ -31,7 +31,7 @@ def test_an_empty_project_counts_nothing(project: Project) -> None:
     }
 
 
-def test_everything_is_counted(project: Project, recording: StoredRecording) -> None:
+def test_labels_boxes_and_events_are_counted(project: Project, recording: StoredRecording) -> None:
     frames = [frame.id for frame in project.frames.of()]
     run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
     uids = project.proposals.replace(
@@ -70,7 +70,7 @@ def test_everything_is_counted(project: Project, recording: StoredRecording) -> 
         "events": 7,
         "runs": 1,
         "models": 0,
-        "effort": {**NOTHING, "by_origin": dict.fromkeys(ORIGINS, NOTHING)},
+        "effort": {**NO_EFFORT, "by_origin": dict.fromkeys(ORIGINS, NO_EFFORT)},
         "accepted_untouched": 1.0,
         "iou_proposal_to_final": 1.0,
     }

@@ -1,4 +1,4 @@
-"""Automatic passes: which labels they replace, which ones stay, and which objects are not proposed again."""
+"""New proposals of a frame: which labels they replace, which stay, and which objects are not proposed again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from annotator.types import Proposal, ReviewState
 from annotator.types.errors import ProjectError
 
 
-def test_a_new_pass_replaces_only_unreviewed_labels(project: Project, frame: int) -> None:
+def test_new_proposals_replace_only_unreviewed_labels(project: Project, frame: int) -> None:
     first = project.proposals.replace(frame, [proposal_at(x) for x in (0.0, 5.0, 10.0, 15.0)], by_machine()).uids
     project.labels.accept(frame, first[0], by_hand(1))
     project.labels.edit(frame, first[1], by_hand(2), label="hand", box=box_at(6.0))
@@ -45,13 +45,15 @@ def test_reviewed_objects_are_not_proposed_again(project: Project, frame: int, s
 
 
 @pytest.mark.parametrize(("length_m", "covered"), [(0.51, 1), (0.49, 0), (1.96, 1), (2.04, 0)])
-def test_an_iou_of_one_half_is_the_limit(project: Project, frame: int, length_m: float, covered: int) -> None:
-    # boxes of one centre that differ only in length overlap by the ratio of the lengths
+def test_objects_with_an_iou_above_one_half_are_covered(
+    project: Project, frame: int, length_m: float, covered: int
+) -> None:
+    # for boxes that differ only in length, the IoU is the ratio of the lengths
     project.labels.create(frame, [NewLabel("hand", box_at(0.0, 1.0))], by_hand())
     assert project.proposals.replace(frame, [proposal_at(0.0, size_m=length_m)], by_machine(1)).covered == covered
 
 
-def test_only_a_label_of_the_same_class_covers(project: Project, frame: int) -> None:
+def test_only_labels_of_the_same_class_cover_a_proposal(project: Project, frame: int) -> None:
     new = [NewLabel("person", box_at(0.0)), NewLabel("hand", box_at(5.0)), NewLabel("hand", box_at(5.1))]
     uids = project.labels.create(frame, new, by_hand()).uids
     again = [
@@ -94,7 +96,7 @@ def test_the_trace_is_read_back(project: Project, frame: int) -> None:
     assert [dataclasses.astuple(lost) for lost in latest.lost] == [dataclasses.astuple(lost_object())]
 
 
-def test_the_latest_pass_counts(project: Project, frame: int) -> None:
+def test_the_latest_proposals_are_returned(project: Project, frame: int) -> None:
     assert project.proposals.latest(frame) is None
     for number in range(3):
         project.proposals.replace(frame, [proposal_at(n * 5.0) for n in range(number)], by_machine(number))
@@ -115,7 +117,7 @@ def test_values_that_cannot_be_stored_are_refused(project: Project, frame: int, 
     assert project.frames.get(frame).revision == 0
 
 
-def test_numpy_numbers_in_a_trace(project: Project, frame: int) -> None:
+def test_numpy_numbers_in_a_trace_are_converted(project: Project, frame: int) -> None:
     proposal = proposal_at()
     object.__setattr__(proposal.trace[0], "points_in", np.array([3]))
     with pytest.raises(ProjectError, match=r"frame 2 of recording take: .*cannot be stored"):

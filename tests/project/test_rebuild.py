@@ -21,7 +21,7 @@ STEPS = lists_of_steps("loose view", "link", frames=3, longest=16)
 
 
 def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:
-    """All labels of a frame in tracks, open proposals with another box."""
+    """An event that links all labels of a frame and moves the boxes of open proposals."""
     moved = BoxRecord.of(box_at(4.0))
     return TracksLinked(
         labels=tuple(
@@ -32,7 +32,7 @@ def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:
 
 
 def _take(project: Project, views: list[str], step: Step) -> None:
-    """Applies one step; the project may refuse it if the present state does not allow it."""
+    """Applies one step; the project may refuse it if the current state does not allow it."""
     what, place, a, b = step
     frame, view = project.frames.of()[place], views[b % 2]
     labels = project.labels.of_frame(frame.id)
@@ -47,7 +47,7 @@ def _take(project: Project, views: list[str], step: Step) -> None:
     except FinalisedFrameError:
         assert frame.finalised
     except ProjectError:
-        assert not labels, "only a change of a missing label may be refused"
+        assert not labels, "only changes of missing labels may be refused"
 
 
 @settings(max_examples=15)

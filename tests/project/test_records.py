@@ -48,7 +48,7 @@ def test_a_lost_object_is_read_back_exactly() -> None:
     assert dataclasses.astuple(back.lost[0]) == dataclasses.astuple(lost)
 
 
-def test_a_signal_without_a_value_is_read_back() -> None:
+def test_non_finite_signals_are_read_back() -> None:
     proposal = proposal_at()
     odd = dataclasses.replace(
         proposal, quality=dataclasses.replace(proposal.quality, view_disagreement=math.nan, last_change=math.inf)
@@ -116,6 +116,6 @@ def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None
         BoxRecord.of(OrientedBox(RigidTransform(sheared, normalize=False), np.ones(3)))
 
 
-def test_only_a_pass_can_propose() -> None:
+def test_a_created_label_cannot_be_proposed() -> None:
     with pytest.raises(ValidationError, match="only an automatic pass proposes"):
         LabelCreated(uid="a", label="hand", box=NEW.box, state=ReviewState.PROPOSED)

@@ -33,7 +33,7 @@ def test_a_proposal_becomes_a_label(project: Project, frame: int, uid: str) -> N
     assert label.time_ns == project.log.of_frame(frame)[0].time_ns
 
 
-def test_accepting_keeps_everything_but_the_state(project: Project, frame: int, uid: str) -> None:
+def test_accepting_changes_only_the_state_and_the_author(project: Project, frame: int, uid: str) -> None:
     project.labels.accept(frame, uid, by_hand(1, "bea"))
     label = _only(project, frame)
     assert (label.state, label.source, label.author) == (ReviewState.ACCEPTED, Source.AUTO, "bea")
@@ -56,7 +56,7 @@ def test_a_rejected_label_stays_and_can_still_be_accepted(project: Project, fram
     assert _only(project, frame).state is ReviewState.ACCEPTED
 
 
-def test_a_deleted_label_is_gone(project: Project, frame: int, uid: str) -> None:
+def test_a_deleted_label_cannot_be_changed(project: Project, frame: int, uid: str) -> None:
     project.labels.delete(frame, uid, by_hand(1))
     assert project.labels.of_frame(frame) == ()
     for again in (
@@ -105,7 +105,9 @@ def test_a_stored_label_has_the_signals_of_its_proposal(project: Project, frame:
     assert (quality.kept_share, quality.last_change) == (0.9, math.inf)
 
 
-def test_labels_are_selected_over_the_project(project: Project, recording: StoredRecording, tmp_path) -> None:
+def test_labels_are_selected_by_state_class_and_recording(
+    project: Project, recording: StoredRecording, tmp_path
+) -> None:
     other = project.recordings.add(tmp_path / "b", "rgbd", "b", ["x"], True)
     for number, entry in enumerate(project.frames.of()):
         uids = project.proposals.replace(

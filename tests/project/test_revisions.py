@@ -1,4 +1,4 @@
-"""A stale write is refused, a finalised frame refuses automatic passes, and a refusal changes nothing."""
+"""Stale writes and automatic writes to finalised frames are refused; a refused write changes nothing."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_other_frames_do_not_make_a_write_stale(project: Project, frame: int) ->
     project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand(1))
 
 
-def test_a_finalised_frame_refuses_automatic_passes(project: Project, frame: int) -> None:
+def test_a_finalised_frame_refuses_automatic_writes(project: Project, frame: int) -> None:
     project.frames.finalise(frame, by_hand())
     before = state_of(project)
     for revision in (0, 1):
@@ -64,7 +64,7 @@ def test_an_operator_may_change_and_reopen_a_finalised_frame(project: Project, f
     assert len(project.labels.of_frame(frame)) == 1
 
 
-def test_finalising_twice_is_refused(project: Project, frame: int) -> None:
+def test_finalising_or_reopening_twice_is_refused(project: Project, frame: int) -> None:
     with pytest.raises(ProjectError, match="frame 2 of recording take: the frame is not finalised"):
         project.frames.reopen(frame, by_hand())
     project.frames.finalise(frame, by_hand())
@@ -73,7 +73,7 @@ def test_finalising_twice_is_refused(project: Project, frame: int) -> None:
     assert project.frames.get(frame).revision == 1
 
 
-def test_several_events_are_kept_together_or_not_at_all(project: Project, frame: int) -> None:
+def test_several_events_are_stored_together_or_not_at_all(project: Project, frame: int) -> None:
     uids = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
     before = state_of(project)
     some = [LabelAccepted(uid=uids[0]), FrameFinalised(), LabelRejected(uid="nobody")]
@@ -86,7 +86,7 @@ def test_several_events_are_kept_together_or_not_at_all(project: Project, frame:
     assert project.frames.get(frame).finalised
 
 
-def test_a_class_that_the_project_does_not_have_is_refused(project: Project, frame: int) -> None:
+def test_an_unknown_class_is_refused(project: Project, frame: int) -> None:
     stray = Box2D("hnad", 0.0, 0.0, 1.0, 1.0)
     for refused in (
         lambda: project.boxes.set_on_image(frame, [HAND, stray], BoxKind.BOX, by_hand()),

@@ -1,4 +1,4 @@
-"""The number of SQL statements does not grow with the number of frames.
+"""The number of SQL statements does not depend on the number of frames.
 
 (`python -m benchmarks.store` measures the times.)
 """
@@ -49,7 +49,7 @@ def of_length(tmp_path: Path) -> Callable[[int], Project]:
     return make
 
 
-def test_a_longer_recording_takes_no_more_statements(statements: Counted, of_length: Callable[[int], Project]) -> None:
+def test_a_longer_recording_needs_no_more_statements(statements: Counted, of_length: Callable[[int], Project]) -> None:
     counts = {}
     for frames in (20, 2_000):
         with of_length(frames) as project:
@@ -68,12 +68,14 @@ def test_a_longer_recording_takes_no_more_statements(statements: Counted, of_len
     assert max(counts[20]) < 40, counts
 
 
-def test_adding_a_recording_is_a_few_statements(project: Project, tmp_path: Path, statements: Counted) -> None:
+def test_adding_a_recording_needs_few_statements(project: Project, tmp_path: Path, statements: Counted) -> None:
     keys = [f"{n:06d}" for n in range(2_000)]
     assert statements(lambda: project.recordings.add(tmp_path / "long", "rgbd", "long", keys, True)) < 30
 
 
-def test_proposals_of_a_frame_are_a_few_statements(project: Project, tmp_path: Path, statements: Counted) -> None:
+def test_storing_the_proposals_of_a_frame_needs_few_statements(
+    project: Project, tmp_path: Path, statements: Counted
+) -> None:
     project.recordings.add(tmp_path / "long", "rgbd", "long", [str(n) for n in range(100)], True)
     frames = project.frames.of()
     proposals = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
@@ -81,5 +83,5 @@ def test_proposals_of_a_frame_are_a_few_statements(project: Project, tmp_path: P
         statements(lambda: project.proposals.replace(frame.id, proposals, by_machine()))  # noqa: B023
         for frame in frames[:20]
     ]
-    assert max(counts) < 60, "of one frame"
+    assert max(counts) < 60, "statements per frame"
     assert len(set(counts[5:])) == 1, "the number is constant once other frames have proposals"

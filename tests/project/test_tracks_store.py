@@ -24,12 +24,12 @@ def _track(project: Project, uid: str) -> tuple[int | None, bool]:
     return stored.label.track_id, stored.track_linked
 
 
-def test_a_track_id_from_linking_is_told_from_one_of_an_operator(project: Project, frame: int) -> None:
+def test_track_ids_record_whether_they_come_from_linking_or_an_operator(project: Project, frame: int) -> None:
     (uid,) = project.proposals.replace(frame, [proposal_at()], by_machine(), track_ids=[4]).uids
     assert uid is not None
     assert _track(project, uid) == (4, True)
     project.labels.edit(frame, uid, by_hand(1), label="hand", box=box_at(1.0), track_id=4)
-    assert _track(project, uid) == (4, True), "an edit of the box says nothing about the track"
+    assert _track(project, uid) == (4, True), "an edit of the box does not confirm the track"
     project.labels.edit(frame, uid, by_hand(2), label="hand", box=box_at(1.0), track_id=5)
     assert _track(project, uid) == (5, False)
     project.log.append(frame, [TracksLinked(labels=(LinkedLabel(uid=uid, track_id=6),))], by_machine(3))
@@ -42,7 +42,7 @@ def test_a_track_id_from_linking_is_told_from_one_of_an_operator(project: Projec
     assert project.labels.get(uid).label.state is ReviewState.EDITED
 
 
-def test_linking_never_changes_a_reviewed_box_nor_a_finalised_frame(project: Project, frame: int) -> None:
+def test_linking_changes_no_reviewed_box_and_no_finalised_frame(project: Project, frame: int) -> None:
     (uid,) = project.labels.create(frame, [NewLabel("hand", box_at())], by_hand()).uids
     moved = TracksLinked(labels=(LinkedLabel(uid=uid, track_id=1, box=BoxRecord.of(box_at(2.0))),))
     with pytest.raises(ProjectError, match="has been reviewed"):
@@ -55,7 +55,7 @@ def test_linking_never_changes_a_reviewed_box_nor_a_finalised_frame(project: Pro
     assert project.history.next("ann")[0] == "finalise frame 2"
 
 
-def test_a_proposal_never_gets_the_track_of_a_reviewed_box_in_its_frame(project: Project, frame: int) -> None:
+def test_a_proposal_does_not_get_the_track_of_a_reviewed_box_in_its_frame(project: Project, frame: int) -> None:
     (right, wrong) = project.proposals.replace(
         frame, [proposal_at(), proposal_at(3.0)], by_machine(), track_ids=[4, 5]
     ).uids
@@ -67,7 +67,7 @@ def test_a_proposal_never_gets_the_track_of_a_reviewed_box_in_its_frame(project:
     assert [_track(project, uid) for uid in again if uid] == [(None, False), (5, True)]
 
 
-def test_an_old_event_of_a_pass_has_no_track() -> None:
+def test_an_old_proposal_event_without_a_track_is_read() -> None:
     new = ProposedObject(uid="u", proposal=ProposalRecord.of(proposal_at()))
     old = new.model_dump(mode="json", exclude={"track_id"})
     assert ProposedObject.model_validate_json(new.model_dump_json(exclude={"track_id"})) == new
@@ -116,7 +116,7 @@ def test_an_action_over_several_frames_is_undone_and_redone_as_one(
     assert len(project.labels.of_frame(frames[2])) == 1
 
 
-def test_an_action_over_several_frames_is_stored_as_a_whole_or_not_at_all(
+def test_an_action_over_several_frames_is_stored_completely_or_not_at_all(
     project: Project, recording: StoredRecording
 ) -> None:
     parts = _span(project, recording, ["a", "b", "c"])

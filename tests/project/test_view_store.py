@@ -43,7 +43,7 @@ def test_a_damaged_image_is_detected(project: Project) -> None:
 
 
 @pytest.mark.parametrize("view", ["", "../project", "0" * 63, "A" * 64])
-def test_an_id_cannot_lead_elsewhere(project: Project, view: str) -> None:
+def test_an_invalid_view_id_is_refused(project: Project, view: str) -> None:
     with pytest.raises(ProjectError, match="not the id of a view"):
         project.views.load(view)
 

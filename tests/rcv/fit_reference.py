@@ -1,4 +1,4 @@
-"""The box fit as plain linear algebra, one rotation at a time: slow, and what the compiled loops are compared with."""
+"""Reference implementation of the box fit in plain linear algebra, one rotation at a time, for tests of the kernels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def huber(scaled: np.ndarray, delta: float) -> tuple[np.ndarray, float]:
 
 
 def size_cost(intervals: Intervals, rotation: np.ndarray, config: FitConfig, rounds: int) -> float:
-    """The robust cost of the intervals' lengths with the best sizes that a rotation allows."""
+    """The robust cost of the intervals' lengths with the best sizes for a rotation."""
     sigma = np.hypot(*intervals.sigma_m.T) / 2
     known = np.isfinite(sigma)
     design = np.abs(intervals.directions[known] @ rotation) / 2 / sigma[known, None]
@@ -32,7 +32,7 @@ def size_cost(intervals: Intervals, rotation: np.ndarray, config: FitConfig, rou
 def refined(
     intervals: Intervals, rotations: np.ndarray, held: bool, config: FitConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Centre, rotation, sizes and cost of the best box; the steps, rounds and damping of `Edges.refine`."""
+    """Centre, rotation, sizes and cost of the best box; with the steps, rounds and damping of `Edges.refine`."""
     boxes = [_placed(intervals, rotation, config) for rotation in rotations]
     costs = [_equations(intervals, box, 6, config)[3] for box in boxes]
     damping, active = [1e-3] * len(boxes), list(range(len(boxes)))
@@ -55,7 +55,7 @@ def refined(
 
 
 def smallest_singular_value(intervals: Intervals, rotation: np.ndarray, size: np.ndarray, held: bool) -> float:
-    """Of a box's equations, each unknown scaled to one; zero where one is not in them at all."""
+    """The smallest singular value of a box's normalised Jacobian; 0 if the equations do not contain an unknown."""
     box = (np.zeros(3), rotation, size)
     jacobian = _equations(intervals, box, 7 if held else 9, FitConfig())[0]
     scale = np.linalg.norm(jacobian, axis=0)
@@ -63,7 +63,7 @@ def smallest_singular_value(intervals: Intervals, rotation: np.ndarray, size: np
 
 
 def _equations(intervals: Intervals, box, unknowns: int, config: FitConfig):
-    """Jacobian and residuals in expected errors, low ends before high ends; Huber's weights and cost."""
+    """Jacobian and residuals in units of the expected error, low ends before high ends; Huber weights and cost."""
     center, rotation, size = box
     d = intervals.directions
     along = d @ rotation

@@ -11,7 +11,7 @@ CAMERA = Camera(width_px=640, height_px=480, fx=500.0, fy=500.0, cx=319.5, cy=23
 
 
 def box_surface(box: OrientedBox, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points (count, 3) on the faces of a box, evenly by area."""
+    """Points (count, 3) on the faces of a box, uniform by area."""
     size = box.size_m
     areas = np.array([size[1] * size[2], size[0] * size[2], size[0] * size[1]])
     axis = rng.choice(3, count, p=areas / areas.sum())
@@ -38,5 +38,5 @@ def frame_with(
 
 
 def some_box(center: list[float], rotvec: list[float], size: list[float]) -> OrientedBox:
-    """A box from a rotation vector, radians."""
+    """A box from a centre, a rotation vector (radians) and a size."""
     return OrientedBox.from_parts(np.array(center), Rotation.from_rotvec(rotvec).as_matrix(), np.array(size))

@@ -1,4 +1,4 @@
-"""Projection axes: each strategy on clouds whose answer is known, and the fallbacks."""
+"""Projection axes: each strategy on clouds with known axes, and the fallbacks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def random_axes(seed: int) -> np.ndarray:
 
 
 @given(st.integers(0, 1000), st.integers(0, 1000), st.integers(0, 23))
-def test_relabelled_axes_are_no_rotation(seed: int, other: int, symmetry: int) -> None:
+def test_relabelled_axes_have_an_angle_of_0(seed: int, other: int, symmetry: int) -> None:
     axes, reference = random_axes(seed), random_axes(other)
     relabelled = BOX_SYMMETRIES[symmetry] @ axes
     assert axes_angle_rad(relabelled, axes) == pytest.approx(0, abs=1e-6)
@@ -40,12 +40,12 @@ def test_relabelled_axes_are_no_rotation(seed: int, other: int, symmetry: int) -
     assert np.linalg.det(matched) == pytest.approx(1)
 
 
-def test_there_are_24_ways_to_relabel_a_box() -> None:
+def test_a_box_has_24_symmetries() -> None:
     assert len({tuple(m.ravel()) for m in BOX_SYMMETRIES}) == 24
 
 
 @given(st.integers(0, 1000))
-def test_upright_axes_are_level_right_handed_and_near_its_direction(seed: int) -> None:
+def test_upright_axes_are_level_right_handed_and_point_forward(seed: int) -> None:
     rng = np.random.default_rng(seed)
     forward, up = rng.normal(size=3), rng.normal(size=3)
     up /= np.linalg.norm(up)
@@ -65,7 +65,7 @@ def test_eigenvectors_of_a_long_box_are_its_axes() -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 1.1, -0.9])
-def test_normals_find_a_cube_that_eigenvectors_cannot(yaw: float) -> None:
+def test_normals_give_the_axes_of_a_cube_and_eigenvectors_do_not(yaw: float) -> None:
     box = some_box([0, 0, 3], [0.2, yaw, 0.1], [0.5, 0.5, 0.5])
     xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
     cloud = PointCloud(xyz, normals=normals_knn(xyz))
@@ -75,7 +75,7 @@ def test_normals_find_a_cube_that_eigenvectors_cannot(yaw: float) -> None:
     assert find_axes(cloud, Strategy.EIGENVECTORS, np.eye(3), None, FREE).strategy is Strategy.CAMERA
 
 
-def test_upright_axes_keep_gravity() -> None:
+def test_upright_axes_contain_the_up_direction() -> None:
     box = some_box([0, 0, 3], [0, 0.6, 0], [0.9, 0.5, 0.4])
     xyz = box_surface(box, 3000, np.random.default_rng(0)).astype(np.float32)
     cloud = PointCloud(xyz, normals=normals_knn(xyz))
@@ -95,7 +95,7 @@ def test_a_small_cloud_falls_back_step_by_step_with_notes() -> None:
     np.testing.assert_allclose(found.axes, np.eye(3))
 
 
-def test_a_flat_cloud_still_gives_axes() -> None:
+def test_a_flat_cloud_has_axes_along_its_normal() -> None:
     rng = np.random.default_rng(0)
     xyz = np.concatenate([rng.uniform(-1, 1, (400, 2)), np.full((400, 1), 3.0)], axis=1).astype(np.float32)
     cloud = PointCloud(xyz, normals=normals_knn(xyz))

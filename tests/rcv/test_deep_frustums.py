@@ -1,4 +1,4 @@
-"""The first step's pictures where a frustum is much deeper than wide."""
+"""The first step's pictures of frustums that are much deeper than wide."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def frustum(depth_m: float) -> PointCloud:
 
 
 @pytest.mark.parametrize(("depth_m", "size_px", "look_px"), [(3.9, 96, 0), (4.1, 224, 224), (60.0, 224, 224)])
-def test_a_deep_frustum_is_drawn_larger_and_looked_at_larger(depth_m: float, size_px: int, look_px: int) -> None:
+def test_a_deep_frustum_is_drawn_and_detected_at_a_larger_size(depth_m: float, size_px: int, look_px: int) -> None:
     cloud = frustum(depth_m)
     assert is_deep(cloud, CONFIG) == (size_px == 224)
     views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, CONFIG), CONFIG).views
@@ -30,14 +30,14 @@ def test_a_deep_frustum_is_drawn_larger_and_looked_at_larger(depth_m: float, siz
 
 @pytest.mark.parametrize("degrees", [-60, -35, 0, 35, 60])
 @pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
-def test_depth_is_along_the_frustum(degrees: float, axis: list[float]) -> None:
+def test_depth_is_measured_along_the_frustum(degrees: float, axis: list[float]) -> None:
     turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix().astype(np.float32)
     for depth_m, deep in ((3.0, False), (6.0, True), (60.0, True)):
         assert is_deep(PointCloud(frustum(depth_m).xyz_m @ turn.T), CONFIG) == deep
 
 
 def test_all_points_of_a_frustum_are_drawn() -> None:
-    """A far object of few points among many near ones: none of its pixels may go missing."""
+    """Thinning must not remove any pixel of a far object of few points behind many near points."""
     near = np.random.default_rng(0).uniform([-0.5, -1, 5], [-0.1, 1, 5.1], (100_000, 3))
     row, column = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(0.1, 0.5, 10))
     far = np.stack([column, row, np.full_like(row, 6.0)], axis=-1).reshape(-1, 3)
@@ -50,13 +50,13 @@ def test_all_points_of_a_frustum_are_drawn() -> None:
     assert all((front.rgb[y, x] == red[0]).all() for x, y in shown)
 
 
-def test_views_are_never_smaller_than_the_rest() -> None:
+def test_deep_views_are_not_drawn_smaller_than_other_views() -> None:
     large = CONFIG.model_copy(update={"view": ViewConfig(size_px=320)})
     views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), frustum(60.0), None, large), large).views
     assert {(max(view.rgb.shape), view.look_px) for view in views} == {(320, 224)}
 
 
-def test_views_to_draw_on_are_looked_at_alike() -> None:
+def test_first_views_have_the_detection_size_of_the_recursion() -> None:
     camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
     box = Box2D("a", 20.0, 15.0, 40.0, 30.0)
     for depth_m, look_px in ((2.0, 0), (60.0, 224)):

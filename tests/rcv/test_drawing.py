@@ -1,4 +1,4 @@
-"""The compiled drawing against plain numpy and OpenCV."""
+"""The compiled drawing, compared with plain numpy and OpenCV."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def reference(xyz, rgb, axes, window, largest_splat_px):
 
 @pytest.mark.parametrize("colored", [True, False])
 @pytest.mark.parametrize("n", [1, 40, 700, 6000])
-def test_pictures_are_those_of_a_plain_loop(n: int, colored: bool) -> None:
+def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> None:
     rng = np.random.default_rng(n)
     xyz = rng.normal(size=(3, n)).astype(np.float32) * np.float32([[1], [0.3], [0.6]])
     rgb = rng.integers(0, 255, (n, 3)).astype(np.uint8) if colored else None
@@ -55,12 +55,12 @@ def test_pictures_are_those_of_a_plain_loop(n: int, colored: bool) -> None:
     for picture, rows, window in zip(pictures, axes, windows, strict=True):
         wanted = reference(xyz, rgb, rows, window, config.max_splat_px)
         assert picture.shape == wanted.shape
-        # sums in another order may put a point on the other side of a pixel's or a level's edge
+        # another order of summation may move a point across the border of a pixel or depth level
         differ = (picture != wanted).any(axis=2).mean()
         assert differ <= 0.002, f"{differ:.2%} of the pixels"
 
 
-def test_points_outside_of_a_window_are_drawn_at_its_border() -> None:
+def test_points_outside_a_window_are_drawn_at_its_border() -> None:
     (window,) = fit_windows(np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]]), ViewConfig(size_px=32))
     xyz = np.array([[50.0, -50], [-50, 50], [2, 1]], np.float32)
     packed = pack_colors(np.array([[1, 2, 3], [4, 5, 6]], np.uint8), 2)

@@ -1,4 +1,4 @@
-"""Which boxes a frame's recursions end with: what agrees with the image box that it came from."""
+"""The selection of a frame's final boxes by their agreement with the image boxes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_agreement_is_the_iou_on_the_image(frame: Frame) -> None:
     assert image_agreement(frame.camera, ended(frame, exact, OWN), behind, RcvConfig()) == 0
 
 
-def test_silhouettes_agree_by_their_points(frame: Frame) -> None:
+def test_the_agreement_of_silhouettes_uses_their_points(frame: Frame) -> None:
     """The points may cover less than the box."""
     state = ended(frame, seen(frame, OWN), OWN)
     left = frame.cloud.xyz_m[:800, 0] < OWN.center_m[0]
@@ -64,23 +64,23 @@ def test_silhouettes_agree_by_their_points(frame: Frame) -> None:
     assert image_agreement(frame.camera, part, OWN, RcvConfig()) == pytest.approx(1)
 
 
-def test_a_further_object_that_disagrees_is_dropped_and_the_best_never_is(frame: Frame) -> None:
+def test_a_disagreeing_second_object_is_dropped_but_never_the_best(frame: Frame) -> None:
     image_box = seen(frame, OWN)
     both = [ended(frame, image_box, OTHER), ended(frame, image_box, OWN)]
     assert len(result(frame, both, min_image_agreement=0.0)) == 2
     (kept,) = result(frame, both, min_image_agreement=0.2)
     assert kept is OWN
-    assert len(result(frame, both[:1], min_image_agreement=1.0)) == 1, "the only one of its frustum"
+    assert len(result(frame, both[:1], min_image_agreement=1.0)) == 1, "the only object of its frustum is kept"
 
 
-def test_equal_boxes_of_two_frustums_are_each_objects_own(frame: Frame) -> None:
-    """Two detections may be equal without being one."""
+def test_equal_image_boxes_belong_to_two_objects(frame: Frame) -> None:
+    """Two equal detections may be of different objects."""
     states = [ended(frame, seen(frame, OWN), OWN), ended(frame, seen(frame, OWN), OTHER)]
     assert len(result(frame, states, min_image_agreement=1.0)) == 2
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_of_the_same_object_in_two_frustums_that_of_its_own_stays(frame: Frame, order: int) -> None:
+def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame, order: int) -> None:
     own, neighbours = seen(frame, OWN), seen(frame, OTHER)
     better = ended(frame, own, OWN)
     worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.T_camera_box, OWN.size_m * 0.9))
@@ -88,8 +88,8 @@ def test_of_the_same_object_in_two_frustums_that_of_its_own_stays(frame: Frame, 
     assert found.image_box == own
 
 
-def test_proposals_come_with_the_best_score_first(frame: Frame) -> None:
-    """Whatever decided between rivals."""
+def test_proposals_are_sorted_by_score(frame: Frame) -> None:
+    """Even where the agreement selects between duplicates."""
     doubtful = replace(seen(frame, OWN), score=0.3)
     sure = replace(seen(frame, OTHER), x_max=639.0, y_max=479.0)
     found = finish(frame, [ended(frame, doubtful, OWN), ended(frame, sure, OTHER)], RcvConfig()).proposals

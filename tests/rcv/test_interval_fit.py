@@ -1,4 +1,4 @@
-"""The consensus fit: exact intervals give the exact box, noisy ones an approximate one, too few none."""
+"""The consensus fit: exact intervals give the exact box, noisy ones an approximate box, too few no box."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_exact_intervals_give_the_exact_upright_box(seed: int) -> None:
     np.testing.assert_allclose(fit.rotation[:, 2], UP, atol=1e-9)
 
 
-def test_noise_is_averaged() -> None:
+def test_noise_is_averaged_out() -> None:
     ious = []
     for seed in range(20):
         box = random_box(np.random.default_rng(seed), upright=False)
@@ -85,7 +85,7 @@ def test_noise_is_averaged() -> None:
     assert np.mean(ious) > 0.9
 
 
-def test_a_grossly_wrong_interval_does_not_pull_the_box() -> None:
+def test_an_outlier_interval_does_not_shift_the_box() -> None:
     box = random_box(np.random.default_rng(3), upright=False)
     intervals = measure(box, spread_rotations(12).reshape(-1, 3), 0.005)
     ends = intervals.ends_m.copy()
@@ -95,7 +95,7 @@ def test_a_grossly_wrong_interval_does_not_pull_the_box() -> None:
     assert iou_3d(box, box_of(fit)) > 0.9
 
 
-def test_ends_that_the_picture_cut_off_are_not_used() -> None:
+def test_ends_cut_off_by_the_picture_are_not_used() -> None:
     box = random_box(np.random.default_rng(4), upright=True)
     intervals = measure(box, upright_directions())
     ends, sigma = intervals.ends_m.copy(), intervals.sigma_m.copy()
@@ -112,7 +112,7 @@ def test_too_few_intervals_determine_no_box() -> None:
     assert fit_box(measure(box, np.eye(3)[:2]), UP) is None
 
 
-def test_two_views_along_one_yaw_determine_no_upright_box() -> None:
+def test_views_along_one_yaw_determine_no_upright_box() -> None:
     """Every rotation fits the intervals along one set of axes equally well; the fit once returned an arbitrary one."""
     for yaw in (0.0, 0.3):
         box = OrientedBox.from_parts(
@@ -136,8 +136,8 @@ def test_spread_rotations_differ_for_a_box(count: int) -> None:
 
 
 @pytest.mark.parametrize("upright", [False, True])
-def test_wrong_intervals_do_not_pull_the_box(upright: bool) -> None:
-    """A tenth of the ends are far off, one end in ten is not known; the search and the fit follow the others."""
+def test_several_outlier_intervals_do_not_shift_the_box(upright: bool) -> None:
+    """10 % of the ends are outliers and 10 % are unknown; the search and the fit use the others."""
     rng = np.random.default_rng(3)
     box = random_box(rng, upright)
     directions = upright_directions() if upright else spread_rotations(12).reshape(-1, 3)
@@ -152,7 +152,7 @@ def test_wrong_intervals_do_not_pull_the_box(upright: bool) -> None:
     assert iou_3d(box, box_of(fit)) > 0.98
 
 
-def test_starts_are_apart_and_the_cheapest_come_first() -> None:
+def test_starts_are_distinct_and_sorted_by_cost() -> None:
     grid = free_grid()
     costs = np.random.default_rng(0).random(len(grid))
     limit = np.deg2rad(20)
@@ -165,8 +165,8 @@ def test_starts_are_apart_and_the_cheapest_come_first() -> None:
     assert len(cheapest_distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
 
 
-def awkward_intervals(seed: int, upright: bool) -> Intervals:
-    """Along random directions, of noise of all sizes, with ends that are far off, and ends that are not known."""
+def hard_intervals(seed: int, upright: bool) -> Intervals:
+    """Intervals along random directions with various noise, outliers and unknown ends."""
     rng = np.random.default_rng(seed)
     box = random_box(rng, upright)
     directions = rng.normal(size=(rng.integers(12, 40), 3))
@@ -180,25 +180,25 @@ def awkward_intervals(seed: int, upright: bool) -> Intervals:
 
 
 @pytest.mark.parametrize("upright", [False, True])
-def test_the_search_is_least_squares_for_each_rotation(upright: bool) -> None:
+def test_the_search_solves_least_squares_for_each_rotation(upright: bool) -> None:
     config, grid = FitConfig(), yaw_grid(UP) if upright else free_grid()
     for seed in range(5):
-        intervals = awkward_intervals(seed, upright)
+        intervals = hard_intervals(seed, upright)
         costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
         first, second = (
             np.array([fit_reference.size_cost(intervals, rotation, config, rounds) for rotation in grid])
             for rounds in (1, 2)
         )
-        looked_at = np.sort(np.argsort(first)[: len(grid) if upright else len(grid) // 4])
-        np.testing.assert_array_equal(np.flatnonzero(np.isfinite(costs)), looked_at)
-        np.testing.assert_allclose(costs[looked_at], second[looked_at], rtol=1e-9)
+        refined = np.sort(np.argsort(first)[: len(grid) if upright else len(grid) // 4])
+        np.testing.assert_array_equal(np.flatnonzero(np.isfinite(costs)), refined)
+        np.testing.assert_allclose(costs[refined], second[refined], rtol=1e-9)
 
 
 @pytest.mark.parametrize("upright", [False, True])
-def test_the_refinement_takes_the_steps_of_plain_linear_algebra(upright: bool) -> None:
+def test_the_refinement_agrees_with_the_reference_implementation(upright: bool) -> None:
     config = FitConfig()
     for seed in range(30):
-        intervals = awkward_intervals(seed, upright)
+        intervals = hard_intervals(seed, upright)
         edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, config)
         starts = (yaw_grid(UP) if upright else free_grid())[seed::7][:5]
         found = edges.refine(starts, held=upright)
@@ -206,7 +206,7 @@ def test_the_refinement_takes_the_steps_of_plain_linear_algebra(upright: bool) -
         center, rotation, size, cost = fit_reference.refined(centred, starts, upright, config)
         expected = OrientedBox.from_parts(center + edges.shift, rotation, size)
         assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
-        # starts may come to the same box under other names of its axes
+        # starts may converge to the same box with permuted axes
         assert iou_3d(expected, box_of(found)) == pytest.approx(1.0, abs=1e-6)
 
 
@@ -214,7 +214,7 @@ def test_the_refinement_takes_the_steps_of_plain_linear_algebra(upright: bool) -
 def test_a_box_is_determined_if_the_smallest_singular_value_is_large_enough(held: bool) -> None:
     answers = set()
     for seed in range(20):
-        intervals = awkward_intervals(seed, held)
+        intervals = hard_intervals(seed, held)
         edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, FitConfig())
         fit = edges.refine(np.eye(3)[None], held)
         exact = fit_reference.smallest_singular_value(intervals, fit.rotation, fit.size_m, held)

@@ -1,4 +1,4 @@
-"""Known 3D boxes on a frame's pictures: each view has all that it shows, its own object's first."""
+"""2D boxes of known 3D boxes: each view has a box for every visible object, its own object's first."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ BESIDE = some_box([0.35, 0.0, 2.9], [0, -0.3, 0], [0.5, 0.9, 0.4])
 
 
 def known(*boxes: OrientedBox, unmeasured: tuple[OrientedBox, ...] = ()) -> tuple[KnownFrame, Frame]:
-    """What is known of a frame whose objects a, b ... have points, and those after them none."""
+    """The 2D boxes of a frame with objects a, b, ...; those in `unmeasured` have no points."""
     frame, truths = frame_with([*boxes], up=UP)
     named = [replace(t, label="abc"[k]) for k, t in enumerate([*truths, *(Truth("", box) for box in unmeasured)])]
     return boxes_of_known(frame, named, CONFIG), frame
 
 
 def on_view(view: PseudoView, box: OrientedBox) -> np.ndarray:
-    """What a box spans on a view, x_min y_min x_max y_max, cut to the picture."""
+    """The extent of a box on a view, (x_min, y_min, x_max, y_max), clipped to the picture."""
     px = (box_corners(box) @ view.axes[:2].T - view.origin_m) / view.metres_per_px
     height_px, width_px = view.rgb.shape[:2]
     last = np.array([width_px, height_px]) - 0.5
     return np.concatenate([px.min(axis=0).clip(-0.5, last), px.max(axis=0).clip(-0.5, last)])
 
 
-def test_a_view_has_the_boxes_of_all_that_it_shows() -> None:
+def test_a_view_has_the_boxes_of_all_visible_objects() -> None:
     found, frame = known(NEAR, BESIDE)
     boxes = {"a": NEAR, "b": BESIDE}
     total = {name: contains(box, frame.cloud.xyz_m).sum() for name, box in boxes.items()}
@@ -54,7 +54,7 @@ def test_a_view_has_the_boxes_of_all_that_it_shows() -> None:
             for box in view.boxes:
                 np.testing.assert_allclose(box.xyxy, on_view(view.view, boxes[box.label]), atol=1e-6)
             numbers.append(len(labels))
-    # the neighbour stands in the near one's frustum, and the second step has left it out
+    # the neighbour is in the near object's frustum, but no longer in its second step
     assert numbers == [2, 2, 1, 1, 1, 1, 1, 1]
 
 
@@ -69,15 +69,15 @@ def test_invisible_objects_are_reported_and_have_no_box() -> None:
 
 
 def test_an_unoccluded_object_without_points_is_on_the_image_only() -> None:
-    """The wall behind was measured through it, as through glass: the image may show it."""
+    """The wall behind it was measured, as through glass, so the image may show the object."""
     found, _ = known(NEAR, unmeasured=(some_box([0.9, 0, 3], [0, 0, 0], [0.5] * 3),))
     assert [box.label for box in found.on_image] == ["a", "b"]
     assert [item.image_box.label for item in found.objects] == ["a"]
     assert (found.hidden, found.outside, found.without_views) == ((), (), ("b",))
 
 
-def test_a_box_is_cut_at_the_picture_and_keeps_its_hidden_part() -> None:
-    """The second object reaches out of the picture; the third is half covered by the first."""
+def test_image_boxes_are_clipped_and_include_the_occluded_part() -> None:
+    """The second object extends beyond the image; the third is half occluded by the first."""
     out, covered = (
         some_box([1.5, 0.0, 2.4], [0, 0, 0], [0.8, 0.6, 0.4]),
         some_box([-0.3, 0.1, 3.2], [0, 0, 0], [1.0, 0.6, 0.4]),

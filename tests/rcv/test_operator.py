@@ -1,4 +1,4 @@
-"""The labelling procedure: five boxes an object, and what the drags leave are the object's points."""
+"""The labelling procedure: five boxes per object, which select the object's points."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OBJECT = slice(0, 800)
 
 
 def image_box(frame: Frame, margin_px: float = 0.0) -> Box2D:
-    """Around the first object's 800 points, straight from the pinhole formula."""
+    """The box around the first object's 800 points, by the pinhole formula."""
     xyz = frame.cloud.xyz_m[OBJECT].astype(float)
     u = CAMERA.fx * xyz[:, 0] / xyz[:, 2] + CAMERA.cx
     v = CAMERA.fy * xyz[:, 1] / xyz[:, 2] + CAMERA.cy
@@ -41,21 +41,21 @@ def spans(found: DrawnObject) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(item.view.axes, item.view.interval_m(item.box)) for item in found.views]
 
 
-def test_an_object_takes_a_front_and_a_side_box_in_each_of_two_steps() -> None:
+def test_an_object_needs_a_front_and_a_side_box_in_each_of_two_steps() -> None:
     frame, _ = frame_with([BOX], up=UP)
     found = drawn(frame)
     assert [item.step for item in found.views] == [0, 0, 1, 1]
     assert LABELLED_STEPS == 2
     assert found.image_box == image_box(frame)
     for front, side in (found.views[:2], found.views[2:]):
-        # the two look along axes at right angles, and share the one that points down
+        # the two views are orthogonal and share the axis that points down
         np.testing.assert_allclose(front.view.axes @ front.view.axes.T, np.eye(3), atol=1e-12)
         np.testing.assert_allclose(side.view.axes[0], front.view.axes[2], atol=1e-12)
         np.testing.assert_allclose(side.view.axes[1], front.view.axes[1], atol=1e-12)
         assert np.linalg.det(side.view.axes) == pytest.approx(1)
 
 
-def test_the_first_views_look_along_the_camera_axes_and_show_the_whole_frustum() -> None:
+def test_the_first_views_are_along_the_camera_axes_and_show_the_whole_frustum() -> None:
     frame, _ = frame_with([BOX], up=UP)
     views = first_views(frame, image_box(frame), CONFIG)
     assert views is not None
@@ -63,7 +63,7 @@ def test_the_first_views_look_along_the_camera_axes_and_show_the_whole_frustum()
     np.testing.assert_allclose(views[1].axes, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
     shown = {tuple(point) for point in views[0].xyz_m}
     assert all(tuple(point) in shown for point in frame.cloud.xyz_m[OBJECT])
-    assert len(shown) > 800, "the wall behind the object is in its frustum too"
+    assert len(shown) > 800, "the wall behind the object is also in its frustum"
 
 
 def test_upright_first_views_are_level() -> None:
@@ -77,7 +77,7 @@ def test_upright_first_views_are_level() -> None:
 
 
 @pytest.mark.parametrize("orientation", list(Orientation))
-def test_the_second_step_shows_the_object_alone(orientation: Orientation) -> None:
+def test_the_second_step_shows_only_the_object(orientation: Orientation) -> None:
     frame, _ = frame_with([BOX], up=UP)
     config = RcvConfig(orientation=orientation)
     views = next_views(frame, image_box(frame), spans(drawn(frame, config))[:2], config)
@@ -91,7 +91,7 @@ def test_the_second_step_shows_the_object_alone(orientation: Orientation) -> Non
 
 
 def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
-    """Views cut more tightly than the detector will meet them would teach it another picture."""
+    """Otherwise the detector would be trained on tighter crops than it gets in the recursion."""
     frame, truths = frame_with([BOX], up=UP)
     config = CONFIG.model_copy(update={"strategy": Strategy.NORMALS, "max_steps": 2})
     detector = PerfectDetector.for_frame(frame, truths)
@@ -114,7 +114,7 @@ def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
         np.testing.assert_array_equal(drawn_on.xyz_m, met.xyz_m)
 
 
-def test_a_box_that_its_picture_cut_off_gets_room_in_the_second_step() -> None:
+def test_a_box_cut_off_by_the_picture_gets_a_larger_margin_in_the_second_step() -> None:
     frame, _ = frame_with([BOX], up=UP)
     shown = [(item.view, item.view.interval_m(item.box)) for item in drawn(frame).views[:2]]
     (front, front_span), (side, side_span) = shown
@@ -131,7 +131,7 @@ def test_a_box_that_its_picture_cut_off_gets_room_in_the_second_step() -> None:
     assert extents[3] > 1.3 * extents[2]
 
 
-def test_normals_are_estimated_once_a_frame() -> None:
+def test_normals_are_estimated_once_per_frame() -> None:
     frame, _ = frame_with([BOX], up=UP)
     ready = frame_with_normals(frame, [image_box(frame)], CONFIG)
     assert ready.cloud.normals is not None
@@ -144,7 +144,7 @@ def test_normals_are_estimated_once_a_frame() -> None:
     np.testing.assert_array_equal(one[0].rgb, other[0].rgb)
 
 
-def test_the_drags_cut_out_the_objects_points() -> None:
+def test_the_drawn_boxes_select_the_objects_points() -> None:
     frame, _ = frame_with([BOX, some_box([0.9, 0, 2.0], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP)
     mask = cut_out(frame, image_box(frame), [(span, 1e-3) for span in spans(drawn(frame))])
     assert mask.shape == (len(frame.cloud),)
@@ -152,7 +152,7 @@ def test_the_drags_cut_out_the_objects_points() -> None:
     assert not mask[800:].any()
 
 
-def test_the_margin_of_a_drag_is_in_metres() -> None:
+def test_the_margin_of_a_drawn_box_is_in_metres() -> None:
     frame, _ = frame_with([BOX], up=UP)
     narrow = (np.eye(3), np.array([[-0.30, -0.25], [-9.0, 9.0]]))
     everything = Box2D("thing", -1.0, -1.0, 641.0, 481.0)
@@ -164,7 +164,7 @@ def test_the_margin_of_a_drag_is_in_metres() -> None:
 
 
 @pytest.mark.parametrize("unseen", [0, 1, 2, 3])
-def test_an_object_that_one_view_does_not_show_is_not_finished(unseen: int) -> None:
+def test_an_object_that_is_missing_in_one_view_is_not_finished(unseen: int) -> None:
     frame, _ = frame_with([BOX], up=UP)
     asked: list[PseudoView] = []
 
@@ -173,10 +173,10 @@ def test_an_object_that_one_view_does_not_show_is_not_finished(unseen: int) -> N
         return None if len(asked) == unseen + 1 else project_box(view, BOX, "thing")
 
     assert draw_object(frame, image_box(frame), draw, CONFIG) is None
-    assert len(asked) == (2 if unseen < 2 else 4), "both views of a step are shown, and none of a later one"
+    assert len(asked) == (2 if unseen < 2 else 4), "both views of the step are shown, and no later view"
 
 
-def test_a_frustum_or_a_cut_with_too_few_points_ends_it() -> None:
+def test_a_frustum_or_crop_with_too_few_points_ends_the_procedure() -> None:
     frame, _ = frame_with([BOX], up=UP)
     corner = Box2D("thing", -0.5, -0.5, 1.0, 1.0)
     assert first_views(frame, corner, CONFIG) is None

@@ -1,4 +1,4 @@
-"""The recursion as a whole: with a perfect detector on scenes whose boxes are known."""
+"""The whole recursion with a perfect detector, on scenes with known boxes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UPRIGHT_BOX = some_box([-0.3, 0.0, 2.5], [0, 0.5, 0], [0.6, 0.8, 0.3])
 
 
 class Counting:
-    """Passes calls on and remembers how many pictures each had."""
+    """Forwards calls and records the number of images of each."""
 
     def __init__(self, inner: PerfectDetector) -> None:
         self.inner, self.calls = inner, []
@@ -36,7 +36,7 @@ class Counting:
 
 
 class BlindAfter(Counting):
-    """Sees nothing after so many calls."""
+    """Detects nothing after the given number of calls."""
 
     def __init__(self, inner: PerfectDetector, calls: int) -> None:
         super().__init__(inner)
@@ -62,7 +62,7 @@ def test_consensus_finds_the_exact_box(orientation: Orientation, box) -> None:
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
-def test_every_strategy_gives_a_box_that_holds_the_object(strategy: Strategy) -> None:
+def test_every_strategy_gives_a_box_that_contains_the_object(strategy: Strategy) -> None:
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths)
     (found,) = propose([frame], perfect, perfect, RcvConfig(strategy=strategy))[0].proposals
@@ -72,7 +72,7 @@ def test_every_strategy_gives_a_box_that_holds_the_object(strategy: Strategy) ->
     assert found.trace[1].strategy == strategy
 
 
-def test_silhouettes_give_the_tightest_box() -> None:
+def test_silhouettes_give_a_tight_box() -> None:
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
     (found,) = propose([frame], perfect, perfect, RcvConfig(box_kind=BoxKind.SILHOUETTE))[0].proposals
@@ -80,7 +80,7 @@ def test_silhouettes_give_the_tightest_box() -> None:
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.97
 
 
-def test_all_objects_of_all_frames_share_each_step_batch() -> None:
+def test_all_objects_of_all_frames_share_one_batch_per_step() -> None:
     first, truths_a = frame_with([UPRIGHT_BOX, some_box([0.9, 0, 2.2], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP, key="a")
     second, truths_b = frame_with([some_box([0.1, 0, 2.0], [0, -0.4, 0], [0.5, 0.4, 0.3])], up=UP, key="b")
     perfect = PerfectDetector([Scene.of(first, truths_a), Scene.of(second, truths_b)])
@@ -132,7 +132,7 @@ def test_duplicates_are_removed() -> None:
 
 
 @pytest.mark.parametrize(("seen", "steps"), [(0, 1), (1, 2)])
-def test_an_object_that_no_view_shows_is_lost_and_the_trace_shows_where(seen: int, steps: int) -> None:
+def test_an_object_without_view_detections_is_lost_and_the_trace_shows_the_step(seen: int, steps: int) -> None:
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths)
     result = propose([frame], perfect, BlindAfter(perfect, seen), RcvConfig())[0]
@@ -178,7 +178,7 @@ def test_the_step_limit_holds(limit: int) -> None:
     assert found.trace[-1].stop is StopReason.STEP_LIMIT
 
 
-def test_frames_without_detections_and_no_frames_at_all() -> None:
+def test_frames_without_detections_and_an_empty_batch_give_no_proposals() -> None:
     frame, truths = frame_with([FREE_BOX])
     nothing = PerfectDetector.for_frame(frame, [])
     assert propose([frame], nothing, nothing, RcvConfig())[0].proposals == ()
@@ -186,7 +186,7 @@ def test_frames_without_detections_and_no_frames_at_all() -> None:
     assert truths
 
 
-def test_the_trace_maps_the_box_back_as_equation_1_says() -> None:
+def test_the_trace_maps_the_box_back_as_in_equation_1() -> None:
     """B_o = prod_i T_i^{i+1} B_N with the homogeneous 4 x 4 transforms between the frames of successive steps."""
     frame, truths = frame_with([FREE_BOX])
     perfect = PerfectDetector.for_frame(frame, truths, jitter=0.02)
@@ -227,7 +227,7 @@ def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
         assert a.proposals[0].trace == b.proposals[0].trace
 
 
-def test_views_show_the_frustum_first() -> None:
+def test_the_first_views_show_the_frustum_and_later_ones_less() -> None:
     frame, truths = frame_with([FREE_BOX])
     seen: list[int] = []
 
@@ -243,9 +243,9 @@ def test_views_show_the_frustum_first() -> None:
     assert seen[2] < seen[0]
 
 
-def test_an_object_whose_lower_end_was_never_seen_keeps_its_height() -> None:
-    """A LiDAR often misses the foot of an object: its true box then goes on below all points, and every picture cuts
-    it off. Ends that were cut used to count for nothing, and the box collapsed."""
+def test_an_object_without_points_at_its_lower_end_keeps_its_height() -> None:
+    """A LiDAR often misses the foot of an object: its true box then extends below all points, and every picture cuts
+    it off. Cut ends were once ignored, and the box collapsed."""
     frame, _ = frame_with([UPRIGHT_BOX], up=UP)
     upper = frame.cloud.xyz_m[:, 1] < 0.1
     kept = replace(frame, cloud=frame.cloud.select(upper))
@@ -254,7 +254,7 @@ def test_an_object_whose_lower_end_was_never_seen_keeps_its_height() -> None:
     assert iou_3d(found.box, UPRIGHT_BOX) > 0.9
 
 
-def test_a_silhouette_that_missed_a_part_does_not_win_by_being_small() -> None:
+def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     frame, truths = frame_with([UPRIGHT_BOX], up=UP)
     perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
 

@@ -1,4 +1,4 @@
-"""Pseudo-views: which pixel a point gets, which point wins a pixel, and the way back to metres."""
+"""Pseudo-views: the pixel of a point, the nearest point of a pixel, and the conversion back to metres."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_every_point_is_drawn_at_its_pixel(seed: int, count: int) -> None:
             assert tuple(view.rgb[pixel_of(view, point)]) == (7, 7, 7)
 
 
-def test_the_nearest_point_wins_a_pixel_in_both_views() -> None:
+def test_the_nearest_point_is_drawn_in_both_views() -> None:
     near, far = [255, 0, 0], [0, 0, 255]
     cloud = cloud_of([[0, 0, 1], [0, 0, 2], [1, 0, 1.5], [-1, 0, 1.5]], [near, far, far, near])
     front, side = render_pairs(cloud, [np.eye(3)], VIEW)
@@ -55,7 +55,7 @@ def test_front_and_side_share_the_second_axis() -> None:
 
 
 @given(st.floats(-0.5, 60), st.floats(-0.5, 60), st.floats(1, 30), st.floats(1, 30))
-def test_pixels_to_metres_and_back(x: float, y: float, width: float, height: float) -> None:
+def test_conversion_to_metres_and_back_keeps_a_box(x: float, y: float, width: float, height: float) -> None:
     front, _ = render_pairs(cloud_of([[0, 0, 1], [1, 2, 2]]), [np.eye(3)], VIEW)
     box = Box2D("a", x, y, x + width, y + height)
     again = front.box_px(front.interval_m(box), "a")
@@ -87,8 +87,8 @@ def test_sparse_points_are_drawn_larger_than_dense_ones() -> None:
     assert covered(20_000) < 1.5
 
 
-def test_a_dense_cloud_is_drawn_thinned_out_and_looks_the_same() -> None:
-    """A wall in two colours, as a depth camera scans it: thirteen points a pixel, of which four are drawn."""
+def test_a_dense_cloud_is_thinned_and_looks_the_same() -> None:
+    """A wall in two colours, as measured by a depth camera: 13 points per pixel, of which four are drawn."""
     column, row = np.meshgrid(np.linspace(-1, 1, 380), np.linspace(-1, 1, 350))
     xyz = np.stack([column, row, 3 + 0.2 * column], axis=-1).reshape(-1, 3).astype(np.float32)
     rgb = np.where(xyz[:, :1] < 0.2, [[200, 40, 40]], [[40, 40, 200]]).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Every threshold of the recursion is in one place, bounded, explained, and takes effect."""
+"""The settings of the recursion: each has a description and a bound, and takes effect."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, Fiel
 NUMBERS = [(name, info) for name, info in leaves(RcvConfig) if info.annotation in (int, float)]
 
 
-def test_the_groups_are_looked_into() -> None:
+def test_the_settings_of_nested_groups_are_tested() -> None:
     names = [name for name, _ in NUMBERS]
     assert {"max_steps", "view.size_px", "axes.steep_normal_rad", "fit.huber_sigmas"} <= set(names)
     assert len(names) > 30
@@ -45,7 +45,7 @@ def test_each_number_has_a_description_and_a_bound(name: str, info: FieldInfo) -
         RcvConfig.model_validate(nested)
 
 
-def test_settings_come_back_from_json() -> None:
+def test_settings_are_read_back_from_json() -> None:
     config = RcvConfig(max_steps=7, fit=FitConfig(huber_sigmas=2.0), strategy=Strategy.NORMALS)
     assert RcvConfig.model_validate_json(config.model_dump_json()) == config
 

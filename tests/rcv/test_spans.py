@@ -1,4 +1,4 @@
-"""Counts of points between pairs of planes, compared with masks."""
+"""Numbers of points between pairs of planes, compared with masks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from annotator.rcv.kernels.spans import count_within
 
 
-def test_points_are_counted_as_masks_count_them() -> None:
+def test_counts_agree_with_masks() -> None:
     rng = np.random.default_rng(0)
     for count in (0, 1, 1000):
         xyz = rng.normal(size=(count, 3)).astype(np.float32)
@@ -22,7 +22,7 @@ def test_points_are_counted_as_masks_count_them() -> None:
         assert count < 1000 or min(expected) > 0
 
 
-def test_points_on_a_plane_are_within() -> None:
+def test_points_on_a_plane_are_inside() -> None:
     eye, ones = np.eye(3, dtype=np.float32), np.ones(3, np.float32)
     xyz = np.array([[1, 1, 1], [-1, 0, 0], [0, 0, 1.001]], np.float32)
     assert count_within(xyz, eye, -ones, ones) == (2, 3, 2)

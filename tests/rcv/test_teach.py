@@ -1,4 +1,4 @@
-"""Pseudo-views labelled by known 3D boxes: every 2D box is what its object spans, and nothing is left to chance."""
+"""Pseudo-views labelled by known 3D boxes: each 2D box is the extent of its object, and results are reproducible."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def corners_of(box: OrientedBox) -> np.ndarray:
 
 
 def on_picture(view: PseudoView, xyz_m: np.ndarray) -> np.ndarray:
-    """(n, 2) pixels of points, straight from what a view is: dot products with its x and y axis."""
+    """(n, 2) pixels of points, as dot products with the view's x and y axes."""
     return np.stack([xyz_m @ view.axes[0] - view.origin_m[0], xyz_m @ view.axes[1] - view.origin_m[1]], 1) / (
         view.metres_per_px
     )
@@ -54,7 +54,7 @@ def taught(
 
 
 def two() -> tuple[Frame, list[TaughtObject]]:
-    """Two objects of different classes before a wall."""
+    """Two objects of different classes in front of a wall."""
     frame, truths = frame_with(BOXES, up=UP)
     return frame, [TaughtObject(name, t.box) for name, t in zip(("left", "right"), truths, strict=True)]
 
@@ -69,7 +69,7 @@ def test_boxes_are_the_projected_true_boxes() -> None:
             assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, corners_of(by_name[box.label]))))
 
 
-def test_silhouettes_go_around_the_objects_points_that_are_drawn() -> None:
+def test_silhouettes_contain_the_objects_drawn_points() -> None:
     frame, objects = two()
     views = taught(frame, objects, BoxKind.SILHOUETTE)
     numbers = {tuple(point): number // 800 for number, point in enumerate(frame.cloud.xyz_m[:1600])}
@@ -78,13 +78,13 @@ def test_silhouettes_go_around_the_objects_points_that_are_drawn() -> None:
     for item in views:
         owner = np.array([numbers.get(tuple(point), -1) for point in item.view.xyz_m])
         for box in item.boxes:
-            # the scene's surface points lie on the box's very faces: those that rounding puts outside are not "inside"
+            # the scene's points lie exactly on the box's faces; rounding puts some of them outside
             inside = contains(BOXES[names.index(box.label)], item.view.xyz_m)
             own = item.view.xyz_m[(owner == names.index(box.label)) & inside]
             assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own.astype(float))), abs=1e-3)
 
 
-def test_points_that_are_given_count_instead_of_those_in_the_box() -> None:
+def test_given_points_replace_those_in_the_box() -> None:
     frame, objects = two()
     half = np.zeros(len(frame.cloud), bool)
     half[:800] = frame.cloud.xyz_m[:800, 1] < 0.1
@@ -107,7 +107,7 @@ def test_boxes_stay_on_the_picture() -> None:
                 assert -0.5 <= box.y_min < box.y_max <= height_px - 0.5
 
 
-def test_the_same_seed_gives_the_same_pictures_and_another_seed_others() -> None:
+def test_pictures_depend_only_on_the_seed() -> None:
     frame, objects = two()
     first, again, other = (taught(frame, objects, seed=seed) for seed in (5, 5, 6))
     assert len(first) == len(again)
@@ -119,13 +119,13 @@ def test_the_same_seed_gives_the_same_pictures_and_another_seed_others() -> None
 
 
 def test_neighbours_in_a_crop_are_labelled_too() -> None:
-    # a small object in the corner of the room that the crop of a turned one takes
+    # a small object in the corner of the crop of a rotated one
     frame, truths = frame_with([BOXES[0], some_box([0.02, 0.1, 2.2], [0, 0.2, 0], [0.12, 0.3, 0.12])], up=UP)
     objects = [TaughtObject(name, t.box) for name, t in zip(("left", "right"), truths, strict=True)]
     together = [item for item in taught(frame, objects, draws=30) if len(item.boxes) == 2]
     assert len(together) > 10
     assert {box.label for item in together for box in item.boxes} == {"left", "right"}
-    # nothing that is well on a picture is left without its box
+    # every object that is clearly on a picture has a box
     owners = {tuple(point): number // 800 for number, point in enumerate(frame.cloud.xyz_m[:1600])}
     totals = [contains(item.box, frame.cloud.xyz_m).sum() for item in objects]
     for item in taught(frame, objects, draws=10):
@@ -151,7 +151,7 @@ def test_an_object_with_few_points_is_left_out() -> None:
     assert taught(frame, [TaughtObject("left", BOXES[0], few)]) == []
 
 
-def test_views_come_in_pairs_as_many_as_were_asked_for() -> None:
+def test_the_given_number_of_view_pairs_is_drawn() -> None:
     frame, objects = two()
     assert len(taught(frame, objects[:1], draws=9)) == 2 * 9
     assert len(taught(frame, objects, draws=4)) == 2 * 2 * 4
@@ -167,7 +167,7 @@ def test_views_of_upright_objects_are_level(turn: int) -> None:
         np.testing.assert_allclose(item.view.axes @ item.view.axes.T, np.eye(3), atol=1e-9)
 
 
-def test_views_of_free_objects_come_from_everywhere() -> None:
+def test_views_of_free_objects_are_from_all_directions() -> None:
     frame, objects = two()
     views = taught(frame, objects[:1], draws=40, up=None)
     down = np.array([item.view.axes[1] for item in views])
@@ -175,8 +175,8 @@ def test_views_of_free_objects_come_from_everywhere() -> None:
     assert all(np.linalg.det(item.view.axes) == pytest.approx(1) for item in views)
 
 
-def test_an_object_partly_behind_the_camera_is_still_taught() -> None:
-    """Its frustum shows too little of it, but it can be cropped."""
+def test_an_object_partly_behind_the_camera_has_views() -> None:
+    """Its frustum contains too little of it, but crops are possible."""
     frame, _ = frame_with(BOXES[:1], up=UP)
     near = some_box([0, 0, 0.05], [0, 0, 0], [0.5, 0.5, 0.4])
     rng = np.random.default_rng(0)
@@ -204,8 +204,8 @@ def view_of(width_px: int, height_px: int, origin_m: tuple[float, float], scale:
     ],
     ids=["inside", "cut on the right", "cut at the corner", "beside", "touching from below"],
 )
-def test_a_box_on_a_view(center: list[float], expected: tuple[float, ...] | None) -> None:
-    """100 x 60 pixels of 1 cm; the picture's left upper corner is at (-0.5, -0.3) m."""
+def test_a_projected_box_is_clipped_to_the_view(center: list[float], expected: tuple[float, ...] | None) -> None:
+    """100 x 60 pixels of 1 cm; the picture's top left corner is at (-0.5, -0.3) m."""
     view = view_of(100, 60, (-0.495, -0.295), 0.01)
     found = project_box(view, some_box(center, [0, 0, 0], [0.2, 0.2, 0.2]), "a")
     if expected is None:
@@ -226,7 +226,7 @@ def test_points_without_extent_have_no_box() -> None:
     assert found.xyxy == pytest.approx((49.5, 29.5, 59.5, 39.5))
 
 
-def test_a_turned_box_spans_more_than_its_sides() -> None:
+def test_a_rotated_box_has_the_extent_of_its_corners() -> None:
     view = view_of(100, 60, (-0.495, -0.295), 0.01)
     turned = OrientedBox.from_parts(
         np.array([0.0, 0.0, 3.0]), Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix(), np.array([0.2, 0.2, 0.1])
@@ -237,8 +237,8 @@ def test_a_turned_box_spans_more_than_its_sides() -> None:
     assert found.height_px == pytest.approx(20 * np.sqrt(2))
 
 
-def test_a_view_that_shows_a_doubtful_object_is_left_out() -> None:
-    """Known is the left half of an object; the rest of it may be another one's."""
+def test_views_that_show_a_doubtful_object_are_left_out() -> None:
+    """Only the left half of an object is known; the rest may belong to another object."""
     frame, (left, _) = two()
     shift = left.box.rotation @ (left.box.size_m * [0.25, 0, 0])
     half = OrientedBox.from_parts(left.box.center_m - shift, left.box.rotation, left.box.size_m * [0.5, 1, 1])
@@ -249,4 +249,4 @@ def test_a_view_that_shows_a_doubtful_object_is_left_out() -> None:
 
     assert draws([]) > 40
     assert draws([left.box]) < draws([]) - 10
-    assert draws([half]) == draws([]), "a proposal of the known object itself doubts nothing"
+    assert draws([half]) == draws([]), "a proposal of the known object itself has no effect"

@@ -60,7 +60,7 @@ def test_a_good_start_box_takes_one_step_of_six_views() -> None:
     assert found.trace[0].fallback == (WARM_START,)
 
 
-def test_how_far_the_start_box_is_trusted_is_a_setting() -> None:
+def test_the_setting_seed_doubt_controls_the_weight_of_the_start_box() -> None:
     start_box = changed(BOX, [0.03, 0.02, -0.04], [0.05, -0.1, 0.05])
 
     def iou(seed_doubt: float) -> float:
@@ -72,14 +72,14 @@ def test_how_far_the_start_box_is_trusted_is_a_setting() -> None:
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02])
-def test_two_steps_are_enough_where_the_object_has_turned(jitter: float) -> None:
+def test_two_steps_are_enough_if_the_object_has_rotated(jitter: float) -> None:
     found, pictures = run(changed(BOX, [0.02, 0.0, 0.0], [0.3, 0.1, -0.2]), jitter=jitter)
     assert is_warm(found)
     assert pictures == [6, 6]
     assert iou_3d(found.box, BOX) > (0.94 if jitter == 0 else 0.75)
 
 
-def test_a_start_box_is_moved_to_where_the_image_shows_the_object() -> None:
+def test_a_start_box_is_moved_to_the_image_box() -> None:
     found, _ = run(changed(BOX, [0.2, 0.0, 0.0]))
     assert is_warm(found)
     assert iou_3d(found.box, BOX) > 0.99
@@ -94,9 +94,9 @@ def test_a_start_box_is_moved_to_where_the_image_shows_the_object() -> None:
         (some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.45]), "a side is"),
         (changed(BOX, [0.0, 0.0, 0.0], [0.0, 0.0, 1.2]), ""),
     ],
-    ids=["farther", "nearer", "behind", "of another size", "of a wrong rotation"],
+    ids=["farther", "nearer", "behind", "another size", "wrong rotation"],
 )
-def test_a_start_box_that_disagrees_is_dropped_and_the_object_found(start_box: OrientedBox, reason: str) -> None:
+def test_a_disagreeing_start_box_is_dropped_and_the_object_is_found(start_box: OrientedBox, reason: str) -> None:
     found, _ = run(start_box)
     plain, _ = run(start_box, label="another class")
     assert not is_warm(found)
@@ -110,12 +110,12 @@ def test_a_start_box_that_disagrees_is_dropped_and_the_object_found(start_box: O
     assert plain.trace[1:] == found.trace[1:]
 
 
-def test_another_objects_start_box_is_not_matched_and_the_rest_of_the_batch_goes_on() -> None:
+def test_another_objects_start_box_is_dropped_and_the_rest_of_the_batch_is_unaffected() -> None:
     first, truths_a = frame_with([BOX, OTHER], key="a")
     second, truths_b = frame_with([BOX], key="b", seed=1)
     perfect = PerfectDetector([Scene.of(first, truths_a), Scene.of(second, truths_b)])
     calls = Calls(perfect)
-    # the first frame has one warm start, and it lies where the other object is on the image
+    # the first frame's only warm start overlaps the other object on the image
     stray = changed(OTHER, [0.0, 0.0, 0.25])
     results = propose(
         [first, second], perfect, calls, RcvConfig(), [[WarmStart("thing", stray)], [WarmStart("thing", BOX)]]
@@ -148,7 +148,7 @@ def test_warm_starts_are_matched_one_to_one_by_class_and_overlap() -> None:
 
 
 @pytest.mark.parametrize("strategy", [Strategy.NORMALS, Strategy.CONSENSUS])
-def test_upright_start_boxes_of_any_tilt_and_silhouettes(strategy: Strategy) -> None:
+def test_tilted_start_boxes_give_upright_boxes_from_silhouettes(strategy: Strategy) -> None:
     box = some_box([-0.3, 0.0, 2.5], [np.pi / 2, 0, 0], [0.6, 0.8, 0.3])
     frame, truths = frame_with([box], up=UP)
     perfect = PerfectDetector.for_frame(frame, truths, kind=BoxKind.SILHOUETTE)
@@ -166,7 +166,7 @@ def test_an_object_without_points_around_the_start_box_starts_from_its_frustum()
     assert iou_3d(found.box, BOX) > 0.99
 
 
-def test_an_object_that_no_view_shows_is_lost_as_without_a_warm_start() -> None:
+def test_an_object_without_view_detections_is_lost_despite_a_warm_start() -> None:
     frame, truths = frame_with([BOX])
     perfect = PerfectDetector.for_frame(frame, truths)
 

@@ -1,4 +1,4 @@
-"""A folder of point clouds, and what may lie beside it."""
+"""Sample point clouds, camera files and images for recordings of point clouds."""
 
 from __future__ import annotations
 

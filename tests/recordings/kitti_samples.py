@@ -1,4 +1,4 @@
-"""A small KITTI camera, and the pixels that the data set's own formula gives."""
+"""A small KITTI camera, and pixels by the data set's formula."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRACKING_CALIB = "\n".join([row("P2:", P2), row("R_rect", R0), row("Tr_velo_cam"
 
 
 def by_formula(scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """KITTI's own pixels, P2 * R0_rect * Tr_velo_to_cam * X, and which points lie in front, inside the image."""
+    """Pixels by KITTI's formula P2 * R0_rect * Tr_velo_to_cam * X, and a mask of the points on the image."""
     rectified = R0 @ TR @ np.c_[scan[:, :3].astype(np.float64), np.ones(len(scan))].T
     uvw = P2 @ np.vstack([rectified, np.ones(len(scan))])
     px = (uvw[:2] / uvw[2]).T

@@ -1,4 +1,4 @@
-"""SUN RGB-D folders with points and labels of their own."""
+"""Synthetic SUN RGB-D folders with points and labels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IMAGE = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.
 
 
 def upright_points() -> tuple[np.ndarray, np.ndarray]:
-    """The cloud as the data set's code computes it, pixels counted from 1; and the colours."""
+    """The cloud, computed as in the data set's code (pixels count from 1), and its colours."""
     v, u = np.nonzero(DEPTH_MM)
     Z = DEPTH_MM[v, u] / 1000
     X, Y = (u + 1 - K[0, 2]) / K[0, 0] * Z, (v + 1 - K[1, 2]) / K[1, 1] * Z

@@ -1,4 +1,4 @@
-"""Complete images pass, cut-off ones do not, wherever they are cut."""
+"""Complete images are accepted; images truncated at any place are not."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FILES = {"baseline": BASELINE, "progressive": PROGRESSIVE, "restarts": RESTARTS,
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_complete_files_pass_also_with_something_behind(kind: str):
+def test_complete_files_are_accepted_also_with_trailing_bytes(kind: str):
     assert image_problem(FILES[kind]) == ""
     assert image_problem(FILES[kind] + b"\0appended by a camera") == ""
 
@@ -47,7 +47,7 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(8, len(PNG) - 1), st.integers(1, 255))
-def test_any_flipped_byte_of_a_png_is_found(at: int, flip: int):
+def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
     data = bytearray(PNG)
     data[at] ^= flip
     assert image_problem(bytes(data))
@@ -68,12 +68,12 @@ def bmp_header(width: int, height: int) -> bytes:
     [cv2.imencode(suffix, PICTURE)[1].tobytes() for suffix in (".tiff", ".bmp", ".webp")]
     + [
         bmp_header(15_000, 15_000),
-        # behind a marker without a length, a decoder finds another header than one who skips what seems its segment
+        # after a marker without a length, decoders and parsers that skip segments find different headers
         BASELINE[:2] + b"\xff\x01\0\4AB" + BASELINE[2:],
     ],
     ids=["tiff", "bmp", "webp", "large", "marker"],
 )
-def test_other_formats_are_refused_whatever_their_names(tmp_path: Path, content: bytes):
+def test_other_formats_are_refused_despite_their_suffix(tmp_path: Path, content: bytes):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(FrameError, match=r"a\.png: cannot be decoded as a PNG or JPEG image"):
         read_rgb(tmp_path / "a.png")

@@ -1,4 +1,4 @@
-"""Whatever stands in a recording's files, what comes is a frame or an error that names the file."""
+"""Any content of a recording's files gives a frame, or an error that names the file."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ BUILDERS: list[Callable[[Path], None]] = [
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, list[Path]]]:
-    """One small recording a format, and its files."""
+    """One small recording per format, and its files."""
     found = []
     for build in BUILDERS:
         folder = tmp_path_factory.mktemp(build.__name__)
@@ -127,7 +127,9 @@ def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
 
 @given(st.data())
 @settings(max_examples=250, deadline=None)
-def test_a_frame_or_an_error_that_names_the_file(recordings: list[tuple[Path, list[Path]]], data: st.DataObject):
+def test_damaged_files_give_a_frame_or_an_error_that_names_the_file(
+    recordings: list[tuple[Path, list[Path]]], data: st.DataObject
+):
     folder, files = data.draw(st.sampled_from(recordings))
     file = data.draw(st.sampled_from(files))
     whole = file.read_bytes()
@@ -145,7 +147,7 @@ def test_a_frame_or_an_error_that_names_the_file(recordings: list[tuple[Path, li
 
 
 CALIB_LINE = "P2 has a number that is not finite or is too large"
-FOUND = [
+KNOWN_CASES = [
     (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e308", old), CALIB_LINE),
     (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e-320", old), "P2 is not a pinhole camera"),
     (
@@ -176,11 +178,11 @@ FOUND = [
 ]
 
 
-@pytest.mark.parametrize(("build", "name", "change", "complaint"), FOUND)
-def test_what_was_found(
+@pytest.mark.parametrize(("build", "name", "change", "complaint"), KNOWN_CASES)
+def test_known_cases_are_errors(
     tmp_path: Path, build: Callable[[Path], None], name: str, change: Callable[[bytes], bytes], complaint: str
 ):
-    """Numbers that overflow, pictures that fill the memory: each was let through once."""
+    """Overflowing numbers and images that exhaust memory; each of these was once accepted."""
     folder = tmp_path / "take"
     if build is not sunrgbd_scene:
         folder.mkdir()

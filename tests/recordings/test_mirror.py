@@ -1,4 +1,4 @@
-"""Recordings in a storage: read file by file, with the frames that the folder itself gives, in bounded space."""
+"""Recordings on remote storage: copied file by file in bounded space, with the same frames as the folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEGABYTE = 10**6
 
 @pytest.fixture
 def bucket(generated: Path) -> Iterator[str]:
-    """The generated people in fsspec's own memory."""
+    """The generated people in fsspec's memory file system."""
     import fsspec
 
     memory = fsspec.filesystem("memory")
@@ -31,7 +31,7 @@ def held_bytes(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def test_the_frames_are_those_of_the_folder_in_bounded_space(bucket: str, generated: Path, tmp_path: Path) -> None:
+def test_a_mirror_has_the_folders_frames_and_bounded_size(bucket: str, generated: Path, tmp_path: Path) -> None:
     plain = open_recording(generated / "people")
     sizes = [held_bytes(generated / "people" / name) for name in ("color", "depth")]
     limit = held_bytes(generated / "people") - sum(sizes) * 2 // 5  # some frames, not all
@@ -47,8 +47,8 @@ def test_the_frames_are_those_of_the_folder_in_bounded_space(bucket: str, genera
     assert list(tmp_path.iterdir()) == []
 
 
-def test_kitti_has_files_that_belong_to_frames_and_files_that_do_not(tmp_path: Path) -> None:
-    """`calib/KEY.txt` is a frame's, `timestamps` and the like are everybody's, and both are there when it is read."""
+def test_only_files_of_the_frame_and_shared_files_are_copied(tmp_path: Path) -> None:
+    """Files with the frame's key in their name belong to the frame; other files are shared by all frames."""
     folder = tmp_path / "clouds"
     for name in ("points", "calib", "notes"):
         (folder / name).mkdir(parents=True)
@@ -64,7 +64,7 @@ def test_kitti_has_files_that_belong_to_frames_and_files_that_do_not(tmp_path: P
     assert copied["000007.bin"] == 0 and copied["all.txt"] == 10
 
 
-def test_a_frame_that_cannot_be_read_is_told_by_its_url(bucket: str, tmp_path: Path) -> None:
+def test_errors_of_unreadable_frames_name_the_url(bucket: str, tmp_path: Path) -> None:
     import fsspec
 
     fsspec.filesystem("memory").pipe("/bucket/people/depth/000003.png", b"no picture")
@@ -77,8 +77,8 @@ def test_a_frame_that_cannot_be_read_is_told_by_its_url(bucket: str, tmp_path: P
     mirror.frame(4)
 
 
-def test_a_storage_that_fails_now_and_then_fills_nothing(bucket: str, tmp_path: Path) -> None:
-    """Files of a frame whose other file could not be had are not counted, nor left in the copy."""
+def test_failed_downloads_leave_no_files_and_are_not_counted(bucket: str, tmp_path: Path) -> None:
+    """If one file of a frame cannot be copied, its other files are neither counted nor left in the copy."""
     import fsspec
 
     memory = fsspec.filesystem("memory")
@@ -95,7 +95,7 @@ def test_a_storage_that_fails_now_and_then_fills_nothing(bucket: str, tmp_path: 
     mirror.frame(2)
 
 
-def test_sizes_that_a_storage_does_not_tell_count_too(
+def test_files_of_unknown_size_count_towards_the_limit(
     bucket: str, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("annotator.recordings.mirror._size", lambda info: 0)
@@ -106,7 +106,7 @@ def test_sizes_that_a_storage_does_not_tell_count_too(
     assert held_bytes(tmp_path) < held_bytes(generated / "people")
 
 
-def test_what_does_not_fit_says_so(bucket: str, tmp_path: Path) -> None:
+def test_a_frame_larger_than_the_limit_is_an_error(bucket: str, tmp_path: Path) -> None:
     mirror = open_mirror(bucket, tmp_path, 5000)
     with pytest.raises(RecordingError, match="raise --cache-mb"):
         mirror.frame(0)
@@ -119,12 +119,12 @@ def test_what_does_not_fit_says_so(bucket: str, tmp_path: Path) -> None:
         ("xyz://bucket/room", RecordingError, "Protocol not known: xyz"),
     ],
 )
-def test_places_without_a_recording(url: str, error: type[Exception], says: str, tmp_path: Path) -> None:
+def test_urls_without_a_recording_are_errors(url: str, error: type[Exception], says: str, tmp_path: Path) -> None:
     with pytest.raises(error, match=says):
         open_mirror(url, tmp_path, MEGABYTE)
 
 
-def test_a_folder_that_is_no_recording_leaves_nothing(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_recording_leaves_no_copy(tmp_path: Path) -> None:
     (tmp_path / "texts").mkdir()
     (tmp_path / "texts" / "a.md").write_text("a")
     with pytest.raises(UnknownFormatError):
@@ -133,7 +133,7 @@ def test_a_folder_that_is_no_recording_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_copies_of_killed_processes_are_removed(bucket: str, tmp_path: Path) -> None:
-    left = tmp_path / "4194999-abc"  # more than Linux gives to any process
+    left = tmp_path / "4194999-abc"  # above the largest process id of Linux
     left.mkdir()
     shutil.copy(__file__, left / "file")
     open_mirror(bucket, tmp_path, 50 * MEGABYTE)

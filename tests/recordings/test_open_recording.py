@@ -1,4 +1,4 @@
-"""Which reader gets a path, and what a user hears when none does."""
+"""The reader selected for a path, and the errors for unknown folders."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_real_folders_are_recognised_and_their_frames_load(
 
 @pytest.mark.shared
 def test_a_raw_sun_rgbd_folder_is_not_taken_for_an_rgbd_folder(shared: Path):
-    # its depth is encoded otherwise: read as millimetres it would be nonsense
+    # its depth has another encoding: read as millimetres it would be wrong
     assert detect_format(shared / "data" / "sunrgbd" / "raw") is None
 
 
@@ -58,7 +58,7 @@ def test_an_unknown_folder_lists_what_each_reader_looked_for(tmp_path: Path):
     assert detect_format(tmp_path) is None
 
 
-def test_a_folder_of_recordings_names_them(tmp_path: Path):
+def test_the_error_of_a_folder_of_recordings_names_them(tmp_path: Path):
     for name in ("b", "a"):
         (tmp_path / name / "color").mkdir(parents=True)
         (tmp_path / name / "depth").mkdir()
@@ -69,7 +69,7 @@ def test_a_folder_of_recordings_names_them(tmp_path: Path):
         open_recording(tmp_path)
 
 
-def test_a_file_and_a_missing_path_are_told_apart(tmp_path: Path):
+def test_a_file_and_a_missing_path_have_different_errors(tmp_path: Path):
     (tmp_path / "notes.txt").touch()
     with pytest.raises(UnknownFormatError, match="in this file"):
         open_recording(tmp_path / "notes.txt")
@@ -78,8 +78,8 @@ def test_a_file_and_a_missing_path_are_told_apart(tmp_path: Path):
 
 
 @pytest.mark.parametrize("refused", ["take", "take/color", "parent"])
-def test_what_may_not_be_read_is_said_with_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str):
-    """Tests may run as root, who may read everything: the system's answer is made up."""
+def test_errors_of_missing_permissions_name_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str):
+    """The system's errors are simulated, since root may read everything."""
     for folder in ("take/color", "take/depth", "parent/take"):
         (tmp_path / folder).mkdir(parents=True)
     listed, scanned, looked = Path.iterdir, os.scandir, Path.is_dir
@@ -93,7 +93,7 @@ def test_what_may_not_be_read_is_said_with_its_path(tmp_path: Path, monkeypatch:
         return listed(self)
 
     def is_dir(self: Path) -> bool:
-        refuse(self.parent)  # without the right to search a folder nothing in it can be looked at
+        refuse(self.parent)  # without permission to search a folder, its entries cannot be inspected
         return looked(self)
 
     def scandir(folder: Path) -> object:
@@ -109,7 +109,7 @@ def test_what_may_not_be_read_is_said_with_its_path(tmp_path: Path, monkeypatch:
     assert str(caught.value).startswith(str(path))
 
 
-def test_a_path_that_is_too_long_is_told(tmp_path: Path):
+def test_a_path_that_is_too_long_is_an_error(tmp_path: Path):
     for ask in (open_recording, detect_format):
         with pytest.raises(RecordingError, match="File name too long; give a shorter path"):
             ask(tmp_path / ("n" * 300))
@@ -132,7 +132,7 @@ def test_opening_reads_no_frame(tmp_path: Path):
     assert open_recording(tmp_path).keys == ("7",)
 
 
-def test_frames_come_in_the_order_of_their_numbers(tmp_path: Path):
+def test_frames_are_in_numerical_order(tmp_path: Path):
     for folder in ("color", "depth"):
         (tmp_path / folder).mkdir()
         for key in ("10", "2", "a9", "a10", "1"):
@@ -145,6 +145,6 @@ def test_frames_come_in_the_order_of_their_numbers(tmp_path: Path):
 
 
 @pytest.mark.parametrize("target", READERS.values())
-def test_the_table_names_functions_that_exist(target: str):
+def test_the_table_of_readers_names_existing_functions(target: str):
     module, function = target.split(":")
     assert callable(getattr(import_module(module), function))

@@ -1,4 +1,4 @@
-"""RGB-D folders: what a frame holds, and what each kind of damage says."""
+"""RGB-D folders: the content of a frame, and the errors of damaged files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def depth() -> np.ndarray:
 
 @pytest.fixture
 def folder(tmp_path: Path, color: np.ndarray, depth: np.ndarray) -> Path:
-    """A recording of the frames 000000 and 000001, the same picture twice."""
+    """A recording of the frames 000000 and 000001, with the same image."""
     for name in ("color", "depth"):
         (tmp_path / name).mkdir()
     (tmp_path / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS))
@@ -63,12 +63,12 @@ def test_a_frame_has_its_image_depth_and_coloured_cloud(folder: Path, color: np.
     np.testing.assert_allclose(project(camera, cloud.xyz_m), np.stack([u, v], axis=1), atol=1e-4)
 
 
-def test_depth_scale_is_in_units_a_metre(folder: Path, depth: np.ndarray):
+def test_depth_scale_is_in_units_per_metre(folder: Path, depth: np.ndarray):
     (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | {"depth_scale": 5000}))
     np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth / 5000, atol=1e-6)
 
 
-def test_distortion_goes_into_the_camera(folder: Path):
+def test_distortion_is_part_of_the_camera(folder: Path):
     distortion = [0.1, -0.2, 0.001, 0.002, 0.03]
     (folder / "camera_intrinsic.json").write_text(json.dumps(INTRINSICS | {"distortion": distortion}))
     frame = open_recording(folder).frame(0)
@@ -83,7 +83,7 @@ def test_gravity_becomes_a_unit_vector(folder: Path):
 
 
 @pytest.mark.parametrize("place", [".", ".."], ids=["in-the-folder", "one-level-above"])
-def test_another_camera_file_is_found_where_it_is_the_only_one(folder: Path, tmp_path: Path, place: str):
+def test_a_camera_file_of_another_name_is_used_if_it_is_the_only_one(folder: Path, tmp_path: Path, place: str):
     inner = folder / "scene"
     inner.mkdir()
     for name in ("color", "depth"):
@@ -96,12 +96,12 @@ def test_another_camera_file_is_found_where_it_is_the_only_one(folder: Path, tmp
         open_recording(inner).frame(0)
 
 
-def test_image_is_a_colour_folder_beside_a_camera_file(folder: Path):
+def test_a_folder_image_is_read_as_colour_if_there_is_a_camera_file(folder: Path):
     (folder / "color").rename(folder / "image")
     assert len(open_recording(folder).frame(0).cloud) > 0
 
 
-def test_unpaired_images_are_frames_that_fail_alone(folder: Path):
+def test_a_missing_image_affects_only_its_frame(folder: Path):
     (folder / "depth" / "000000.png").unlink()
     (folder / "color" / "000001.png").rename(folder / "color" / "000002.png")
     (folder / "depth" / "000002.png").write_bytes((folder / "depth" / "000001.png").read_bytes())
@@ -167,7 +167,7 @@ DAMAGES = [
 
 
 @pytest.mark.parametrize(("name", "damage", "complaint"), DAMAGES)
-def test_damage_is_named_and_says_what_to_do(
+def test_damage_is_an_error_with_file_cause_and_solution(
     folder: Path, name: str, damage: Callable[[Path], object], complaint: str, capfd: pytest.CaptureFixture[str]
 ):
     damage(folder / name)
@@ -176,6 +176,6 @@ def test_damage_is_named_and_says_what_to_do(
         recording.frame(0)
     assert caught.value.path == folder / name
     assert str(caught.value).startswith(f"{folder / name}: ")
-    assert "; " in str(caught.value)  # what to do
+    assert "; " in str(caught.value)  # the solution
     if "/" in name:
-        assert recording.frame(1).key == "000001"  # the other frame is fine
+        assert recording.frame(1).key == "000001"  # the other frame can be read

@@ -1,4 +1,4 @@
-"""Motion of the generated people and hands: continuous, without collisions, with bones of constant length."""
+"""Motion of the generated people and hands: continuous, without collisions, and with constant bone lengths."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ZONE = Zone(2.4, 4.5, 0.5, 0.3, ((-2.0, 3.0, -0.8, 4.0), (0.9, 4.2, 2.0, 5.0)))
 
 @pytest.fixture(scope="module")
 def walk() -> tuple[np.ndarray, np.ndarray, np.ndarray, set[int]]:
-    """Half a minute of four walkers at 10 Hz: places (t, n, 2), yaws (t, n), joints (t, n, k), gestures seen."""
+    """Thirty seconds of four walkers at 10 Hz: places (t, n, 2), yaws (t, n), joints (t, n, k), gestures."""
     places, yaws, joints, gestures = [], [], [], set()
     for walkers in islice(crowd_moments(ZONE, 4, np.random.default_rng(5), 0.1), 300):
         places.append([walker.place for walker in walkers])
@@ -33,7 +33,7 @@ def walk() -> tuple[np.ndarray, np.ndarray, np.ndarray, set[int]]:
     return np.array(places), np.array(yaws), np.array(joints), gestures
 
 
-def test_people_keep_apart_and_out_of_the_furniture(walk: tuple[np.ndarray, ...]):
+def test_people_avoid_each_other_and_the_furniture(walk: tuple[np.ndarray, ...]):
     places = walk[0]
     gaps = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
     gaps[:, np.arange(4), np.arange(4)] = np.inf
@@ -44,7 +44,7 @@ def test_people_keep_apart_and_out_of_the_furniture(walk: tuple[np.ndarray, ...]
         assert not ((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max)).any()
 
 
-def test_people_get_around_turn_and_gesture(walk: tuple[np.ndarray, ...]):
+def test_people_walk_turn_and_gesture(walk: tuple[np.ndarray, ...]):
     places, yaws, _, gestures = walk
     assert (np.ptp(places, axis=0) > 1.0).any(axis=1).all()
     assert (np.ptp(yaws, axis=0) > np.pi).all()
@@ -59,7 +59,7 @@ def test_motion_is_continuous(walk: tuple[np.ndarray, ...]):
 
 
 @given(st.lists(st.floats(-3, 3), min_size=16, max_size=16))
-def test_a_pose_and_its_vector_are_the_same(values: list[float]):
+def test_a_pose_is_recovered_from_its_vector(values: list[float]):
     np.testing.assert_array_equal(to_vector(from_vector(np.array(values))), values)
 
 
@@ -83,10 +83,12 @@ def test_a_gait_is_symmetric_in_left_and_right():
 
 
 @given(st.integers(0, 10_000), st.floats(-3, 3), st.floats(0.1, 0.56))
-def test_the_arms_bones_keep_their_lengths(seed: int, swivel: float, distance: float):
+def test_arm_bones_keep_their_lengths(seed: int, swivel: float, distance: float):
     direction = np.random.default_rng(seed).normal(size=3)
     direction /= np.linalg.norm(direction)
-    if max(abs(direction[2]), abs(direction[0])) > 0.999:  # along the hanging or the outward direction: no side
+    if (
+        max(abs(direction[2]), abs(direction[0])) > 0.999
+    ):  # parallel to a reference direction: the elbow's side is undefined
         return
     shoulder = np.array([0.2, 1.0, 1.4])
     wrist = shoulder + distance * direction
@@ -95,7 +97,7 @@ def test_the_arms_bones_keep_their_lengths(seed: int, swivel: float, distance: f
     assert np.linalg.norm(wrist - elbow) == pytest.approx(0.26, abs=1e-9)
 
 
-def test_hands_move_smoothly_apart_and_through_many_orientations():
+def test_hands_move_smoothly_stay_apart_and_rotate_freely():
     reaches = [Reach((-0.17, -0.02), (1.5, 1.7), (1.1, 1.3)), Reach((0.02, 0.17), (1.5, 1.7), (1.1, 1.3))]
     moments = [
         (np.array([m.wrist_m for m in motions]), np.array([m.bend for m in motions]))

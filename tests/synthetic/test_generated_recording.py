@@ -1,4 +1,4 @@
-"""Generated recordings on disk: they open, their truth is exact, and the same seed gives the same bytes."""
+"""Generated recordings on disk: they can be opened, their truth is exact, and equal seeds give equal bytes."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_it_opens_as_an_rgbd_folder_with_gravity(generated: dict[str, Path], preset: str):
+def test_a_generated_recording_is_an_rgbd_folder_with_gravity(generated: dict[str, Path], preset: str):
     recording = open_recording(generated[preset])
     assert (recording.format, len(recording), recording.is_sequence) == ("rgbd_folder", FRAMES, True)
     frame = recording.frame(FRAMES - 1)
     assert frame.rgb.shape == (144, 192, 3)
     assert frame.up is not None
-    assert frame.up @ [0, -1, 0] > 0.9  # the camera stands upright, nearly
+    assert frame.up @ [0, -1, 0] > 0.9  # the camera is almost upright
     made = json.loads((generated[preset] / "generated.json").read_text())
     assert made == {"version": 1, "preset": preset, "seed": 3, "frames": FRAMES, "period_s": 0.1}
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_truth_is_kept_apart_and_fits_the_measured_points(generated: dict[str, Path], preset: str):
+def test_the_truth_is_in_a_separate_folder_and_fits_the_measured_points(generated: dict[str, Path], preset: str):
     folder = generated[preset]
     assert not (folder / "boxes.json").exists()
     assert not (folder / "mask").exists()
@@ -62,13 +62,13 @@ def test_the_truth_is_kept_apart_and_fits_the_measured_points(generated: dict[st
             assert truth.label == {"people": "person", "hands": "hand"}[preset]
             points = frame.cloud.xyz_m[numbers == number]
             assert len(points) > 20
-            # all but the depth camera's noise at the far side of the people
+            # all except noise at the far side of the people
             assert contains(truth.box, points, 0.03).mean() > 0.98
-            # nothing else reaches deep into the box: the arm stops at the wrist, people keep apart
+            # few other points are in the box: arms end at the wrist, and people keep a distance
             assert contains(truth.box, points).sum() > 0.5 * contains(truth.box, frame.cloud.xyz_m).sum()
 
 
-def test_people_stand_upright_and_hands_do_not(generated: dict[str, Path]):
+def test_boxes_of_people_are_upright_and_those_of_hands_are_not(generated: dict[str, Path]):
     for preset, upright in (("people", True), ("hands", False)):
         up = open_recording(generated[preset]).frame(0).up
         truths = [t for ts in read_boxes(generated[preset] / "truth" / "boxes.json").values() for t in ts]
@@ -85,7 +85,7 @@ def test_the_depth_is_in_millimetres_with_holes(generated: dict[str, Path]):
     assert 0.5 < np.median(frame.cloud.xyz_m[:, 2]) < 6
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not(generated: dict[str, Path], tmp_path: Path):
+def test_equal_seeds_give_equal_bytes_and_other_seeds_do_not(generated: dict[str, Path], tmp_path: Path):
     write_generated(tmp_path / "again", "people", FRAMES, seed=3, **SIZE)
     assert contents(tmp_path / "again") == contents(generated["people"])
     write_generated(tmp_path / "other", "people", 1, seed=4, **SIZE)

@@ -1,4 +1,4 @@
-"""The generated world's geometry: meshes, rays, silhouettes, boxes and the sensor's noise, against closed forms."""
+"""Geometry of generated scenes: meshes, rays, silhouettes, boxes and sensor noise, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def stage() -> Stage:
 
 
 def edge_uses(mesh: Mesh) -> Counter[tuple[int, int]]:
-    """How often each directed edge is used; vertices at one place count as one."""
+    """The number of uses of each directed edge; coincident vertices count as one."""
     _, place = np.unique(np.round(mesh.vertices, 5), axis=0, return_inverse=True)
     triangles = place[mesh.triangles]
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -67,12 +67,12 @@ def capsule() -> Mesh:
 @pytest.mark.parametrize("mesh", [capsule(), WALL], ids=["blob", "box"])
 def test_surfaces_are_closed(mesh: Mesh):
     uses = edge_uses(mesh)
-    # each edge is used once in each direction, or its two triangles are wound alike: seen from both sides anyway
+    # each edge has two triangles; their winding does not matter, since both sides are rendered
     assert all(uses[(a, b)] + uses[(b, a)] == 2 for a, b in uses)
 
 
 @given(st.floats(0.05, 0.3), st.floats(0.05, 0.3), st.floats(2, 8), st.integers(0, 1000))
-def test_a_blob_keeps_to_its_radii(first: float, second: float, power: float, seed: int):
+def test_a_blob_stays_within_its_radii(first: float, second: float, power: float, seed: int):
     start, end = np.random.default_rng(seed).uniform(-1, 1, (2, 3))
     blobs = Blobs()
     blobs.add(start, end, (first, second, 0.1), 0, power=power)
@@ -88,7 +88,7 @@ def test_a_blob_keeps_to_its_radii(first: float, second: float, power: float, se
     assert ((mesh.vertices - middle) * mesh.normals).sum(axis=1).min() > 0  # outward
 
 
-def test_the_depth_is_that_of_the_plane_and_the_sphere():
+def test_the_depth_agrees_with_the_plane_and_the_sphere():
     rendering = stage().render([ball((0, 0, 2.0), 0.5)])
     seen = rendering.track == 1
     np.testing.assert_allclose(rendering.depth_m[~seen], 3.0, atol=1e-5)
@@ -103,7 +103,7 @@ def test_the_depth_is_that_of_the_plane_and_the_sphere():
     assert outline == pytest.approx(80 * 0.5 / np.sqrt(4 - 0.25), abs=1.0)
 
 
-def test_nearer_surfaces_and_walls_hide_farther_ones():
+def test_nearer_surfaces_and_walls_occlude_farther_ones():
     near, far, hidden = ball((0, 0, 1.5), 0.2, 1), ball((0.1, 0, 2.2), 0.4, 2), ball((0, 0, 3.6), 0.3, 3)
     rendering = stage().render([far, hidden, near])
     assert rendering.track[35, 47] == 1
@@ -194,7 +194,7 @@ def test_depth_is_lost_at_edges_grazing_angles_and_out_of_range():
     assert (depth[45:85, 60:] > 0).mean() > 0.98
 
 
-def test_the_colour_image_keeps_flat_colours_but_for_noise():
+def test_the_colour_image_keeps_uniform_colours_up_to_noise():
     flat = np.full((60, 80, 3), (200, 100, 50), np.uint8)
     ones = np.ones((60, 80), np.float32)
     rgb = colour_image(Rendering(flat, ones, np.zeros((60, 80), np.int16), ones), Sensor(), np.random.default_rng(0))
@@ -202,7 +202,7 @@ def test_the_colour_image_keeps_flat_colours_but_for_noise():
     assert 1 < rgb[25:35, 35:45].astype(float).std(axis=(0, 1)).mean() < 4
 
 
-def test_patterns_mix_exactly_their_two_colours():
+def test_patterns_contain_exactly_their_two_colours():
     for pattern in (Pattern.STRIPES, Pattern.CHECKS):
         made = Palette()
         row = made.add(Material((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), pattern, 0.1, 2, grain=0.0))
@@ -212,7 +212,7 @@ def test_patterns_mix_exactly_their_two_colours():
         assert set(map(tuple, albedo.round(3).tolist())) == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)}
         assert share == pytest.approx(0.4 if pattern is Pattern.STRIPES else 0.5, abs=0.05)
         along_z = made.albedo(np.full(2000, row, np.int16), places + np.float32([0, 0, 0.2]))
-        assert (np.abs(along_z - albedo).max(axis=1) > 0.01).mean() < 0.02  # twice the period on, it is the same
+        assert (np.abs(along_z - albedo).max(axis=1) > 0.01).mean() < 0.02  # the same after two periods
 
 
 def test_the_left_hand_mirrors_the_right():
@@ -221,7 +221,7 @@ def test_the_left_hand_mirrors_the_right():
         np.testing.assert_allclose(left.vertices, right.vertices * [1, -1, 1], atol=1e-6)
 
 
-def test_an_open_hand_is_as_long_as_a_hand_and_a_fist_is_shorter():
+def test_an_open_hand_has_a_realistic_length_and_a_fist_is_shorter():
     open_hand, fist = (hand_mesh(hand_pose(GESTURES[i]), 1.0, 0, 0, 1, left=False) for i in (0, 2))
     lengths = [float(np.ptp(mesh.vertices[:, 0])) for mesh in (open_hand, fist)]
     assert 0.17 < lengths[0] < 0.22
@@ -230,7 +230,7 @@ def test_an_open_hand_is_as_long_as_a_hand_and_a_fist_is_shorter():
     assert fist.vertices[:, 2].min() < open_hand.vertices[:, 2].min() - 0.02
 
 
-def test_meshes_turn_with_their_normals():
+def test_normals_rotate_with_the_mesh():
     mesh = ball((1, 0, 0), 0.2).moved(turn_z(np.pi / 2), np.array([0, 0, 1.0]))
     np.testing.assert_allclose(mesh.vertices.mean(axis=0), [0, 1, 1], atol=1e-3)
     offsets = mesh.vertices - np.array([0, 1, 1])

@@ -1,4 +1,4 @@
-"""Linking of boxes to tracks, and track ids."""
+"""Linking of boxes into tracks, and track ids."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def linked(frames: list[list[Seen]], times: list[float] | None = None) -> list[l
     return [track.members for track in found]
 
 
-def test_two_people_who_walk_through_each_other_stay_themselves() -> None:
-    # they meet between frames 4 and 5; the nearest box of the frame before would be the other one's
+def test_two_people_whose_paths_cross_keep_their_tracks() -> None:
+    # they meet between frames 4 and 5, where the nearest box of the previous frame is the other person's
     frames = [[seen(-1.5 + 0.33 * n), seen(1.5 - 0.33 * n, 5.05)] for n in range(10)]
     shuffled = [list(reversed(boxes)) if n % 2 else boxes for n, boxes in enumerate(frames)]
     first, second = linked(shuffled)
@@ -40,53 +40,53 @@ def test_two_people_who_walk_through_each_other_stay_themselves() -> None:
     assert second == [(n, 1 - n % 2) for n in range(10)]
 
 
-def test_an_object_is_found_again_after_a_gap_where_its_motion_led() -> None:
+def test_an_object_is_linked_across_a_gap_at_its_predicted_position() -> None:
     gone = (4, 5, 6)
     frames = [[] if n in gone else [seen(0.5 * n)] for n in range(11)]
     assert len(linked(frames)) == 1
-    # what is far from there is another one, though it is as near to where the object was last
+    # a box far from the predicted position is another object, even if it is as near to the last position
     back = [[] if n in gone else [seen(0.5 * (n if n < 4 else 6 - n))] for n in range(11)]
     assert len(linked(back)) == 2
     too_long = [[seen(0.0)] if n in (0, 1, 2, 12, 13) else [] for n in range(14)]
     assert len(linked(too_long)) == 2
 
 
-def test_dropped_frames_count_by_their_times() -> None:
+def test_dropped_frames_are_considered_by_their_times() -> None:
     second_ns = 10**9
     times_ns = [0, second_ns, 2 * second_ns, 3 * second_ns, 6 * second_ns, 7 * second_ns]
     times = frame_times(times_ns)
     assert times.tolist() == [0, 1, 2, 3, 6, 7]
     frames = [[seen(0.5 * time)] for time in times]
     assert len(linked(frames, times.tolist())) == 1
-    assert len(linked(frames)) == 2, "by their numbers alone the object jumps out of reach"
+    assert len(linked(frames)) == 2, "with frame numbers alone, the object moves too far"
     assert frame_times([5, 4, 7]).tolist() == [0, 1, 2]
     assert frame_times([5, None, 7]).tolist() == [0, 1, 2]
     assert frame_times([1_700_000_000_000_000_001, 1_700_000_000_000_000_004]).tolist() == [0, 1]
 
 
-def test_other_classes_sizes_and_places_are_other_objects() -> None:
+def test_boxes_of_other_classes_sizes_and_positions_are_not_linked() -> None:
     assert len(linked([[seen(0.0)], [seen(0.0, label="car")]])) == 2
     assert len(linked([[seen(0.0)], [Seen("person", at(0.0, size_m=(5.0, 1.8, 1.5)))]])) == 2
     assert len(linked([[seen(0.0)], [seen(3.0)]])) == 2
-    # the axes' names do not matter
+    # a permutation of the axes has no effect
     assert len(linked([[seen(0.0)], [Seen("person", at(0.0, size_m=(1.8, 0.8, 0.6)))]])) == 1
 
 
 def test_given_ids_take_precedence_over_costs() -> None:
-    # said to be one object, though it jumped and a box stands where it was
+    # the same id, although the object jumped and another box is at its former position
     frames = [[seen(0.0, given=7), seen(4.0)], [seen(0.0), seen(4.0, given=7)], [seen(0.0), seen(4.0)]]
     by_id = {track.given: track.members for track in link(frames, [0.0, 1.0, 2.0], CONFIG)}
     assert by_id[7][:2] == [(0, 0), (1, 1)]
-    # said to be two, though they stand in one place
+    # different ids, although they are at the same position
     assert len(linked([[seen(0.0, given=1)], [seen(0.0, given=2)]])) == 2
-    # one id twice in a frame is what somebody said
+    # an id given twice in a frame is kept
     assert len(linked([[seen(0.0, given=1), seen(3.0, given=1)], [seen(0.0, given=1)]])) == 1
-    # a name that comes late holds for the boxes before
+    # an id that is given later also applies to earlier boxes
     (track,) = link([[seen(0.0)], [seen(0.1)], [seen(0.2, given=5)]], [0.0, 1.0, 2.0], CONFIG)
     assert track.given == 5
 
 
-def test_motion_is_the_straight_one_through_the_last_boxes() -> None:
+def test_motion_is_extrapolated_linearly_from_the_last_boxes() -> None:
     boxes = [at(0.0, 5.0), at(0.5, 4.9), at(1.0, 4.8)]
     assert np.allclose(predicted(boxes, [0.0, 1.0, 2.0], 4.0).center_m, [2.0, 0.0, 4.6])
     assert np.allclose(predicted(boxes[:1], [3.0], 9.0).center_m, boxes[0].center_m)
@@ -103,9 +103,9 @@ def test_motion_is_the_straight_one_through_the_last_boxes() -> None:
         ([-2, None], [[], []], [-2, 1]),
     ],
 )
-def test_numbers_stay_where_they_can(given: list[int | None], before: list[list[int]], wanted: list[int]) -> None:
+def test_track_ids_are_kept_where_possible(given: list[int | None], before: list[list[int]], wanted: list[int]) -> None:
     assert numbered(given, before) == wanted
-    # said again, nothing changes
+    # applied again, nothing changes
     assert numbered(given, [[number] for number in wanted]) == wanted
 
 

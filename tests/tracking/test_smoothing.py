@@ -19,12 +19,12 @@ from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
 CONFIG = TrackingConfig()
-# columns: length, width, height of a box that stands in a camera's frame and looks away from it
+# columns: the length, width and height axes of an upright box that faces away from the camera
 STANDING = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 def car(n: float, yaw_deg: float = 0.0, size_m: tuple[float, float, float] = (4.2, 1.8, 1.5)) -> OrientedBox:
-    """A car that drives away, turned about its own up."""
+    """A car that drives away, rotated about its up axis."""
     turn = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix()
     return OrientedBox.from_parts(np.array([1.0, 0.8, 8.0 + 0.6 * n]), STANDING @ turn, np.array(size_m))
 
@@ -33,7 +33,7 @@ def heading(box: OrientedBox) -> np.ndarray:
     return box.rotation[:, 0]
 
 
-def test_a_detector_that_turns_cars_about_is_set_right_by_their_motion() -> None:
+def test_flipped_headings_are_corrected_by_the_motion() -> None:
     rng = np.random.default_rng(3)
     true = [car(n, 2.0 * n) for n in range(12)]
     noisy = []
@@ -52,13 +52,13 @@ def test_a_detector_that_turns_cars_about_is_set_right_by_their_motion() -> None
     assert after > before + 0.02
 
 
-def test_a_side_that_grows_and_shrinks_is_not_evened_out() -> None:
+def test_a_size_that_changes_over_time_is_not_averaged() -> None:
     strides = [0.7 + 0.3 * np.sin(0.5 * n) for n in range(20)]
     boxes = [car(0.1 * n, 0.0, (2.0, length, 1.5 + 0.02 * (-1) ** n)) for n, length in enumerate(strides)]
     better = smoothed([TrackBox(float(n), box) for n, box in enumerate(boxes)], CONFIG)
-    # one length for all would be off by 0.19 on average
+    # a constant length would have a mean error of 0.19
     assert np.mean(np.abs(np.array([box.size_m[1] for box in better]) - strides)) < 0.04
-    assert len({box.size_m[2] for box in better}) == 1, "what is measured anew each time has one length"
+    assert len({box.size_m[2] for box in better}) == 1, "a size with independent noise becomes constant"
 
 
 def test_without_motion_the_majority_determines_the_front() -> None:
@@ -68,8 +68,8 @@ def test_without_motion_the_majority_determines_the_front() -> None:
     assert all(heading(box) @ heading(still[0]) > 0.999 for box in better)
 
 
-def test_reviewed_boxes_stay_and_name_the_others() -> None:
-    # somebody says that it drives backward
+def test_reviewed_boxes_are_kept_and_set_the_heading_of_the_others() -> None:
+    # a reviewed box says that the car drives backwards
     boxes = [car(n, 0.0, (4.0 + 0.1 * n, 1.8, 1.5)) for n in range(6)]
     fixed = relabelled(car(3, 0.0, (4.1, 1.7, 1.5)), FLIP)
     track = [TrackBox(float(n), fixed if n == 3 else box, is_fixed=n == 3) for n, box in enumerate(boxes)]
@@ -81,14 +81,14 @@ def test_reviewed_boxes_stay_and_name_the_others() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(st.lists(st.integers(0, 23), min_size=5, max_size=5), st.integers(0, 2**31))
-def test_the_names_of_axes_do_not_matter(places: list[int], seed: int) -> None:
-    """A free box that turns evenly, each time with other names for its axes."""
+def test_permuted_axes_have_no_effect(places: list[int], seed: int) -> None:
+    """A freely rotating box with a random permutation of its axes in each frame."""
     start = Rotation.random(rng=np.random.default_rng(seed))
     turns = [start * Rotation.from_rotvec([0.05 * n, 0.08 * n, 0.0]) for n in range(5)]
     true = [OrientedBox.from_parts(np.ones(3), turn.as_matrix(), np.array([0.2, 0.1, 0.05])) for turn in turns]
     other = [relabelled(box, relabellings(False)[place]) for box, place in zip(true, places, strict=True)]
     better = smoothed([TrackBox(float(n), box) for n, box in enumerate(other)], CONFIG)
-    # an even turn is no noise, and every box is where it was
+    # a uniform rotation is not treated as noise, and every box keeps its position
     assert min(iou_3d(a, b) for a, b in zip(better, true, strict=True)) > 0.999
     turned = [(a.T_camera_box.rotation.inv() * b.T_camera_box.rotation).magnitude() for a, b in pairwise(better)]
     assert max(turned) < 0.12
@@ -105,7 +105,7 @@ def test_relabelled_boxes_are_the_same_boxes() -> None:
     assert not are_upright([box, relabelled(box, relabellings(False)[5])])
 
 
-def test_between_two_boxes_everything_changes_evenly() -> None:
+def test_position_size_and_rotation_are_interpolated_linearly() -> None:
     first, last = car(0, 0.0), relabelled(car(10, 40.0, (4.6, 1.8, 1.5)), FLIP)
     found = between(first, last, 2.0, 12.0, [4.5, 7.0, 9.5])
     assert np.allclose([box.center_m for box in found], [car(n).center_m for n in (2.5, 5, 7.5)])

@@ -25,8 +25,8 @@ def wait_for() -> Callable[[Callable[[], Any]], None]:
 
 
 @pytest.fixture
-def looked(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """`looked()`: waits for a poll of the watch that starts after the call."""
+def wait_for_poll(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """`wait_for_poll()`: waits for a poll of the watch that starts after the call."""
     looks: list[Watch] = []
     poll = Watch.poll
 

@@ -1,4 +1,4 @@
-"""Fake work for the tests of jobs, in place of proposing; `limit` selects its behaviour."""
+"""Fake work for the tests of jobs, instead of proposing; `limit` selects its behaviour."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Jobs for tests: a training of two epochs, and proposals by detectors that know the truth of the recordings.
+"""Jobs for tests: a training of two epochs, and proposals by perfect detectors instead of trained ones.
 
-What a training of seconds learns differs from processor to processor; what is proposed here does not.
+The result of a short training depends on the processor; these proposals do not.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def train(job: JobContext, request: TrainRequest) -> Outcome:
 
 
 def propose(job: JobContext, request: ProposeRequest) -> Outcome:
-    """`propose_work`, but for the detectors."""
+    """`propose_work` with perfect detectors."""
     scenes = []
     for recording in [open_recording(stored.path) for stored in job.project.recordings.all()]:
         for index in range(len(recording)):
@@ -35,7 +35,7 @@ def propose(job: JobContext, request: ProposeRequest) -> Outcome:
             scenes.append(Scene.of(frame, load_truth(recording, index, frame)))
     knows = PerfectDetector(scenes, BoxKind.BOX, min_points=50)
     source = GivenDetectors(Detectors(knows, knows, BoxKind.BOX))
-    # a worker process does one job, and ends
+    # a worker process runs only one job, so patches need not be undone
     work.trained_detectors = lambda _: source  # type: ignore[assignment]
     work.make_engine = lambda *_, **__: InlineEngine(source)  # type: ignore[assignment]
     return work.propose_work(job, request)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from annotator.web.serve import Running
 
 OPERATOR = "Ada"
-# Nothing takes as long, however slow or busy the machine: who waits so long waits in vain.
+# A limit for waits, which only a failure should reach, even on a slow or busy machine.
 PATIENCE_S = 240.0
 
 
@@ -28,8 +28,8 @@ class Live:
 
     Attributes:
         url: `http://127.0.0.1:PORT`.
-        settings: of the server.
-        client: signed in as Ada; asks from the server's own page.
+        settings: the server's settings.
+        client: signed in as Ada, with the Origin of the server's own page.
     """
 
     url: str
@@ -75,7 +75,7 @@ def running(settings: ServerSettings, **headers: str) -> Iterator[Live]:
 
 
 def look(live: Live, job_id: str) -> dict[str, Any]:
-    """The present record of a job."""
+    """The current record of a job."""
     jobs: list[dict[str, Any]] = live.client.get("/api/jobs").json()["jobs"]
     return next(job for job in jobs if job["id"] == job_id)
 
@@ -90,7 +90,7 @@ def ended(live: Live, job: dict[str, Any]) -> dict[str, Any]:
 
 
 def wait_until(true: Callable[[], Any]) -> None:
-    """Waits for a condition; fails where it is clearly not going to come true."""
+    """Waits for a condition; fails after a long time."""
     end = time.monotonic() + PATIENCE_S
     while not true():
         assert time.monotonic() < end, "not within the time"

@@ -44,12 +44,12 @@ class Desk:
 
     @property
     def frame(self) -> int:
-        """The frame that the page shows."""
+        """The id of the shown frame."""
         return int(self.page.url.split("/review/")[1].split("?")[0])
 
     @property
     def uid(self) -> str:
-        """The label that is selected."""
+        """The uid of the selected label."""
         row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
         uid = row.get_attribute("data-uid")
         assert uid is not None
@@ -65,7 +65,7 @@ class Desk:
         return self.page.get_by_test_id(f"ortho-{view}").locator("rect.line")
 
     def settled(self) -> None:
-        """Waits until all changes are saved and the three views show the present box."""
+        """Waits until all changes are saved and the three views show the current box."""
         from playwright.sync_api import expect
 
         expect(self.page.get_by_test_id("saving")).to_have_text("")

@@ -27,7 +27,7 @@ def project(live: Live) -> Project:
     return live.context.project("room")
 
 
-def test_the_state_of_a_frame(live: Live, project: Project) -> None:
+def test_the_state_of_a_frame_has_labels_boxes_and_neighbours(live: Live, project: Project) -> None:
     (uid,) = propose(project, 2, 0.0)
     frame = state(live.client, 2)
     assert frame["frame"] == {
@@ -66,7 +66,7 @@ def test_browsers_may_cache_images(live: Live) -> None:
     assert live.client.get(f"{ROOM}/views/..%2Fproject.png").status_code in (404, 422)
 
 
-def test_the_list_of_frames(live: Live, project: Project) -> None:
+def test_the_list_of_frames_has_counts_and_doubts(live: Live, project: Project) -> None:
     propose(project, 3, 0.0, 5.0)
     found = live.client.get(f"{ROOM}/frames", params={"offset": 1, "limit": 2}).json()
     assert found["total"] == 5
@@ -132,7 +132,7 @@ def test_invalid_changes_are_refused(live: Live, body: dict[str, Any]) -> None:
     assert state(live.client)["frame"]["revision"] == 0
 
 
-def test_missing_resources(live: Live) -> None:
+def test_missing_frames_recordings_and_projects_are_404(live: Live) -> None:
     for path in ("frames/99", "frames/99/image.jpg", "checks?frame=99", "queue?recording=9"):
         assert live.client.get(f"{ROOM}/{path}").status_code == 404, path
     assert live.client.get("/api/projects/nobody/frames").status_code == 404
@@ -140,7 +140,7 @@ def test_missing_resources(live: Live) -> None:
     assert unknown.status_code == 400 and "'horse' is not a class" in unknown.json()["error"]["message"]
 
 
-def test_an_object_from_nothing_takes_five_drags(live: Live, generated: Path, capsys: Any) -> None:
+def test_a_new_object_takes_five_saved_drags(live: Live, generated: Path, capsys: Any) -> None:
     scene = Scene.of(generated / "people", 0, ["person"])
     ious = []
     for number in range(2):
@@ -188,7 +188,7 @@ def test_a_stale_object_shows_both_versions(live: Live, generated: Path) -> None
     assert refused.json()["state"]["frame"]["revision"] == 0
 
 
-def test_review_tools(live: Live, project: Project) -> None:
+def test_review_tools_render_fit_and_copy(live: Live, project: Project) -> None:
     found = live.client.post(f"{ROOM}/frames/1/ortho", json={"box": BOX, "size_px": 128}).json()
     assert [view["name"] for view in found["views"]] == ["top", "front", "side"]
     assert all((view["width"], view["height"]) == (128, 128) for view in found["views"])
@@ -204,7 +204,7 @@ def test_review_tools(live: Live, project: Project) -> None:
     assert first.status_code == 400 and "first of its recording" in first.json()["error"]["message"]
 
 
-def test_queue_and_checks(live: Live, project: Project) -> None:
+def test_the_queue_and_checks_list_doubtful_labels(live: Live, project: Project) -> None:
     uids = propose(project, 1, 0.0, 0.1)
     found = live.client.get(f"{ROOM}/queue", params={"order": "worst", "limit": 1}).json()
     assert found["remaining"] == 2 and found["items"][0]["uid"] in uids
@@ -227,7 +227,7 @@ def test_a_refused_undo_names_the_author_of_the_change(live: Live, project: Proj
 
 
 def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
-    """Each adds its own labels; refused ones are sent again on the present revision, as the page does."""
+    """Each adds its own labels; refused ones are sent again on the current revision, as by the page."""
     each, refusals = 12, []
 
     def write(name: str) -> None:

@@ -31,7 +31,7 @@ def test_invalid_names_are_refused(live: Live, name: object) -> None:
     assert "operator" in answer.json()["error"]["message"]
 
 
-def test_missing_resources(live: Live) -> None:
+def test_unknown_paths_are_404(live: Live) -> None:
     for path in ("/api/nothing", "/nothing", "/assets/nothing.js", "/api/session/x"):
         answer = live.client.get(path)
         assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")

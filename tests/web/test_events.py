@@ -27,7 +27,7 @@ WaitFor = Callable[[Callable[[], Any]], None]
 def listen(live: Live, project: str | None = "room", name: str = "Ada") -> ClientConnection:
     query = "" if project is None else f"?project={project}"
     headers = {"Cookie": f"annotator_operator={name}"}
-    # max_queue=None: a client with a full queue would not even read the server's close frame
+    # max_queue=None: a client with a full queue would not read the server's close frame
     return connect(live.socket_url("/api/events" + query), additional_headers=headers, origin=live.url, max_queue=None)
 
 
@@ -40,7 +40,7 @@ def next_of(socket: ClientConnection, kind: str) -> dict[str, Any]:
             return message
 
 
-def test_a_frame_changes(live: Live) -> None:
+def test_a_changed_frame_is_announced_once_to_pages_of_its_project(live: Live) -> None:
     with listen(live) as socket, listen(live, None) as other:
         next_of(socket, "presence")
         live.context.hub.frame_changed("room", 1, 5, "Bob")
@@ -54,17 +54,17 @@ def test_a_frame_changes(live: Live) -> None:
             other.recv(timeout=0.2)
 
 
-def test_another_process_changes_a_frame(looked: Callable[[], None], live: Live) -> None:
+def test_changes_by_another_process_are_announced(wait_for_poll: Callable[[], None], live: Live) -> None:
     with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
         next_of(socket, "presence")
-        looked()
+        wait_for_poll()
         frame = project.frames.of()[2]
         project.frames.finalise(frame.id, WriteContext(frame.revision, "the command line", Source.MANUAL))
         event = next_of(socket, "frame")
         assert (event["frame"], event["revision"], event["operator"]) == (frame.id, 1, "the command line")
 
 
-def test_presence(live: Live, wait_for: WaitFor) -> None:
+def test_pages_see_the_operators_of_open_frames(live: Live, wait_for: WaitFor) -> None:
     with listen(live) as ada, listen(live, name="Bob") as bob:
         ada.send(json.dumps({"type": "open", "project": "room", "frame": 3}))
         wait_for(lambda: next_of(bob, "presence")["frames"] == {"3": ["Ada"]})
@@ -77,7 +77,7 @@ def test_presence(live: Live, wait_for: WaitFor) -> None:
     wait_for(lambda: live.context.hub.presence("room") == {})
 
 
-def test_access_to_the_event_socket(live: Live) -> None:
+def test_the_event_socket_needs_an_operator_and_a_project(live: Live) -> None:
     for query, cookie, status in (("?project=room", "", 403), ("?project=nobody", "annotator_operator=A", 403)):
         with (
             pytest.raises(InvalidStatus) as refused,

@@ -123,7 +123,7 @@ def test_recordings_are_recognised(generated: Path) -> None:
     assert [(entry.name, entry.recording) for entry in entries] == [("hands", "rgbd_folder"), ("people", "rgbd_folder")]
 
 
-def test_a_stray_cloud_hides_nothing_of_its_folder(tree: Path) -> None:
+def test_a_folder_with_a_cloud_can_still_be_opened(tree: Path) -> None:
     (tree / "sub" / "stray.npy").write_bytes(b"")
     entries = Folders((tree,)).list("data").entries
     shown = [(entry.name, entry.recording, entry.is_folder) for entry in entries]
@@ -145,7 +145,7 @@ def test_folders_through_the_api(live: Live, generated: Path) -> None:
     assert live.client.get("/api/folders", params={"path": "a" * 5000}).status_code == 422
 
 
-def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_project_can_be_created_and_filled(live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     client, new = live.client, {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
     created = client.post("/api/projects", json=new)
     assert created.status_code == 201
@@ -175,7 +175,7 @@ def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.M
     assert bare.json()["job"] is None
     monkeypatch.setattr("annotator.web.jobs.runner.MOST_WAITING", 0)
     full = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands"}).json()
-    assert (full["added"][0]["new_frames"], full["job"]) == (0, None), "it was added nevertheless"
+    assert (full["added"][0]["new_frames"], full["job"]) == (0, None), "the recording is added without a job"
     assert "0 jobs are waiting already; stop some" in full["note"]
 
     info = client.get("/api/projects/two").json()
@@ -191,7 +191,7 @@ def test_project_from_nothing(live: Live, generated: Path, monkeypatch: pytest.M
 
 
 def _stale(place: Path) -> Callable[..., os.stat_result]:
-    """A `Path.stat` for which `place` lies on a lost mount."""
+    """A `Path.stat` for which `place` is on a lost mount."""
     stat = Path.stat
 
     def asked(path: Path, **options: bool) -> os.stat_result:
@@ -205,7 +205,7 @@ def _stale(place: Path) -> Callable[..., os.stat_result]:
 def test_a_moved_recording_is_located(
     live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its labels are kept, and it is readable again at once."""
+    """Its labels are kept, and its frames can be read at once."""
     client, root = live.client, tmp_path / "takes"
     shutil.copytree(generated / "people", root / "people")
     with running(replace(live.settings, projects_root=tmp_path / "others", folders=(root,))) as server:
@@ -258,7 +258,7 @@ def test_a_moved_recording_is_located(
         assert (move.path_after, move.author) == (str(root / "archive" / "2024"), "Ada")
 
 
-def test_project_changes(live: Live) -> None:
+def test_classes_and_settings_can_be_changed(live: Live) -> None:
     changed = live.client.patch("/api/projects/room", json={"classes": ["person", "robot"], "rotation": "free"})
     assert changed.json()["classes"] == ["person", "robot"]
     assert changed.json()["settings"]["rotation"] == "free"
@@ -286,7 +286,7 @@ def test_project_changes(live: Live) -> None:
         ("POST", "/api/projects/nobody/recordings", {"path": "x"}, 404),
     ],
 )
-def test_what_is_refused(live: Live, method: str, path: str, body: object, status: int) -> None:
+def test_invalid_requests_are_refused(live: Live, method: str, path: str, body: object, status: int) -> None:
     answer = live.client.request(method, path, json=body)
     assert answer.status_code == status, answer.text
     assert set(answer.json()["error"]) == {"kind", "message"}
@@ -307,7 +307,7 @@ def test_a_damaged_project_is_listed_with_its_problem(live: Live) -> None:
     assert live.client.get("/api/projects/damaged").status_code == 400
 
 
-def test_nothing_without_a_name(live: Live) -> None:
+def test_requests_without_sign_in_are_refused(live: Live) -> None:
     live.client.delete("/api/session")
     for path in ("/api/folders", "/api/projects", "/api/projects/room"):
         answer = live.client.get(path)

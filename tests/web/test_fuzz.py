@@ -62,6 +62,6 @@ def test_no_request_causes_a_server_error(fuzzed: ServerSettings, monkeypatch: p
 
         for operation in operations:
             PATIENT(given(case=operation.as_strategy())(ask))()
-        assert live.client.get("/api/projects/room").status_code == 200, "it still works"
+        assert live.client.get("/api/projects/room").status_code == 200, "the server still answers"
     assert not faults, "\n".join(faults[:20])
     assert answers.get(200, 0) > 20, answers

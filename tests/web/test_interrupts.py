@@ -21,7 +21,7 @@ def test_a_deferred_signal_interrupts_at_the_end_of_the_block(number: signal.Sig
             signal.raise_signal(number)
             done.append("started")
         assert done == ["started"]
-        signal.raise_signal(signal.SIGTERM)  # it is ending
+        signal.raise_signal(signal.SIGTERM)  # ignored, since the session is ending
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert [signal.getsignal(n) for n in SIGNALS] == before
@@ -36,7 +36,7 @@ def test_a_sigterm_after_the_end_of_a_session_is_ignored() -> None:
             signal.raise_signal(signal.SIGINT)
 
 
-def test_other_threads_leave_signals_as_they_are() -> None:
+def test_other_threads_do_not_change_signal_handlers() -> None:
     seen = []
 
     def enter() -> None:

@@ -21,8 +21,8 @@ from annotator.project import open_project
 from annotator.web.settings import ServerSettings
 
 ROUNDS = 3
-# So many edits before each kill.
-SOME_WORK = 5
+# The minimum number of edits before each kill.
+EDITS_BEFORE_KILL = 5
 BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
 
 
@@ -105,7 +105,7 @@ def test_every_acknowledged_edit_survives_a_kill(web_settings: ServerSettings) -
             editor = Editor(url, 1 + round_, round_)
             thread = threading.Thread(target=editor.run)
             thread.start()
-            wait_until(lambda editor=editor: editor.acknowledged > SOME_WORK)  # type: ignore[misc]
+            wait_until(lambda editor=editor: editor.acknowledged > EDITS_BEFORE_KILL)  # type: ignore[misc]
             time.sleep(moments.uniform(0.0, 1.0))
             process.send_signal(signal.SIGKILL)
             process.wait()

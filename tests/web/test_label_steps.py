@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 STEPS = "/api/projects/room/frames/1/label/steps"
 
 
-class Counting:
+class CountingDetector:
     """A detector that counts its calls."""
 
     labels = ("person",)
@@ -39,7 +39,7 @@ class Counting:
 def test_the_detector_is_called_only_for_suggestions(
     live: Live, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    detector = Counting(knowing("people", kind=BoxKind.SILHOUETTE).view)
+    detector = CountingDetector(knowing("people", kind=BoxKind.SILHOUETTE).view)
     ready = Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
     monkeypatch.setattr(live.context.caches.detectors, "look", lambda project, role, wait_s=None: ready)
     scene = Scene.of(generated / "people", 0, ["person"])

@@ -104,7 +104,7 @@ def test_boxes_are_drawn_at_their_pixels(frame: Frame) -> None:
         u, v = np.round(corner).astype(int)
         assert changed[v - 1 : v + 2, u - 1 : u + 2].any()
     assert np.abs(drawn[105, 40].astype(int) - BOX_COLOR).max() < 40, "the left edge of the image box"
-    assert np.abs(drawn[150, 300].astype(int) - LOST_COLOR).max() < 40, "the right edge of the lost one's"
+    assert np.abs(drawn[150, 300].astype(int) - LOST_COLOR).max() < 40, "the right edge of the lost object's box"
     assert changed.mean() < 0.1
     small = draw_detections(frame, answer, width_px=160)
     assert small.shape == (120, 160, 3)
@@ -115,7 +115,7 @@ def replace_lost(answer: FrameProposals, lost: LostObject) -> FrameProposals:
     return FrameProposals(answer.key, answer.proposals, (lost,))
 
 
-def test_edges_bend_with_the_lens_and_end_before_the_camera() -> None:
+def test_edges_follow_lens_distortion_and_end_in_front_of_the_camera() -> None:
     camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
     bent = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, (-0.2, 0.05, 0.0, 0.0))
     box = OrientedBox.from_parts(np.array([0.3, 0.2, 1.2]), np.eye(3), np.array([0.4, 0.3, 0.4]))
@@ -125,10 +125,10 @@ def test_edges_bend_with_the_lens_and_end_before_the_camera() -> None:
     middle = project(bent, box_corners(box)[[0, 1]].mean(axis=0)[None])[0]
     assert np.abs(lines[0] - middle).min(axis=0).max() < 0.5
     around = OrientedBox(RigidTransform.from_translation([0.0, 0.0, 0.1]), np.array([1.0, 1.0, 1.0]))
-    assert len(edges_px(camera, around)) == 4, "those of the far side"
+    assert len(edges_px(camera, around)) == 4, "the edges of the far side"
 
 
-def test_the_table_of_figures(frame: Frame) -> None:
+def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None:
     detected = Detected(frame, detections(frame), 0.0, {})
     meter = Meter()
     before = table(detected, meter.figures(Drops()), {})

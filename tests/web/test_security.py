@@ -62,7 +62,7 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
 ROUTES = sorted(set(flat(locked(Path("/nowhere")).routes)))
 
 
-def test_the_table_is_the_whole_application() -> None:
+def test_the_table_of_routes_is_complete() -> None:
     for known in [
         ("GET", "/"),
         ("GET", "/assets/js/main.js"),
@@ -79,7 +79,7 @@ def test_the_table_is_the_whole_application() -> None:
 
 @pytest.mark.parametrize(("method", "path"), ROUTES, ids=" ".join)
 @pytest.mark.parametrize("cookies", [{}, {cookie_name(TOKEN): "wrong"}, {cookie_name(TOKEN): ""}], ids=str)
-def test_nothing_without_the_token(app: FastAPI, method: str, path: str, cookies: dict[str, str]) -> None:
+def test_all_routes_need_the_token(app: FastAPI, method: str, path: str, cookies: dict[str, str]) -> None:
     cookies = {**cookies, "annotator_operator": "Ada"}
     if method == "WS":
         assert open_socket(app, path, headers(cookies, HERE)) == 401
@@ -95,7 +95,7 @@ def test_nothing_without_the_token(app: FastAPI, method: str, path: str, cookies
     "origin",
     ["http://evil.example", "http://127.0.0.1:81", "https://127.0.0.1.evil.example", "null", "", "127.0.0.1", None],
 )
-def test_requests_of_foreign_pages_are_refused(app: FastAPI, method: str, path: str, origin: str | None) -> None:
+def test_requests_from_foreign_pages_are_refused(app: FastAPI, method: str, path: str, origin: str | None) -> None:
     asked = headers({cookie_name(TOKEN): TOKEN, "annotator_operator": "Ada"}, origin)
     if method == "WS":
         assert open_socket(app, path, asked) == 403
@@ -107,14 +107,14 @@ def test_requests_of_foreign_pages_are_refused(app: FastAPI, method: str, path: 
 @pytest.mark.parametrize(
     "host", ["evil.example", "127.0.0.1.evil.example", "10.0.0.1", "", "[", "localhost.evil", "a@b"]
 )
-def test_a_local_server_has_local_names_only(tmp_path: Path, host: str) -> None:
+def test_a_local_server_accepts_only_local_host_names(tmp_path: Path, host: str) -> None:
     app = create_app(ServerSettings(tmp_path))
     answer = ask(app, "GET", "/api/session", headers={"Host": host})
     assert (answer.status_code, answer.json()["error"]["kind"]) == (403, "ForbiddenError")
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:8080", "localhost:1", "LOCALHOST", "[::1]:8080"])
-def test_local_names(tmp_path: Path, host: str) -> None:
+def test_local_host_names_are_accepted(tmp_path: Path, host: str) -> None:
     app = create_app(ServerSettings(tmp_path))
     assert ask(app, "GET", "/api/session", headers={"Host": host}).status_code == 200
 
@@ -125,7 +125,7 @@ def test_on_other_addresses_the_token_permits_any_host_name(tmp_path: Path) -> N
     assert answer.json()["token_required"] is True
 
 
-def test_the_link_becomes_a_cookie(app: FastAPI) -> None:
+def test_the_link_sets_a_cookie(app: FastAPI) -> None:
     answer = ask(app, "GET", "/", params={"token": TOKEN, "go": "room/review"})
     assert answer.status_code == 200
     assert TOKEN not in answer.text
@@ -137,26 +137,26 @@ def test_the_link_becomes_a_cookie(app: FastAPI) -> None:
     kept = dict([cookie.split(";")[0].split("=")])
     assert ask(app, "GET", "/api/session", cookies=kept).status_code == 200
     assert ask(app, "GET", "/assets/js/main.js", cookies=kept).status_code == 200
-    assert open_socket(app, "/api/events", headers(kept, HERE)) == 403, "nobody has signed in"
+    assert open_socket(app, "/api/events", headers(kept, HERE)) == 403, "no operator is signed in"
     assert open_socket(app, "/api/events", headers({**kept, "annotator_operator": "Ada"}, HERE)) == 101
 
 
 @pytest.mark.parametrize(
     "go", ["//evil.example", "room/../x", 'x"><script>', "room/review#", "javascript:alert(1)", ""]
 )
-def test_the_link_leads_only_to_places_of_the_page(app: FastAPI, go: str) -> None:
+def test_the_link_leads_only_to_parts_of_the_page(app: FastAPI, go: str) -> None:
     answer = ask(app, "GET", "/", params={"token": TOKEN, "go": go})
     assert 'url=/"' in answer.text
 
 
 @pytest.mark.parametrize("token", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "ü" * 21, "\ud800"])
-def test_another_token(app: FastAPI, token: str) -> None:
+def test_a_wrong_token_is_refused(app: FastAPI, token: str) -> None:
     answer = ask(app, "GET", httpx.URL(HERE, params={"token": token.encode("utf-8", "surrogatepass")}))
     assert answer.status_code == 401
     assert "set-cookie" not in answer.headers
 
 
-def test_the_token_in_the_address_opens_pages_only(app: FastAPI) -> None:
+def test_the_token_in_the_url_is_only_accepted_for_pages(app: FastAPI) -> None:
     assert ask(app, "POST", "/api/session", params={"token": TOKEN}, headers={"Origin": HERE}).status_code == 401
 
 
@@ -192,12 +192,12 @@ def test_other_addresses_need_a_token(tmp_path: Path, host: str, token: str | No
         create_app(settings)
 
 
-def test_loopback() -> None:
+def test_loopback_addresses_are_recognised() -> None:
     assert all(map(is_loopback, ["127.0.0.1", "127.9.9.9", "::1", "localhost", "LocalHost"]))
     assert not any(map(is_loopback, ["0.0.0.0", "::", "10.0.0.1", "localhost.example", "", "127.0.0.1.example"]))
 
 
-def test_links() -> None:
+def test_links_contain_the_token_and_the_target() -> None:
     assert link("http://h:1/", None) == "http://h:1/"
     assert link("http://h:1/", None, "room/review") == "http://h:1/#/room/review"
     assert link("http://h:1/", "a b") == "http://h:1/?token=a+b"
@@ -205,7 +205,7 @@ def test_links() -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/assets/js/main.js", "/api/session", "/api/nothing", "/api/openapi.json"])
-def test_headers(live: Live, path: str) -> None:
+def test_responses_have_security_headers(live: Live, path: str) -> None:
     headers = live.client.get(path).headers
     policy = headers["content-security-policy"]
     assert "default-src 'self'" in policy
@@ -234,7 +234,7 @@ def test_only_files_of_the_page_are_served(live: Live, path: str) -> None:
         assert raw.makefile("rb").readline().split()[1] == b"404"
 
 
-def test_large_bodies(live: Live) -> None:
+def test_large_bodies_are_refused(live: Live) -> None:
     small = b'{"operator": "' + b"a" * (BODY_LIMIT - 100) + b'"}'
     large = b" " * (BODY_LIMIT + 1)
     assert live.client.post("/api/session", content=small).status_code == 422
@@ -278,7 +278,7 @@ def test_an_unexpected_error_reveals_no_details(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("origin", [None, "http://evil.example"])
-def test_sockets_of_a_real_server(live: Live, origin: str | None) -> None:
+def test_sockets_of_foreign_pages_are_refused(live: Live, origin: str | None) -> None:
     url, cookie = live.socket_url("/api/events?project=room"), {"Cookie": live.cookies()}
     with pytest.raises(InvalidStatus) as refused, connect(url, additional_headers=cookie, origin=origin):
         pass

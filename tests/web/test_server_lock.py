@@ -24,7 +24,7 @@ def test_a_second_server_is_refused_while_the_first_one_runs(tmp_path: Path) -> 
         pass
 
 
-def test_a_file_system_without_locks_only_causes_a_warning(
+def test_a_file_system_without_locks_causes_only_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def refuse(file: object, how: int) -> None:

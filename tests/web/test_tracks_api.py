@@ -18,7 +18,7 @@ def project(live: Live) -> Project:
     return live.context.project("room")
 
 
-def test_tracks_over_http(live: Live, project: Project) -> None:
+def test_tracks_are_followed_interpolated_and_undone(live: Live, project: Project) -> None:
     created = {"kind": "create", "label": "person", "box": BOX, "track_id": 5}
     first = change(live.client, 0, created).json()
     answer = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 0, "how": "detect"})

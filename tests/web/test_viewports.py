@@ -63,7 +63,7 @@ def browser(live: Any, viewport: str, protocol: str = PROTOCOL, **more: Any) -> 
         yield socket
 
 
-def test_a_scene_says_how_much_of_the_cloud_is_shown(live: Any, frame_id: int) -> None:
+def test_the_answer_to_a_scene_has_the_number_of_shown_points(live: Any, frame_id: int) -> None:
     viewport = opened(live)
     answer = show(live, viewport, frame=frame_id)
     assert answer.status_code == 200, answer.text
@@ -254,7 +254,7 @@ def test_outdated_scenes_are_not_sent_to_a_slow_browser(live: Any, wait_for: Cal
 
 
 def _until_quiet(socket: ClientConnection, last: bytes) -> Iterator[bytes]:
-    """What comes until nothing comes any more, the frame with `last` among it."""
+    """The messages until none follow, including the frame that contains `last`."""
     has_come = False
     while True:
         try:

@@ -63,7 +63,7 @@ def until(live: Live, job: dict[str, Any], state: str, stage: str) -> None:
         time.sleep(0.05)
 
 
-def test_a_job_from_its_beginning_to_its_end(server: Live) -> None:
+def test_a_job_runs_and_reports_progress_and_result(server: Live) -> None:
     with listen(server) as socket:
         job = begin(server, fake_jobs.QUICK)
         assert (job["project"], job["kind"], job["operator"]) == ("room", "propose", "Ada")
@@ -119,10 +119,10 @@ def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest
         assert project.problems() == []
 
 
-def test_pages_get_events_for_changes_of_a_job(looked: Callable[[], None], server: Live) -> None:
+def test_pages_get_events_for_changes_of_a_job(wait_for_poll: Callable[[], None], server: Live) -> None:
     with listen(server) as socket:
         next_of(socket, "presence")
-        looked()
+        wait_for_poll()
         begin(server, fake_jobs.EDITS)
         event = next_of(socket, "frame")
         assert (event["revision"], event["operator"]) == (1, "a job")
@@ -241,7 +241,7 @@ def test_invalid_jobs_are_refused(server: Live, body: object, status: int) -> No
         ("GET", "/api/jobs/journal.json/download", 422),
     ],
 )
-def test_missing_jobs(server: Live, method: str, path: str, status: int) -> None:
+def test_missing_jobs_and_files_are_404(server: Live, method: str, path: str, status: int) -> None:
     body = {"kind": "propose"} if method == "POST" and path.endswith("jobs") else None
     assert server.client.request(method, path, json=body).status_code == status
 

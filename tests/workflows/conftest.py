@@ -1,4 +1,4 @@
-"""Projects made of small generated recordings."""
+"""Projects with small generated recordings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MakeProject = Callable[..., Project]
 
 @pytest.fixture
 def make_project(tmp_path: Path) -> Iterator[MakeProject]:
-    """Makes projects of recordings: `make_project(path, ..., classes=("person",), rotation=BoxRotation.AUTO)`."""
+    """Creates projects: `make_project(path, ..., classes=("person",), rotation=BoxRotation.AUTO)`."""
     made: list[Project] = []
 
     def make(
@@ -38,11 +38,11 @@ def make_project(tmp_path: Path) -> Iterator[MakeProject]:
 
 @pytest.fixture
 def people(make_project: MakeProject, generated: Path) -> Project:
-    """A project for persons with one recording of 5 frames; nobody has labelled anything."""
+    """A project of class person with one recording of 5 unlabelled frames."""
     return make_project(generated / "people")
 
 
 @pytest.fixture
 def hands(make_project: MakeProject, generated: Path) -> Project:
-    """The same for hands, whose boxes turn freely."""
+    """Like `people`, for hands, whose boxes have free rotation."""
     return make_project(generated / "hands", classes=("hand",), rotation=BoxRotation.FREE)

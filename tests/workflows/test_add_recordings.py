@@ -1,4 +1,4 @@
-"""Recordings into a project, with the labels that they bring; and its frames back out."""
+"""Adding recordings and their labels to a project, and reading its frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def remove_frame(folder: Path, key: str) -> None:
 # --- adding ----------------------------------------------------------------------------------------------------------
 
 
-def test_added_and_looked_at_again(
+def test_adding_a_recording_again_finds_new_and_missing_frames(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], generated: Path
 ) -> None:
     folder, project = own_copy("people"), make_project()
@@ -49,7 +49,7 @@ def test_added_and_looked_at_again(
     assert len(project.recordings.all()) == 2
 
 
-def test_where_one_path_cannot_be_used_nothing_is_added(
+def test_one_unusable_path_means_that_nothing_is_added(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], generated: Path, tmp_path: Path
 ) -> None:
     project, broken = make_project(), own_copy("people")
@@ -61,7 +61,7 @@ def test_where_one_path_cannot_be_used_nothing_is_added(
         assert project.recordings.all() == ()
 
 
-def test_names_and_up_directions(make_project: Callable[..., Project], generated: Path) -> None:
+def test_names_and_up_directions_can_be_given(make_project: Callable[..., Project], generated: Path) -> None:
     project = make_project()
     with pytest.raises(ConfigError, match="2 recordings cannot all be called 'x'"):
         add_recordings(project, [generated / "people", generated / "hands"], name="x")
@@ -71,7 +71,7 @@ def test_names_and_up_directions(make_project: Callable[..., Project], generated
     assert (added.recording.name, added.recording.up) == ("room", (0, -1, 0))
 
 
-def test_what_was_told_once_is_not_quietly_kept_against_what_is_told_now(
+def test_adding_again_with_another_name_or_up_direction_is_an_error(
     make_project: Callable[..., Project], generated: Path
 ) -> None:
     project = make_project()
@@ -89,7 +89,7 @@ def test_what_was_told_once_is_not_quietly_kept_against_what_is_told_now(
     assert [recording.name for recording in project.recordings.all()] == ["people", "hands"]
 
 
-def test_a_folder_that_was_moved_is_pointed_to(
+def test_a_moved_recording_can_be_given_its_new_path(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
     folder = own_copy("people")
@@ -111,7 +111,7 @@ def test_a_folder_that_was_moved_is_pointed_to(
         move_recording(project, recording.id, there, "ann")
 
 
-def test_a_recording_of_another_format_is_not_the_moved_one(people: Project, tmp_path: Path) -> None:
+def test_a_recording_of_another_format_is_not_accepted_as_the_moved_one(people: Project, tmp_path: Path) -> None:
     (recording,) = people.recordings.all()
     kitti = tmp_path / "kitti"
     for name in ("image_2", "velodyne", "calib"):
@@ -121,10 +121,10 @@ def test_a_recording_of_another_format_is_not_the_moved_one(people: Project, tmp
         move_recording(people, recording.id, kitti, "ann")
 
 
-# --- labels of its own -----------------------------------------------------------------------------------------------
+# --- labels of recordings --------------------------------------------------------------------------------------------
 
 
-def test_own_labels_are_taken_over(people: Project) -> None:
+def test_a_recordings_labels_are_imported(people: Project) -> None:
     (recording,) = people.recordings.all()
     told: list[tuple[int, int]] = []
     found = import_own_labels(people, recording.id, lambda done, of: told.append((done, of)))
@@ -138,13 +138,13 @@ def test_own_labels_are_taken_over(people: Project) -> None:
             assert (label.label, label.track_id) == (truth.label, truth.track_id)
             assert (label.source, label.state, label.score) == (Source.IMPORTED, ReviewState.ACCEPTED, None)
             np.testing.assert_allclose(label.box.size_m, truth.box.size_m)
-    # again: every frame has labels by now
+    # again: all frames have labels now
     assert import_own_labels(people, recording.id).labels == {}
     assert people.statistics().labels.total == 15
 
 
-def test_own_labels_are_taken_over_while_others_work(people: Project) -> None:
-    """What somebody has labelled before its turn is theirs; other changes are in nobody's way."""
+def test_labels_are_imported_while_operators_work(people: Project) -> None:
+    """Frames that an operator labels meanwhile are kept; other changes do not prevent the import."""
     frames = people.frames.of()
     theirs = [NewLabel("person", OrientedBox.from_parts(np.array([0.0, 0, 3]), np.eye(3), np.ones(3)))]
 
@@ -158,7 +158,9 @@ def test_own_labels_are_taken_over_while_others_work(people: Project) -> None:
     assert found.labels == {"person": 12}
 
 
-def test_own_labels_give_way_to_a_change_in_the_very_moment(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_importing_labels_is_retried_after_a_concurrent_change(
+    people: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
     create, frame = people.labels.create, people.frames.of()[0]
 
     def late(frame_id: int, *rest: object) -> object:
@@ -178,7 +180,9 @@ def test_other_classes_are_counted_and_left_out(make_project: Callable[..., Proj
     assert project.statistics().labels.total == 0
 
 
-def test_a_recording_without_labels(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+def test_a_recording_without_labels_imports_nothing(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
     folder = own_copy("people")
     shutil.rmtree(folder / "truth")
     project = make_project(folder)
@@ -186,7 +190,7 @@ def test_a_recording_without_labels(make_project: Callable[..., Project], own_co
     assert (found.labels, found.unreadable) == ({}, [])
 
 
-def test_an_unreadable_frame_is_told_and_the_others_are_taken(
+def test_an_unreadable_frame_is_reported_and_the_others_are_imported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
     folder = own_copy("people")
@@ -212,7 +216,7 @@ def test_broken_labels_are_an_error(make_project: Callable[..., Project], own_co
         import_own_labels(project, project.recordings.all()[0].id)
 
 
-def test_a_broken_label_file_of_one_frame_leaves_the_others(
+def test_a_broken_label_file_affects_only_its_frame(
     people: Project, make_project: Callable[..., Project], tmp_path: Path
 ) -> None:
     import_own_labels(people, 1)
@@ -226,7 +230,7 @@ def test_a_broken_label_file_of_one_frame_leaves_the_others(
     assert labelled == [True, False, True, True, True]
 
 
-def test_frames_that_are_gone_are_passed_by(
+def test_labels_of_missing_frames_are_skipped(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
     folder = own_copy("people")
@@ -237,7 +241,7 @@ def test_frames_that_are_gone_are_passed_by(
 
 
 @pytest.mark.shared
-def test_labels_of_a_kitti_drive(make_project: Callable[..., Project], shared: Path) -> None:
+def test_labels_of_a_kitti_drive_are_imported(make_project: Callable[..., Project], shared: Path) -> None:
     project = make_project(shared / "data" / "kitti_drive_0005", classes=("Van", "Cyclist"))
     found = import_own_labels(project, project.recordings.all()[0].id)
     lines = [line.split() for line in (shared / "data" / "kitti_drive_0005" / "label_02.txt").read_text().splitlines()]
@@ -249,7 +253,7 @@ def test_labels_of_a_kitti_drive(make_project: Callable[..., Project], shared: P
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def test_frames_are_read_by_key_whatever_their_place(
+def test_frames_are_read_by_key_not_by_index(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
     folder = own_copy("people")
@@ -261,7 +265,7 @@ def test_frames_are_read_by_key_whatever_their_place(
     np.testing.assert_array_equal(frame.rgb, open_recording(folder).frame(2).rgb)
 
 
-def test_a_frame_that_vanished(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+def test_a_missing_frame_is_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("people")
     project = make_project(folder)
     remove_frame(folder, "000002")
@@ -269,7 +273,7 @@ def test_a_frame_that_vanished(make_project: Callable[..., Project], own_copy: C
         FrameSource(project).read(project.frames.of()[2])
 
 
-def test_a_frame_that_vanishes_while_the_recording_is_open(
+def test_a_frame_removed_while_the_recording_is_open_is_an_error(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
     folder = own_copy("people")
@@ -281,7 +285,7 @@ def test_a_frame_that_vanishes_while_the_recording_is_open(
         source.read(project.frames.of()[2])
 
 
-def test_a_recording_that_was_moved_and_came_back(
+def test_a_recording_that_was_moved_back_can_be_read(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
     folder = own_copy("people")
@@ -294,7 +298,7 @@ def test_a_recording_that_was_moved_and_came_back(
     assert source.read(stored).key == "000000"
 
 
-def test_up_that_the_project_was_told_goes_before_the_recordings_own(
+def test_the_projects_up_direction_overrides_the_recordings(
     make_project: Callable[..., Project], generated: Path
 ) -> None:
     own = open_recording(generated / "people").frame(0).up
@@ -312,7 +316,7 @@ def test_up_that_the_project_was_told_goes_before_the_recordings_own(
         (BoxRotation.FREE, True, Orientation.FREE),
     ],
 )
-def test_which_rotations_boxes_may_have(
+def test_the_orientation_follows_from_the_rotation_setting_and_gravity(
     generated: Path, rotation: BoxRotation, knows_up: bool, expected: Orientation
 ) -> None:
     frame = open_recording(generated / "people").frame(0)

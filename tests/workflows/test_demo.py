@@ -1,4 +1,4 @@
-"""The demo, tiny: a few frames, two trainings that learn next to nothing, and everything is there at the end."""
+"""A small run of the demo, with a few frames and minimal trainings, produces all results."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STAGES = ["generate", "label", "train", "propose", "score and export"]
 
 
 def tiny(plan: DemoPlan) -> TrainPlan:
-    """The demo's own trainings at 64 pixels."""
+    """The demo's trainings with 64 pixels and one epoch."""
     full = TRAINING(plan)
     small = {"image_size_px": 64, "epochs": 1}
     return TrainPlan(full.image.model_copy(update=small), full.view.model_copy(update=small), full.samples)
@@ -32,7 +32,7 @@ TRAINING = demo._training
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("preset", "label", "rotation"), [("hands", "hand", BoxRotation.FREE)])
-def test_the_whole_loop(
+def test_the_demo_runs_all_stages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str, label: str, rotation: BoxRotation
 ) -> None:
     monkeypatch.setattr(demo, "_training", tiny)
@@ -58,7 +58,7 @@ def test_the_whole_loop(
     assert [trained.role for trained in result.trained] == [DetectorKind.IMAGE, DetectorKind.VIEW]
     assert (result.annotated.done, result.annotated.failed) == (4, [])
     (scores,) = result.scores
-    assert (scores.label, scores.frames) == (label, 2), "only frames that nobody labelled are scored"
+    assert (scores.label, scores.frames) == (label, 2), "only unlabelled frames are scored"
     assert 0 <= scores.mean_iou <= 1
     assert math.isfinite(scores.ap50)
 
@@ -66,7 +66,7 @@ def test_the_whole_loop(
     dataset = read_rcv(tmp_path / f"3D_{label.upper()}")
     counts = dataset.manifest.counts
     assert (counts.frames, counts.objects) == (result.dataset.frames, result.dataset.objects)
-    # named are the detectors that made boxes; what hardly trained ones propose, if anything, is left to chance
+    # only detectors of exported boxes are named; such detectors may propose nothing
     proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
     assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
     with open_project(tmp_path / "demo") as project:
@@ -76,17 +76,17 @@ def test_the_whole_loop(
         assert project.problems() == []
 
 
-def test_trainings_have_the_asked_for_lengths() -> None:
+def test_trainings_have_the_given_lengths() -> None:
     plan = demo._training(DemoPlan(image_pictures=11, view_pictures=22))
     assert (plan.image.pictures_seen, plan.view.pictures_seen) == (11, 22)
 
 
 @pytest.mark.parametrize("there", ["recording", "demo", "3D_PERSON"])
-def test_what_is_there_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
+def test_existing_folders_are_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
     (tmp_path / there).mkdir()
     (tmp_path / there / "precious").write_text("mine")
     monkeypatch.setattr(
-        writer, "_write", lambda *_: pytest.fail("the recording was made before the place was looked at")
+        writer, "_write", lambda *_: pytest.fail("the recording was generated before the folders were checked")
     )
     with pytest.raises(ConfigError, match="exists already; choose another folder"):
         run_demo(tmp_path, DemoPlan(frames=4), lambda *_: None)
@@ -94,6 +94,6 @@ def test_what_is_there_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.Mo
     assert [path.name for path in tmp_path.iterdir()] == [there]
 
 
-def test_a_preset_that_is_not_there(tmp_path: Path) -> None:
+def test_an_unknown_preset_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="unknown preset 'cats'"):
         run_demo(tmp_path, DemoPlan(preset="cats"), lambda *_: None)

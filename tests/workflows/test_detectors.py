@@ -1,4 +1,4 @@
-"""The project's detectors: clear words where there is none, or none that can be used."""
+"""The project's detectors: clear errors if they are missing or unusable."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def register(project: Project, role: DetectorKind, content: bytes = b"no weights
     return weights
 
 
-def test_nothing_trained_yet(people: Project) -> None:
+def test_without_trained_detectors_the_error_names_the_command(people: Project) -> None:
     with pytest.raises(DetectionError, match="has no image detector yet; run `annotator train project0`"):
         active_detectors(people)
     register(people, DetectorKind.IMAGE)
@@ -29,14 +29,14 @@ def test_nothing_trained_yet(people: Project) -> None:
         active_detectors(people)
 
 
-def test_weights_without_their_record(people: Project) -> None:
+def test_weights_without_their_record_are_an_error(people: Project) -> None:
     for role in DetectorKind:
         register(people, role)
     with pytest.raises(AnnotatorError, match=r"model\.json: no such file"):
         active_detectors(people)
 
 
-def test_weights_that_are_gone(people: Project) -> None:
+def test_missing_weights_are_an_error(people: Project) -> None:
     weights = register(people, DetectorKind.IMAGE)
     weights.unlink()
     with pytest.raises(AnnotatorError, match="run"):

@@ -1,4 +1,4 @@
-"""Settings of the recursion: command line over file over project.json over defaults; mistakes are named."""
+"""Settings of the recursion: precedence of command line, file, project.json and defaults, and errors."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def written(folder: Path, content: object) -> Path:
     return path
 
 
-def test_defaults_where_nothing_is_said(project: Project) -> None:
+def test_without_settings_the_defaults_are_used(project: Project) -> None:
     assert rcv_config(project) == RcvConfig()
 
 
-def test_each_layer_wins_over_the_one_below(project: Project, tmp_path: Path) -> None:
+def test_each_source_overrides_the_ones_below(project: Project, tmp_path: Path) -> None:
     keep(project, max_steps=7, min_points=9, coarse_box=True, view={"size_px": 96}, fit={"edge_noise": 0.05})
     assert rcv_config(project).max_steps == 7
     file = written(tmp_path, {"min_points": 11, "coarse_box": False, "view": {"padding": 0.1}, "strategy": "normals"})
@@ -56,7 +56,7 @@ def test_each_layer_wins_over_the_one_below(project: Project, tmp_path: Path) ->
     )
 
 
-def test_only_what_differs_is_kept(project: Project) -> None:
+def test_only_changed_settings_are_stored(project: Project) -> None:
     keep(project, max_steps=7)
     content = json.loads((project.path / "project.json").read_text())
     assert content["settings"]["rcv"] == {"max_steps": 7}
@@ -65,7 +65,7 @@ def test_only_what_differs_is_kept(project: Project) -> None:
         assert rcv_config(again).max_steps == 7
 
 
-def test_a_project_from_before_there_were_such_settings_opens(project: Project) -> None:
+def test_an_older_project_without_these_settings_opens(project: Project) -> None:
     path = project.path / "project.json"
     content = json.loads(path.read_text())
     del content["settings"]["rcv"]
@@ -73,7 +73,7 @@ def test_a_project_from_before_there_were_such_settings_opens(project: Project) 
     assert rcv_config(project) == RcvConfig()
 
 
-def test_what_is_shown_can_be_given_back(project: Project, tmp_path: Path) -> None:
+def test_shown_settings_can_be_used_as_a_settings_file(project: Project, tmp_path: Path) -> None:
     keep(project, max_steps=7, fit={"edge_noise": 0.05})
     shown = editable(rcv_config(project))
     assert json.loads(shown)["view"]["size_px"] == ViewConfig().size_px
@@ -98,7 +98,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("settings", "says"), WRONG, ids=[json.dumps(settings) for settings, _ in WRONG])
-def test_a_mistake_is_told_with_its_file_and_field(
+def test_errors_name_the_file_and_field(
     project: Project, tmp_path: Path, settings: dict[str, object], says: str
 ) -> None:
     file = written(tmp_path, settings)
@@ -116,7 +116,7 @@ def test_a_mistake_is_told_with_its_file_and_field(
     ["", "{", "[1]", "3", '{"fit": {"edge_noise": Infinity}}', '{"fit": {"edge_noise": NaN}}', '{"a":' * 5000],
     ids=["empty", "cut off", "list", "number", "infinity", "nan", "deep"],
 )
-def test_a_file_that_holds_no_settings_is_refused(project: Project, tmp_path: Path, content: str) -> None:
+def test_an_invalid_settings_file_is_refused(project: Project, tmp_path: Path, content: str) -> None:
     file = written(tmp_path, content)
     with pytest.raises(AnnotatorError, match=r"settings\.json"):
         rcv_config(project, file)
@@ -124,10 +124,10 @@ def test_a_file_that_holds_no_settings_is_refused(project: Project, tmp_path: Pa
         rcv_config(project, tmp_path / "missing.json")
 
 
-def test_the_command_shows_what_it_would_use(
+def test_show_config_prints_the_resulting_settings(
     project: Project, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything is trained; and exits 0."""
+    """Works before any training, with exit code 0."""
     keep(project, max_steps=7)
     file = written(tmp_path, {"min_points": 11})
     words = ["annotate", "p", "--projects", str(tmp_path), "--config", str(file), "--axes", "normals", "--show-config"]
@@ -141,7 +141,7 @@ def run(project: Project, *words: str) -> int:
     return main([words[0], project.config.name, *words[1:], "--projects", str(project.path.parent)])
 
 
-def test_drawing_training_and_annotating_follow_the_project(
+def test_simulate_views_train_and_annotate_use_the_projects_settings(
     people: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     keep(people, view={"size_px": 64}, max_steps=1)
@@ -153,7 +153,7 @@ def test_drawing_training_and_annotating_follow_the_project(
     assert {max(people.views.load(v.view_id).shape[:2]) for v in people.boxes.on_views()} == {64}
     assert run(people, "views", str(tmp_path / "out")) == 0
     assert {max(cv2.imread(str(path)).shape[:2]) for path in (tmp_path / "out").glob("*.png")} == {64}
-    assert run(people, "train", "--only", "view") == 2  # there is nothing to learn from in no samples
+    assert run(people, "train", "--only", "view") == 2  # no samples, so training fails
     assert taught == [RcvConfig(max_steps=1, view=ViewConfig(size_px=64))]
     assert run(people, "annotate", "--limit", "1") == 0
     kept = json.loads(people.jobs.all()[-1].config)
@@ -161,7 +161,7 @@ def test_drawing_training_and_annotating_follow_the_project(
 
 
 @pytest.mark.parametrize("command", [["annotate", "p"], ["train", "p"], ["simulate", "p", "r"], ["views", "p", "out"]])
-def test_every_command_that_draws_views_refuses_broken_settings(
+def test_every_command_that_renders_views_refuses_invalid_settings(
     project: Project,
     tmp_path: Path,
     command: list[str],
@@ -177,7 +177,7 @@ def test_every_command_that_draws_views_refuses_broken_settings(
     assert "project.json: settings.rcv.view.size_px: must be greater than or equal to 32" in capsys.readouterr().err
 
 
-def test_pseudo_views_have_the_size_that_the_detector_was_trained_at_unless_the_project_says_another(
+def test_pseudo_views_have_the_detectors_training_size_unless_set(
     project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     weights = tmp_path / "detector.pt"
@@ -189,9 +189,9 @@ def test_pseudo_views_have_the_size_that_the_detector_was_trained_at_unless_the_
     )
     monkeypatch.setattr("annotator.workflows.settings.read_trained", lambda folder: SimpleNamespace(image_size_px=320))
     assert rcv_config(project).view.size_px == 320
-    # a training that is about to begin decides for itself
+    # a new training uses its own size
     assert rcv_config(project, view_px=96).view.size_px == 96
     assert rcv_config(project, options={"view": {"size_px": 64}}, view_px=96).view.size_px == 64
     monkeypatch.undo()
-    # a model that cannot be read is told of by who wants to run it
+    # an unreadable model is ignored here; running it raises the error
     assert rcv_config(project).view.size_px == ViewConfig().size_px

@@ -1,4 +1,4 @@
-"""The simulated operator: five boxes an object, drawn where the truth says, and kept like an operator's work."""
+"""The simulated operator: five boxes per object from the ground truth, stored like an operator's."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def simulated(project: Project, kind: BoxKind, every: int = 1):
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
-def test_five_boxes_an_object(people: Project, kind: BoxKind) -> None:
+def test_five_boxes_per_object_are_drawn(people: Project, kind: BoxKind) -> None:
     drawn = simulated(people, kind, every=2)
     assert drawn.frames == 3
     assert drawn.objects == 3 * 3
@@ -69,13 +69,13 @@ def test_true_boxes_are_imported_as_labels(people: Project) -> None:
     assert people.statistics().labels.total == 6
 
 
-def test_silhouettes_teach_no_3d_box(people: Project) -> None:
+def test_silhouettes_create_no_3d_labels(people: Project) -> None:
     simulated(people, BoxKind.SILHOUETTE)
     assert people.statistics().labels.total == 0
 
 
-def test_silhouettes_go_around_the_mask(people: Project) -> None:
-    """On the image: exactly around the pixels of the mask that have a depth."""
+def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
+    """They enclose exactly the pixels of the mask that have a depth."""
     simulated(people, BoxKind.SILHOUETTE, every=5)
     recording = open_recording(people.recordings.all()[0].path)
     frame = recording.frame(0)
@@ -87,8 +87,8 @@ def test_silhouettes_go_around_the_mask(people: Project) -> None:
         assert box.xyxy == pytest.approx((columns.min(), rows.min(), columns.max(), rows.max()), abs=1e-3)
 
 
-def test_a_box_that_reaches_behind_the_camera_is_cut_there(generated: Path) -> None:
-    """The image box is that of the true box's visible part, to the image's edge, and not of the points alone."""
+def test_the_image_box_of_a_box_behind_the_camera_is_that_of_its_visible_part(generated: Path) -> None:
+    """It is computed from the true box, up to the image's border, not only from the points."""
     frame = open_recording(generated / "people").frame(0)
     box = OrientedBox.from_parts(np.array([0.0, 0.3, 1.0]), np.eye(3), np.array([0.4, 0.4, 3.0]))
     in_the_middle = np.linalg.norm(frame.cloud.xyz_m[:, :2], axis=1) < 0.1
@@ -101,7 +101,7 @@ def test_a_box_that_reaches_behind_the_camera_is_cut_there(generated: Path) -> N
     assert image_box.y_min == pytest.approx(camera.cy + camera.fy * 0.1 / 2.5, abs=0.01)
 
 
-def test_a_picture_begins_half_a_pixel_before_its_first_centre() -> None:
+def test_a_picture_starts_half_a_pixel_before_its_first_pixel_centre() -> None:
     view = PseudoView(np.zeros((3, 4, 3), np.uint8), np.eye(3), 0.1, np.array([1.0, 2.0]), np.zeros((0, 3), np.float32))
     x = np.array([0.94, 0.96, 1.34, 1.36, 1.1, 1.1, 1.1, 1.1])
     y = np.array([2.1, 2.1, 2.1, 2.1, 1.94, 1.96, 2.24, 2.26])
@@ -109,8 +109,8 @@ def test_a_picture_begins_half_a_pixel_before_its_first_centre() -> None:
     assert seen.tolist() == [False, True, True, False] * 2
 
 
-def test_it_may_be_done_again(people: Project) -> None:
-    """A second time replaces the 2D boxes, and does not import the same 3D boxes again."""
+def test_simulating_again_replaces_the_boxes(people: Project) -> None:
+    """It replaces the 2D boxes, and does not import the same 3D boxes again."""
     first = simulated(people, BoxKind.BOX, every=2)
     before = people.statistics()
     assert simulated(people, BoxKind.BOX, every=2) == first
@@ -120,7 +120,7 @@ def test_it_may_be_done_again(people: Project) -> None:
 
 
 def two_classes(folder: Path) -> Path:
-    """Makes the second of three persons a robot, in boxes and masks as they are."""
+    """Changes the class of the second of three people to robot; masks are unchanged."""
     file = folder / "truth" / "boxes.json"
     content = json.loads(file.read_text())
     for entries in content.values():
@@ -132,7 +132,7 @@ def two_classes(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("classes", "numbers"), [(("person",), (1, 3)), (("robot",), (2,)), (("robot", "person"), (1, 2, 3))]
 )
-def test_a_mask_numbers_all_objects_whatever_their_class(
+def test_mask_numbers_count_objects_of_all_classes(
     own_copy: Callable[[str], Path], classes: tuple[str, ...], numbers: tuple[int, ...]
 ) -> None:
     recording = open_recording(two_classes(own_copy("people")))
@@ -146,7 +146,7 @@ def test_a_mask_numbers_all_objects_whatever_their_class(
         np.testing.assert_array_equal(item.points, mask.ravel()[frame.cloud.pixel_index] == number)
 
 
-def test_without_a_mask_the_points_in_the_true_box_are_the_objects(own_copy: Callable[[str], Path]) -> None:
+def test_without_a_mask_the_objects_points_are_those_in_its_box(own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("people")
     for path in (folder / "truth" / "mask").iterdir():
         path.unlink()
@@ -157,7 +157,7 @@ def test_without_a_mask_the_points_in_the_true_box_are_the_objects(own_copy: Cal
         np.testing.assert_array_equal(item.points, contains(item.box, frame.cloud.xyz_m))
 
 
-def test_an_object_that_is_hidden_is_not_drawn(own_copy: Callable[[str], Path]) -> None:
+def test_an_occluded_object_is_not_drawn(own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("people")
     path = folder / "truth" / "mask" / "000000.png"
     mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -168,8 +168,8 @@ def test_an_object_that_is_hidden_is_not_drawn(own_copy: Callable[[str], Path]) 
     assert len(visible_objects(recording, 0, recording.frame(0), ["person"])) == 2
 
 
-def test_views_follow_the_projects_rotation(make_project: Callable[..., Project], generated: Path) -> None:
-    """Upright views of the second step keep gravity pointing down; free ones need not."""
+def test_views_use_the_projects_rotation(make_project: Callable[..., Project], generated: Path) -> None:
+    """In upright views of the second step, gravity points down; free views may have any orientation."""
     level = {}
     for rotation in (BoxRotation.AUTO, BoxRotation.FREE):
         project = make_project(generated / "hands", classes=("hand",), rotation=rotation)
@@ -186,8 +186,8 @@ def masks_only(folder: Path) -> Path:
     return folder
 
 
-def test_masks_alone_can_be_drawn_around(people: Project, own_copy: Callable[[str], Path]) -> None:
-    """Exactly the boxes that the masks give where there are true boxes as well."""
+def test_silhouettes_can_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:
+    """The boxes equal those of a recording that also has true boxes."""
     stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
     drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
     assert drawn == simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=4)
@@ -209,19 +209,21 @@ def test_a_mask_of_0_and_255_is_one_object(own_copy: Callable[[str], Path]) -> N
     assert contains(found.box, frame.cloud.xyz_m[found.points], 1e-6).all()
 
 
-def test_masks_alone_have_no_true_boxes_to_draw(people: Project, own_copy: Callable[[str], Path]) -> None:
+def test_true_boxes_cannot_be_drawn_from_masks_alone(people: Project, own_copy: Callable[[str], Path]) -> None:
     stored = register_recording(people, open_recording(masks_only(own_copy("people"))))
     with pytest.raises(ConfigError, match="`box` needs true boxes"):
         simulate_recording(people, stored.id, BoxKind.BOX, RcvConfig())
 
 
-def test_masks_alone_name_no_class(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+def test_masks_alone_need_a_project_with_one_class(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
     project = make_project(masks_only(own_copy("people")), classes=("person", "robot"))
     with pytest.raises(ConfigError, match=r"class of an object \(person, robot\) is unknown"):
         simulated(project, BoxKind.SILHOUETTE)
 
 
-def test_a_recording_without_truth(people: Project, own_copy: Callable[[str], Path]) -> None:
+def test_a_recording_without_truth_cannot_be_simulated(people: Project, own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("hands")
     shutil.rmtree(folder / "truth")
     stored = register_recording(people, open_recording(folder))
@@ -230,19 +232,19 @@ def test_a_recording_without_truth(people: Project, own_copy: Callable[[str], Pa
     assert people.statistics().image_boxes.boxes == 0
 
 
-def test_truth_of_other_classes_only(make_project: Callable[..., Project], generated: Path) -> None:
+def test_truth_of_other_classes_is_an_error(make_project: Callable[..., Project], generated: Path) -> None:
     project = make_project(generated / "people", classes=("robot",))
     with pytest.raises(ConfigError, match="no visible true boxes of robot"):
         simulated(project, BoxKind.BOX)
 
 
 @pytest.mark.parametrize("every", [0, -1])
-def test_every_no_frame_is_refused(people: Project, every: int) -> None:
+def test_a_frame_step_below_1_is_refused(people: Project, every: int) -> None:
     with pytest.raises(ConfigError, match="give 1 or more"):
         simulated(people, BoxKind.BOX, every)
 
 
-def test_frames_that_are_gone_are_passed_by(people: Project, own_copy: Callable[[str], Path]) -> None:
+def test_missing_frames_are_skipped(people: Project, own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("people")
     stored = register_recording(people, open_recording(folder))
     for path in (folder / "color" / "000000.jpg", folder / "depth" / "000000.png"):
@@ -254,7 +256,7 @@ def test_frames_that_are_gone_are_passed_by(people: Project, own_copy: Callable[
     assert [f.key for f in people.frames.of([stored.id]) if f.id in labelled] == ["000001", "000003"]
 
 
-def test_a_broken_frame_is_named_and_what_was_drawn_before_is_kept(
+def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
     people: Project, own_copy: Callable[[str], Path]
 ) -> None:
     folder = own_copy("people")

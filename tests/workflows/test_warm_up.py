@@ -1,4 +1,4 @@
-"""What setting up compiles is what proposing needs."""
+"""The warm-up of scripts/setup compiles all functions that proposing needs."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def test_all_compiled_functions_are_called() -> None:
     for package in (of_geometry, of_rcv):
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             for name, value in vars(import_module(module.name)).items():
-                # what numba has compiled knows the types that it was called with; the rest is called by these
+                # functions called from Python have signatures; private ones are called only by these
                 if hasattr(value, "signatures") and not name.startswith("_"):
                     assert value.signatures, f"{module.name}.{name}"
                     checked.append(name)
     assert {"draw_views", "refine", "intersection_volumes"} <= set(checked)
-    # of clouds, and of corners
+    # float32 for clouds, float64 for corners
     assert {str(types[0].dtype) for types in points_in_box.signatures} == {"float32", "float64"}

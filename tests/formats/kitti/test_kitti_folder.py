@@ -1,4 +1,4 @@
-"""KITTI rows and folders as they are written: the conventions by hand, and what is written reads back."""
+"""Writing KITTI rows and folders: the conventions by hand, and round trips."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, Revie
 from annotator.types.errors import FormatError
 
 CAMERA = Camera(200, 100, 100.0, 100.0, 99.5, 49.5)
-# Axes of boxes that stand, in the camera frame: length to the right, forward, to the left, towards the camera.
+# Axes of upright boxes in the camera frame, with the length to the right, forward, to the left, towards the camera.
 RIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 TURNS = [Rotation.from_euler("y", angle).as_matrix() @ RIGHT for angle in (0.0, -math.pi / 2, -math.pi, math.pi / 2)]
 
@@ -47,8 +47,8 @@ def box(x: float, z: float, R: np.ndarray = RIGHT, size: Sequence[float] = (1.0,
     return OrientedBox.from_parts(np.array([x, 0.0, z]), R, np.array(size))
 
 
-# The near face of a cube of 1 m at 5 m reaches 10 px to all sides. Beside it: the left edge is that of the far face,
-# 99.5 + 100 * 4.48 / 6; the right one would be at 99.5 + 100 * 5.48 / 5 = 209.1, of 34.9 px 10.1 are outside.
+# The near face of a 1 m cube at 5 m extends 10 px to all sides. In the second row, the left edge is that of the far
+# face, 99.5 + 100 * 4.48 / 6. The right edge is at 99.5 + 100 * 5.48 / 5 = 209.1: 10.1 of 34.9 px are outside.
 GOLDEN = [
     (box(0.0, 5.5), "car 0.00 0 0.00 89.50 39.50 109.50 59.50 1.00 1.00 1.00 0.00 0.50 5.50 0.00"),
     (box(4.98, 5.5), "car 0.29 0 -0.74 174.17 39.50 199.00 59.50 1.00 1.00 1.00 4.98 0.50 5.50 0.00"),
@@ -56,14 +56,14 @@ GOLDEN = [
 
 
 @pytest.mark.parametrize(("given", "row"), GOLDEN)
-def test_rows_by_hand(given: OrientedBox, row: str) -> None:
+def test_rows_equal_those_computed_by_hand(given: OrientedBox, row: str) -> None:
     here = frame()
     made = dump_label_line(kitti_row("car", given, None, here, Sight(here.cloud.xyz_m)))
     assert made == row
 
 
 @pytest.mark.parametrize(("R", "rotation_y"), list(zip(TURNS, ("0.00", "-1.57", "3.14", "1.57"), strict=True)))
-def test_headings_and_the_order_of_sizes(R: np.ndarray, rotation_y: str) -> None:
+def test_rows_have_kittis_headings_and_size_order(R: np.ndarray, rotation_y: str) -> None:
     fields = dump_label_line(kitti_row("car", box(0.0, 9.0, R, (4.0, 2.0, 1.5)), None, frame())).split()
     assert fields[8:11] == ["1.50", "2.00", "4.00"]
     assert fields[14].removeprefix("-" if rotation_y == "3.14" else "+") == rotation_y
@@ -86,10 +86,10 @@ BARE = Frame("a", 0, CAMERA, np.zeros((100, 200, 3), np.uint8), PointCloud(np.ze
     st.floats(-math.pi, math.pi),
     st.tuples(*[st.floats(-1, 1)] * 3),
 )
-def test_rows_read_back_and_do_not_drift(
+def test_repeated_round_trips_of_rows_do_not_drift(
     center: tuple[float, ...], size: tuple[float, ...], angle: float, shift: tuple[float, ...]
 ) -> None:
-    """The first row is the box within half of its last digits, and each later one is the first."""
+    """The first row is the box rounded to its decimals; each later row equals the first."""
     R = Rotation.from_euler("y", angle).as_matrix() @ RIGHT
     here = replace(BARE, T_camera_label=RigidTransform.from_translation(shift))
     given = OrientedBox.from_parts(np.array(center), R, np.array(size))
@@ -110,14 +110,14 @@ def test_rows_read_back_and_do_not_drift(
 
 @settings(deadline=None)
 @given(st.builds(KittiLabel, st.just("Van"), *[st.floats(-99, 999)], st.integers(-1, 3), *[st.floats(-99, 999)] * 12))
-def test_any_row_reads_back_within_its_decimals(row: KittiLabel) -> None:
+def test_any_row_reads_back_up_to_rounding(row: KittiLabel) -> None:
     read = parse_label_line(dump_label_line(row))
     for name, value in vars(row).items():
         expected = pytest.approx(value, abs=0.00501) if isinstance(value, float) else value
         assert getattr(read, name) == expected
 
 
-def test_a_tilted_camera_and_what_else_a_folder_does_not_hold(tmp_path: Path) -> None:
+def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
     leaning = OrientedBox.from_parts(
         np.array([0.0, 0, 6]), Rotation.from_euler("z", 10, degrees=True).as_matrix() @ RIGHT, np.array([2.0, 1, 1])
     )
@@ -150,7 +150,7 @@ def test_a_tilted_camera_and_what_else_a_folder_does_not_hold(tmp_path: Path) ->
         }
 
 
-def test_the_calibration_by_hand() -> None:
+def test_the_calibration_equals_the_one_by_hand() -> None:
     text = calibration_text(CAMERA, RigidTransform.from_translation([0.5, 0.0, 0.01]))
     rows = {
         name: [float(x) for x in values.split()] for name, _, values in (t.partition(":") for t in text.splitlines())
@@ -179,7 +179,7 @@ def test_only_an_older_export_is_replaced(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="exists and is not empty"):
         write(["000004"], False)
     write(["000004", "000009"], True)
-    # six digits are kept
+    # keys of six digits are kept as ids
     assert (out / "ImageSets" / "train.txt").read_text() == "000004\n000009\n"
     with pytest.raises(FormatError, match="no frame to export"):
         write_kitti(tmp_path / "none", [], {}, ("car",), losses)
@@ -219,12 +219,12 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
         read_kitti_labels(folder)
 
 
-def test_areas_nobody_labelled_stay_as_they_are() -> None:
+def test_dontcare_rows_are_written_unchanged() -> None:
     text = "DontCare -1 -1 -10 753.33 164.32 798.00 186.74 -1 -1 -1 -1000 -1000 -1000 -10"
     assert dump_label_line(parse_label_line(text)) == text
 
 
-def test_a_tracking_file(tmp_path: Path) -> None:
+def test_a_tracking_file_gives_frames_and_tracks(tmp_path: Path) -> None:
     file = tmp_path / "label_02.txt"
     file.write_text(
         f"0 5 {ROW}0 -1 DontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10\n3 5 {ROW}4 -1 DontCare" + " -1" * 14

@@ -1,4 +1,4 @@
-"""KITTI label rows against numbers computed by the devkit's conventions, and rows that are wrong."""
+"""KITTI label rows: numbers by the devkit's conventions, and errors of invalid rows."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def as_point_set(points: np.ndarray) -> np.ndarray:
     return points[np.lexsort(np.round(points, 4).T)]
 
 
-def test_a_row_gives_every_field_its_place():
+def test_every_field_of_a_row_is_read():
     row = parse_label_line(CAR)
     assert (row.label, row.truncated, row.occluded, row.alpha) == ("Car", 0.25, 2, -1.55)
     assert row.image_box.xyxy == (548.00, 171.33, 572.40, 194.42)
@@ -54,7 +54,7 @@ def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path):
         expected = np.array(golden["expected"]["corners_rect"])
         got = box_corners(truth.box) - shift
         np.testing.assert_allclose(as_point_set(got), as_point_set(expected), atol=1e-6)
-        # the devkit's first four are the bottom, and 0 and 1 are in front
+        # the devkit's corners 0 to 3 are at the bottom, 0 and 1 at the front
         bottom, front = expected[:4].mean(axis=0), expected[[0, 1, 4, 5]].mean(axis=0)
         center = truth.box.center_m - shift
         np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
@@ -62,7 +62,7 @@ def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path):
 
 
 @pytest.mark.shared
-def test_the_projected_corners_are_the_goldens(shared: Path):
+def test_projected_corners_are_those_of_the_devkit(shared: Path):
     for golden in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
         if golden["expected"].get("corner_behind_camera"):
             continue
@@ -75,7 +75,7 @@ def test_the_projected_corners_are_the_goldens(shared: Path):
 
 @settings(deadline=None)
 @given(st.floats(-np.pi, np.pi))
-def test_headings_turn_about_the_vertical(rotation_y: float):
+def test_heading_rotations_are_about_the_vertical(rotation_y: float):
     R = heading_rotation(rotation_y)
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1)
@@ -83,7 +83,7 @@ def test_headings_turn_about_the_vertical(rotation_y: float):
     assert np.arctan2(-R[2, 0], R[0, 0]) == pytest.approx(rotation_y, abs=1e-12)
 
 
-def test_dont_care_rows_and_blank_lines_are_left_out(tmp_path: Path):
+def test_dontcare_rows_and_blank_lines_are_skipped(tmp_path: Path):
     path = tmp_path / "a.txt"
     path.write_text(f"{DONT_CARE}\n\n{CAR}\n")
     assert [truth.label for truth in read_object_labels(path, None)] == ["Car"]
@@ -99,7 +99,7 @@ def test_tracking_rows_keep_frame_and_track(tmp_path: Path):
 
 
 @pytest.mark.shared
-def test_real_label_files_have_the_objects_their_readme_counts(shared: Path):
+def test_real_label_files_have_the_object_counts_of_their_readme(shared: Path):
     folder = shared / "data" / "kitti" / "training" / "label_2"
     labels = [truth.label for path in sorted(folder.glob("*.txt")) for truth in read_object_labels(path, None)]
     assert {name: labels.count(name) for name in set(labels)} == {"Car": 44, "Pedestrian": 17, "Cyclist": 10, "Van": 2}
@@ -136,6 +136,6 @@ def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
     assert str(caught.value).startswith(f"{path}:2: ")
 
 
-def test_a_missing_label_file_is_no_empty_list(tmp_path: Path):
+def test_a_missing_label_file_is_an_error(tmp_path: Path):
     with pytest.raises(FormatError, match=r"000009\.txt"):
         read_object_labels(tmp_path / "000009.txt", None)

@@ -1,4 +1,4 @@
-"""Folders and archives of KITTI rows: what is read, and how what is broken is refused."""
+"""Reading folders and archives of KITTI rows, and the errors of damaged ones."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FILES = {"000001.txt": f"{RESULT}\n\n{RESULT}\r\n", "000000.txt": "", "readme.md
 
 
 @pytest.mark.parametrize("make", [folder_of, archive_of])
-def test_a_folder_and_an_archive_of_it_are_the_same(tmp_path: Path, make) -> None:
+def test_a_folder_and_its_archive_give_the_same_rows(tmp_path: Path, make) -> None:
     found = read_kitti_folder(make(tmp_path / "found", FILES), scored=True)
     assert {key: len(rows) for key, rows in found.items()} == {"000000": 0, "000001": 2}
     row = found["000001"][0]
@@ -50,14 +50,14 @@ def test_a_folder_and_an_archive_of_it_are_the_same(tmp_path: Path, make) -> Non
     )
 
 
-def test_labels_have_no_score_and_areas_no_box(tmp_path: Path) -> None:
+def test_label_rows_have_no_score_and_dontcare_rows_are_kept(tmp_path: Path) -> None:
     rows = read_kitti_folder(folder_of(tmp_path / "label_2", {"7.txt": f"{LABEL}\n{AREA}\n"}), scored=False)["7"]
     assert [row.score for row in rows] == [None, None]
     assert rows[1].label == "DontCare"
 
 
-def test_files_in_folders_of_an_archive_go_by_their_own_names(tmp_path: Path) -> None:
-    """Nothing is unpacked, so a name that points elsewhere points nowhere."""
+def test_archive_members_are_named_by_their_file_name_alone(tmp_path: Path) -> None:
+    """Nothing is unpacked, so member names with .. or absolute paths are harmless."""
     files = {"data/1.txt": RESULT, "../../2.txt": RESULT, "/etc/3.txt": "", "__MACOSX/data/._1.txt": "\0"}
     path = archive_of(tmp_path / "a.zip", files)
     assert sorted(read_kitti_folder(path, scored=True)) == ["1", "2", "3"]
@@ -65,7 +65,7 @@ def test_files_in_folders_of_an_archive_go_by_their_own_names(tmp_path: Path) ->
 
 
 def changed(**fields: str) -> str:
-    """The row with other fields, by their number."""
+    """The row with some fields replaced, given by their number."""
     row = RESULT.split()
     for number, text in fields.items():
         row[int(number[1:])] = text
@@ -97,7 +97,7 @@ def test_a_broken_row_is_named(tmp_path: Path, row: str, problem: str) -> None:
     assert str(caught.value).startswith(f"{path / '000003.txt'}:2: ")
 
 
-def test_what_is_no_folder_of_labels_is_refused(tmp_path: Path) -> None:
+def test_unusable_folders_and_archives_are_errors(tmp_path: Path) -> None:
     (tmp_path / "file.txt").write_text(RESULT)
     (tmp_path / "cut.zip").write_bytes(archive_of(tmp_path / "b.zip", {"1.txt": RESULT * 99}).read_bytes()[:-30])
     archive_of(tmp_path / "empty.zip", {"x.md": ""})
@@ -115,7 +115,7 @@ def test_what_is_no_folder_of_labels_is_refused(tmp_path: Path) -> None:
         read_kitti_folder(folder_of(tmp_path / "none", {}), scored=True)
 
 
-def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_utf_8_is_named(tmp_path: Path) -> None:
     path = folder_of(tmp_path / "found", {})
     (path / "1.txt").write_bytes(b"Car \xff\xfe\x00")
     with pytest.raises(FormatError, match=r"1\.txt: is not UTF-8"):
@@ -132,7 +132,7 @@ def test_a_damaged_archive_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [folder_of, archive_of])
-def test_a_bomb_is_not_read_to_its_end(tmp_path: Path, make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_decompression_bomb_is_not_read_to_the_end(tmp_path: Path, make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text_folder, "MAX_BYTES", 2**20)
     with pytest.raises(FormatError, match="is longer than 1 MiB"):
         read_kitti_folder(make(tmp_path / "bomb", {"1.txt": "\n" * 5 * 2**20}), scored=True)

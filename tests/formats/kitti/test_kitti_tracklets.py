@@ -1,4 +1,4 @@
-"""Tracklets of KITTI raw drives: the devkit's corners, its frames, and no XML that could do harm."""
+"""Tracklets of KITTI raw drives: the devkit's corners and frames, and safe parsing of hostile XML."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def document(*tracklets: str) -> str:
 
 
 VAN = tracklet("Van", (2.0, 1.8, 4.5), 3, [pose(10, 2, -1.7, 0.5), pose(11, 2, -1.7, 0.6, truncation=99)])
-WALKER = tracklet("Pedestrian", (1.7, 0.6, 0.8), 4, [pose(5, -3, -1.6, -2), pose(5, -4, -1.6, -2, truncation=2)])
+PEDESTRIAN = tracklet("Pedestrian", (1.7, 0.6, 0.8), 4, [pose(5, -3, -1.6, -2), pose(5, -4, -1.6, -2, truncation=2)])
 
 
 def written(folder: Path, text: str) -> Path:
@@ -62,7 +62,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def by_devkit(h: float, w: float, l: float, t: Sequence[float], rz: float) -> np.ndarray:  # noqa: E741
-    """The corners of run_demoTracklets.m: x along l, y along w, from the bottom up, turned about z, moved."""
+    """The corners as in run_demoTracklets.m: x along l, y along w, z from the bottom, rotated about z, translated."""
     x = np.array([1, 1, -1, -1, 1, 1, -1, -1]) * l / 2
     y = np.array([1, -1, -1, 1, 1, -1, -1, 1]) * w / 2
     z = np.array([0, 0, 0, 0, 1, 1, 1, 1]) * h
@@ -70,9 +70,9 @@ def by_devkit(h: float, w: float, l: float, t: Sequence[float], rz: float) -> np
     return (turn @ np.stack([x, y, z])).T + t
 
 
-def test_frames_tracks_and_corners_are_the_devkit_s(tmp_path: Path):
-    frames = read_tracklets(written(tmp_path, document(VAN, WALKER)))
-    # the walker is out of the image in frame 5; a truncation of 99 is not known
+def test_frames_tracks_and_corners_are_those_of_the_devkit(tmp_path: Path):
+    frames = read_tracklets(written(tmp_path, document(VAN, PEDESTRIAN)))
+    # the pedestrian is outside the image in frame 5; a truncation of 99 means unknown
     assert {number: [(t.label, t.track_id) for t in truths] for number, truths in frames.items()} == {
         3: [("Van", 0)],
         4: [("Van", 0), ("Pedestrian", 1)],
@@ -90,7 +90,7 @@ def test_frames_tracks_and_corners_are_the_devkit_s(tmp_path: Path):
 
 
 @pytest.mark.shared
-def test_kitti_s_labels_are_where_their_tracklets_are(shared: Path, tmp_path: Path):
+def test_tracklets_agree_with_kittis_labels(shared: Path, tmp_path: Path):
     entries = json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]
     assert len(entries) == 15
     for entry in entries:
@@ -108,7 +108,7 @@ def test_kitti_s_labels_are_where_their_tracklets_are(shared: Path, tmp_path: Pa
         box, label = truth.box.transformed(T_rect_camera * calibration.T_camera_lidar), label_box(row)
         np.testing.assert_allclose(box.center_m, label.center_m, atol=2e-3)
         np.testing.assert_allclose(box.size_m, label.size_m)
-        # a label stands upright in the camera's frame, a tracklet in the LiDAR's, which leans by half a degree
+        # a label is upright in the camera frame, a tracklet in the LiDAR frame, which is tilted by half a degree
         assert np.diag(box.rotation.T @ label.rotation).min() > np.cos(np.radians(1.5))
 
 
@@ -144,20 +144,20 @@ BROKEN = [
     (document("<a>" * 30 + "</a>" * 30), "more than 20 levels deep"),
     (document(VAN.replace("<tx>10</tx>", "<tx>1e300</tx>")), r":16: a box must be within 1e\+09 m"),
     (document(VAN.replace("<l>4.5</l>", "<l>1e100</l>")), r":16: a box must be within 1e\+09 m"),
-    # unknown, of bytes, of several bytes a letter, and one that refuses to be tried
+    # unknown, bytes-to-bytes, multi-byte, and one whose decoder raises
     *((document(VAN).replace("UTF-8", name), ":1: declares an encoding") for name in ("TF-8", "hex", "big5", "idna")),
 ]
 
 
 @pytest.mark.parametrize(("text", "complaint"), BROKEN)
-def test_what_is_wrong_is_named_with_its_line(tmp_path: Path, text: str, complaint: str):
+def test_errors_name_the_file_and_line(tmp_path: Path, text: str, complaint: str):
     path = written(tmp_path, text)
     with pytest.raises(FormatError, match=complaint) as caught:
         read_tracklets(path)
     assert str(caught.value).startswith(str(path))
 
 
-def test_nothing_grows_with_what_is_no_value(tmp_path: Path):
+def test_memory_does_not_grow_with_unused_elements_and_whitespace(tmp_path: Path):
     path = written(
         tmp_path, document(VAN).replace("</tracklets>", "<a> </a>" * 5_000 + " " * 2_000_000 + "</tracklets>")
     )
@@ -170,7 +170,7 @@ def test_nothing_grows_with_what_is_no_value(tmp_path: Path):
 
 @st.composite
 def damaged(draw: st.DrawFn) -> bytes:
-    content = bytearray(document(VAN, WALKER).encode())
+    content = bytearray(document(VAN, PEDESTRIAN).encode())
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(0, len(content) - 1))
         noise = draw(
@@ -181,9 +181,11 @@ def damaged(draw: st.DrawFn) -> bytes:
 
 
 @given(damaged())
-@example(document(VAN, WALKER).replace("UTF-8", "TF-8").encode())
+@example(document(VAN, PEDESTRIAN).replace("UTF-8", "TF-8").encode())
 @settings(max_examples=100)
-def test_any_damage_is_an_error_that_names_the_file(tmp_path_factory: pytest.TempPathFactory, content: bytes):
+def test_damaged_files_are_read_or_are_errors_that_name_the_file(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+):
     path = tmp_path_factory.getbasetemp() / "damaged.xml"
     path.write_bytes(content)
     try:

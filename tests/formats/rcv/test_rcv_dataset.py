@@ -1,4 +1,4 @@
-"""The rcv dataset: it reads back, it stands alone, and it is there whole or not at all."""
+"""The rcv dataset: round trips, self-contained files, and all-or-nothing writing."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ INFO = RcvInfo(
 
 
 def auto_label(box: OrientedBox | None = None, **changes: Any) -> Label:
-    """With all that a label can say."""
+    """A label with all optional fields."""
     known = {"score": 0.75, "source": Source.AUTO, "time_ns": 1_700_000_000_123_456_789, "track_id": 4}
     return make_label(box, **{**known, **changes})
 
@@ -83,7 +83,7 @@ def test_frame_reads_back_bit_for_bit(tmp_path: Path, rgb: bool, reflectance: bo
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(BOXES, max_size=3))
-def test_import_of_export_is_the_same_any_number_of_times(wanted: list[OrientedBox]) -> None:
+def test_repeated_round_trips_do_not_change_labels(wanted: list[OrientedBox]) -> None:
     labels: tuple[Label, ...] = tuple(auto_label(box, uid=f"u{k}") for k, box in enumerate(wanted))
     first = labels
     with tempfile.TemporaryDirectory() as folder:
@@ -96,7 +96,7 @@ def test_import_of_export_is_the_same_any_number_of_times(wanted: list[OrientedB
         assert_same_box(have.box, want.box)
 
 
-def test_json_says_the_box_in_every_form(tmp_path: Path) -> None:
+def test_json_has_the_box_as_matrix_quaternion_and_corners(tmp_path: Path) -> None:
     """A quarter turn about the camera's z: length along y, width along -x."""
     box = make_box((1.0, 2.0, 3.0), (0.0, 0.0, np.pi / 2), (4.0, 2.0, 1.0))
     export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [auto_label(box, score=None, track_id=None)])], INFO)
@@ -115,7 +115,7 @@ def test_json_says_the_box_in_every_form(tmp_path: Path) -> None:
     assert content["camera"]["distortion"] == [0.1, -0.2, 0.001, 0.002, 0.05]
 
 
-def test_the_corner_order_that_is_written_is_the_one_that_is_used(tmp_path: Path) -> None:
+def test_corners_follow_the_order_in_the_manifest(tmp_path: Path) -> None:
     manifest = export_rcv(tmp_path / "out", [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     entry = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())["objects"][0]
     signs = np.array([[1 if sign == "+" else -1 for sign in word] for word in manifest.conventions.corner_order])
@@ -136,7 +136,7 @@ def test_open3d_reads_the_cloud(tmp_path: Path, reflectance: bool) -> None:
         np.testing.assert_array_equal(cloud.point.reflectance.numpy()[:, 0], frame.cloud.reflectance)
 
 
-def test_manifest_counts_and_names_everything(tmp_path: Path) -> None:
+def test_the_manifest_counts_frames_objects_and_points(tmp_path: Path) -> None:
     frames = [make_frame(key) for key in ("000001", "000002")]
     items = [
         DatasetItem("a", frames[0], [auto_label(uid="1"), auto_label(uid="2", label="Büro | 1", source=Source.MANUAL)]),
@@ -171,8 +171,8 @@ def test_readme_describes_every_field_and_its_example_runs(
     assert capsys.readouterr().out.startswith("hand accepted [")
 
 
-def test_frames_are_taken_one_by_one(tmp_path: Path) -> None:
-    """When a frame is asked for, all earlier ones are on disk."""
+def test_frames_are_written_one_by_one(tmp_path: Path) -> None:
+    """All earlier frames are on disk when the next frame is requested."""
 
     def items() -> Iterator[DatasetItem]:
         for number in range(3):
@@ -213,7 +213,7 @@ def test_a_failed_overwrite_leaves_the_old_dataset(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_the_disk_that_fills_up_is_told_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -223,7 +223,7 @@ def test_the_disk_that_fills_up_is_told_and_nothing_is_left(tmp_path: Path, monk
     assert list(tmp_path.iterdir()) == []
 
 
-def test_existing_folders(tmp_path: Path) -> None:
+def test_only_datasets_and_empty_folders_are_overwritten(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     items = [DatasetItem("rec", make_frame(), [])]
     out.mkdir(parents=True)
@@ -244,7 +244,7 @@ def test_existing_folders(tmp_path: Path) -> None:
     assert (other / "keep.txt").read_text() == "mine"
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_invalid_items_are_errors_and_nothing_is_written(tmp_path: Path) -> None:
     item = DatasetItem("rec", make_frame(), [])
     cases: list[tuple[list[DatasetItem], str]] = [
         ([], "no frame to export"),
@@ -257,7 +257,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == []
 
 
-def test_jpeg(tmp_path: Path) -> None:
+def test_images_can_be_jpegs(tmp_path: Path) -> None:
     info = RcvInfo(("hand",), (), "annotator 0.1.0", RcvOptions(image_format="jpg", jpeg_quality=100))
     flat = Frame("k", 0, CAMERA, np.full((4, 6, 3), (200, 100, 50), np.uint8), make_frame().cloud)
     export_rcv(tmp_path / "out", [DatasetItem("rec", flat, [])], info)
@@ -290,7 +290,9 @@ def edit(path: Path, **changes: Any) -> None:
         ("dataset.json", {"frames": []}, "frames must list 1 different ids"),
     ],
 )
-def test_broken_dataset_says_where(tmp_path: Path, file: str, changes: dict[str, Any], says: str) -> None:
+def test_errors_of_a_broken_dataset_name_the_place(
+    tmp_path: Path, file: str, changes: dict[str, Any], says: str
+) -> None:
     out = tmp_path / "out"
     export_rcv(out, [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     edit(out / file, **changes)
@@ -307,7 +309,7 @@ def test_broken_dataset_says_where(tmp_path: Path, file: str, changes: dict[str,
         ("dataset.json", "JSON"),
     ],
 )
-def test_truncated_and_missing_files_say_which(tmp_path: Path, file: str, says: str) -> None:
+def test_truncated_and_missing_files_are_named(tmp_path: Path, file: str, says: str) -> None:
     out = tmp_path / "out"
     export_rcv(out, [DatasetItem("rec", make_frame(), [auto_label()])], INFO)
     whole = (out / file).read_bytes()

@@ -1,4 +1,4 @@
-"""SUN RGB-D as it is written: the conventions by hand, what is written reads back, and damage is named."""
+"""Writing SUN RGB-D: the conventions by hand, round trips, and errors of damaged files."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ def label(box: OrientedBox, name: str = "bed", **more: object) -> Label:
     return Label("u", name, box, author="me", time_ns=0, **given)  # type: ignore[arg-type]
 
 
-def test_a_row_by_hand() -> None:
-    """1.2 m long towards +y (away from the camera), 0.8 wide, 0.5 high; the pixels count from 1."""
+def test_a_row_equals_the_one_by_hand() -> None:
+    """1.2 m long along +y (away from the camera), 0.8 m wide, 0.5 m high; pixels count from 1."""
     R = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     box = OrientedBox.from_parts(np.array([0.1, 2.0, -0.5]), R, np.array([1.2, 0.8, 0.5]))
     numbers = "1.000000 5.000000 10.000000 20.000000 0.100000 2.000000 -0.500000 0.400000 0.600000 0.250000"
     assert dump_label_row("bed", box, FLAT) == f"bed {numbers} 0.000000000 1.000000000"
 
 
-def test_the_calibration_by_hand() -> None:
-    """A camera that looks 30 degrees down: what is ahead of it lies ahead and below."""
+def test_the_calibration_equals_the_one_by_hand() -> None:
+    """A camera that looks down by 30 degrees: a point on its axis is ahead and below."""
     up = DOWN_30.apply([0.0, -1.0, 0.0])
     np.testing.assert_allclose(up, [0, -np.sqrt(0.75), -0.5])
     T = upright_frame(frame("a", up))
@@ -72,7 +72,9 @@ sizes = st.tuples(*[st.floats(0.01, 9)] * 3)
 
 @settings(max_examples=20, deadline=None)
 @given(st.tuples(numbers, numbers, numbers), sizes, angles)
-def test_rows_read_back_and_do_not_drift(center: tuple[float, ...], size: tuple[float, ...], angle: float) -> None:
+def test_repeated_round_trips_of_rows_do_not_drift(
+    center: tuple[float, ...], size: tuple[float, ...], angle: float
+) -> None:
     given = OrientedBox.from_parts(np.array(center), Rotation.from_euler("z", angle).as_matrix(), np.array(size))
     now, first = given, ""
     for _ in range(10):
@@ -82,7 +84,7 @@ def test_rows_read_back_and_do_not_drift(center: tuple[float, ...], size: tuple[
         np.testing.assert_allclose(now.center_m, given.center_m, atol=5.1e-7)
         np.testing.assert_allclose(now.size_m, given.size_m, atol=1.1e-6)
         np.testing.assert_allclose(now.rotation, given.rotation, atol=5e-9)
-    # but for the direction's last digit
+    # except the last digit of the direction
     assert text.split()[:11] == first.split()[:11]
 
 
@@ -91,7 +93,9 @@ def test_rows_read_back_and_do_not_drift(center: tuple[float, ...], size: tuple[
     st.lists(st.tuples(st.text("ab é", min_size=1).filter(str.strip), numbers, sizes, angles, angles), max_size=3),
     angles,
 )
-def test_the_table_keeps_every_turn(tmp_path_factory: pytest.TempPathFactory, objects: list, tilt: float) -> None:
+def test_the_metadata_table_keeps_any_rotation(
+    tmp_path_factory: pytest.TempPathFactory, objects: list, tilt: float
+) -> None:
     T = upright_frame(frame("a", Rotation.from_euler("xz", [tilt, 0.3]).apply([0.0, -1.0, 0.0])))
     boxes = [
         (
@@ -115,8 +119,8 @@ def test_the_table_keeps_every_turn(tmp_path_factory: pytest.TempPathFactory, ob
         np.testing.assert_allclose(truth.box.size_m, box.size_m, atol=1e-9)
 
 
-def test_the_data_set_s_own_table(tmp_path: Path) -> None:
-    """Its frames have a path for a name; sides come in any order, and the orientation says where an object faces."""
+def test_the_original_table_is_read(tmp_path: Path) -> None:
+    """Its frames are named by paths, sizes are in any order, and `orientation` gives the direction an object faces."""
     fields = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label")
     bed = np.empty((1, 1), [(name, object) for name in fields])
     basis, coeffs = np.eye(3), np.array([[-0.4, 0.6, 0.25]])
@@ -130,8 +134,8 @@ def test_the_data_set_s_own_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth.box.rotation, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
 
 
-def as_others_read_it(out: Path, expected: Sequence[OrientedBox]) -> None:
-    """The last objects of frame 1: by the names of the table's fields, as SUNRGBDtoolbox takes corners from them."""
+def assert_corners_as_in_the_toolbox(out: Path, expected: Sequence[OrientedBox]) -> None:
+    """Checks the last objects of frame 1: field names, and corners computed as in SUNRGBDtoolbox."""
     frames = loadmat(out / META, squeeze_me=True, struct_as_record=False)["SUNRGBDMeta"]
     assert list(frames[0]._fieldnames) == list(sunrgbd_meta.FRAME_FIELDS)
     assert (frames[0].sequenceName, frames[0].rgbname) == ("room/x", "000001.jpg")
@@ -144,7 +148,7 @@ def as_others_read_it(out: Path, expected: Sequence[OrientedBox]) -> None:
         assert gaps.min(axis=0).max() < 1e-9
 
 
-def test_a_folder_and_what_it_does_not_hold(tmp_path: Path) -> None:
+def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
     up = DOWN_30.apply([0.0, -1.0, 0.0])
     upright = upright_frame(frame("a", up))
     lying = OrientedBox.from_parts(np.array([0.0, 0, 2]), upright.rotation.as_matrix(), np.array([0.4, 0.5, 0.6]))
@@ -177,7 +181,7 @@ def test_a_folder_and_what_it_does_not_hold(tmp_path: Path) -> None:
     }
     first, second = read_meta(out / META)
     assert (first.name, second.name, second.truths) == ("room/x", "room/y", ())
-    as_others_read_it(out, [leaning.transformed(upright.inv())])
+    assert_corners_as_in_the_toolbox(out, [leaning.transformed(upright.inv())])
     np.testing.assert_allclose(
         first.truths[1].box.transformed(first.T_camera_upright).rotation, leaning.rotation, atol=1e-9
     )
@@ -216,7 +220,7 @@ def table(fields: Sequence[str], **values: object) -> bytes | dict[str, np.ndarr
 
 
 def bomb() -> bytes:
-    """Megabytes of zeros in kilobytes."""
+    """5 MiB of zeros, compressed to a few kilobytes."""
     packer, zeros = zlib.compressobj(9), bytes(2**20)
     packed = b"".join([*(packer.compress(zeros) for _ in range(5)), packer.flush()])
     return b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(packed)) + packed
@@ -251,7 +255,7 @@ def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
         (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
     ],
 )
-def test_broken_tables_are_named_with_their_place(
+def test_errors_of_broken_tables_name_the_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: object, problem: str
 ) -> None:
     path = tmp_path / META

@@ -1,4 +1,4 @@
-"""What Open3D sees of point clouds: `read_clouds.py FILE ...`."""
+"""Reads point clouds with Open3D: `read_clouds.py FILE ...`."""
 
 import json
 import sys

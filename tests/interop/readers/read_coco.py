@@ -1,4 +1,4 @@
-"""What pycocotools sees of a COCO dataset: `read_coco.py ANNOTATIONS.json`."""
+"""Reads a COCO dataset with pycocotools: `read_coco.py ANNOTATIONS.json`."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""What torchvision sees of a KITTI object folder: `read_kitti.py ROOT`, where ROOT/Kitti/raw is the folder."""
+"""Reads a KITTI object folder with torchvision: `read_kitti.py ROOT`, where ROOT/Kitti/raw is the folder."""
 
 import json
 import sys

@@ -1,6 +1,5 @@
-"""What labelCloud's own readers see of folders, each from within as labelCloud is run: `read_labelcloud.py FOLDER ...`.
-
-Its window needs PyQt5, which is not here and which the readers do not use.
+"""Reads folders with labelCloud's own readers, each as the working folder: `read_labelcloud.py FOLDER ...`.
+PyQt5 is not installed and is replaced by mocks; only labelCloud's window needs it.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""What the nuscenes-devkit sees of a dataset: `read_nuscenes.py ROOT VERSION`. Corners are in the camera's frame."""
+"""Reads a dataset with the nuscenes-devkit: `read_nuscenes.py ROOT VERSION`. Corners are in the camera frame."""
 
 import json
 import sys
@@ -12,7 +12,7 @@ from nuscenes.utils.data_classes import LidarPointCloud
 from nuscenes.utils.geometry_utils import BoxVisibility, view_points
 
 nusc = NuScenes(sys.argv[2], sys.argv[1], verbose=False)
-# prints a table, and stdout is for the answer
+# the devkit prints a table; standard output is reserved for the result
 with redirect_stdout(sys.stderr):
     nusc.list_scenes()
 frames = {}

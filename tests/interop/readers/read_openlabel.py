@@ -1,4 +1,4 @@
-"""What VCD (validating against the schema it brings) and openlabel-checker see: `read_openlabel.py FILE`."""
+"""Reads a file with VCD, which validates its schema, and with openlabel-checker: `read_openlabel.py FILE`."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""What Ultralytics sees of a YOLO dataset: its own check, then one pass of its data loader: `read_yolo.py YAML`."""
+"""Reads a YOLO dataset with Ultralytics' check and one pass of its data loader: `read_yolo.py YAML`."""
 
 import contextlib
 import io

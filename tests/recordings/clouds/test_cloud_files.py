@@ -1,4 +1,4 @@
-"""Files of points: what others write is read, and no header makes us believe in points that are not there."""
+"""Point cloud files: files of other tools are read, and headers that declare missing data are errors."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ SHARE = np.random.default_rng(2).random(500).astype(np.float32)
     ],
 )
 @pytest.mark.parametrize("has_colors", [True, False])
-def test_what_open3d_writes(tmp_path: Path, name: str, options: dict[str, bool], has_colors: bool):
+def test_files_written_by_open3d_are_read(tmp_path: Path, name: str, options: dict[str, bool], has_colors: bool):
     import open3d as o3d
 
-    # a surface, so that the compression finds something to repeat
+    # rounded, so that the compression finds repetitions
     xyz = np.round(XYZ, 1).astype(np.float64)
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz))
     if has_colors:
@@ -66,7 +66,7 @@ def ply(order: str, extra: str = "", before: bytes = b"") -> bytes:
 
 
 @pytest.mark.parametrize("order", ["binary_big_endian", "binary_little_endian"])
-def test_ply_of_either_byte_order_with_other_elements(tmp_path: Path, order: str):
+def test_ply_of_either_byte_order_and_with_other_elements_is_read(tmp_path: Path, order: str):
     path = tmp_path / "a.PLY"
     path.write_bytes(ply(order, "element sensor 2\nproperty int8 id\nproperty float32 time\n", bytes(10)))
     read = read_cloud(path)
@@ -74,7 +74,7 @@ def test_ply_of_either_byte_order_with_other_elements(tmp_path: Path, order: str
     np.testing.assert_allclose(read.reflectance, SHARE, atol=1e-5)
 
 
-def test_text_ply_with_bytes_and_an_element_before(tmp_path: Path):
+def test_text_ply_with_byte_colours_and_another_element_is_read(tmp_path: Path):
     path = tmp_path / "a.ply"
     path.write_text(
         "ply\r\nformat ascii 1.0\r\nelement other 1\r\nproperty int a\r\nelement vertex 2\r\nproperty float x\r\n"
@@ -102,7 +102,7 @@ def pcd_rows() -> np.ndarray:
 
 
 def literal(data: bytes) -> bytes:
-    """LZF that compresses nothing."""
+    """LZF data without any compression."""
     return b"".join(bytes([len(part) - 1]) + part for part in (data[at : at + 32] for at in range(0, len(data), 32)))
 
 
@@ -112,7 +112,7 @@ def compressed(data: bytes, promised: int | None = None) -> bytes:
 
 
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
-def test_pcd_with_padding_and_intensity(tmp_path: Path, data: str):
+def test_pcd_with_padding_and_intensity_is_read(tmp_path: Path, data: str):
     rows = pcd_rows()
     lines = (f"{r['x']:.9g} {r['y']:.9g} {r['z']:.9g} 0 0 0 {r['i']} 0 0" for r in rows)
     columns = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names)
@@ -129,7 +129,7 @@ def test_pcd_with_padding_and_intensity(tmp_path: Path, data: str):
     assert read.rgb is None
 
 
-def test_pcd_colours_in_an_integer(tmp_path: Path):
+def test_pcd_colours_packed_in_an_integer_are_read(tmp_path: Path):
     packed = RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
     rows = np.zeros(len(XYZ), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "<u4")])
     rows["x"], rows["y"], rows["z"], rows["rgba"] = *XYZ.T, packed | 0xFF000000
@@ -145,8 +145,8 @@ def saved(**arrays: np.ndarray) -> Callable[[Path], object]:
 ARRAYS = [
     pytest.param("a.npy", lambda p: np.save(p, XYZ), None, None, id="xyz"),
     pytest.param("a.npy", lambda p: np.save(p, np.asfortranarray(np.c_[XYZ, SHARE])), None, SHARE, id="reflectance"),
-    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB / 255]), RGB, None, id="shares"),
-    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB]), RGB, None, id="numbers"),
+    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB / 255]), RGB, None, id="colours-0-to-1"),
+    pytest.param("a.npy", lambda p: np.save(p, np.c_[XYZ, RGB]), RGB, None, id="colours-0-to-255"),
     pytest.param("a.npz", saved(points=XYZ, colors=RGB), RGB, None, id="npz"),
     pytest.param("a.npz", saved(arr_0=np.c_[XYZ, SHARE], other=SHARE), None, SHARE, id="npz-unnamed"),
     pytest.param(
@@ -160,7 +160,7 @@ ARRAYS = [
 
 
 @pytest.mark.parametrize(("name", "save", "rgb", "reflectance"), ARRAYS)
-def test_arrays(
+def test_numpy_arrays_are_read(
     tmp_path: Path, name: str, save: Callable[[Path], object], rgb: np.ndarray | None, reflectance: np.ndarray | None
 ):
     save(tmp_path / name)
@@ -183,7 +183,7 @@ def npy_header(shape: tuple[int, ...], descr: object = "<f4") -> bytes:
 
 
 XYZ_FIELDS = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
-LIES = [
+FALSE_HEADERS = [
     (
         "a.ply",
         b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float x\nend_header\n" % HUGE,
@@ -248,8 +248,10 @@ LIES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "content", "complaint"), LIES)
-def test_a_lie_is_told_before_anything_is_made_for_it(tmp_path: Path, name: str, content: bytes, complaint: str):
+@pytest.mark.parametrize(("name", "content", "complaint"), FALSE_HEADERS)
+def test_a_false_header_is_an_error_before_memory_is_allocated(
+    tmp_path: Path, name: str, content: bytes, complaint: str
+):
     path = tmp_path / name
     path.write_bytes(content)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -261,7 +263,7 @@ def test_a_lie_is_told_before_anything_is_made_for_it(tmp_path: Path, name: str,
     assert sys.platform != "linux" or grown_kb < 100_000
 
 
-def test_an_archive_does_not_swell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     np.savez_compressed(tmp_path / "a.npz", points=np.zeros((100_000, 3)))
     assert (tmp_path / "a.npz").stat().st_size < 10_000
     assert len(read_cloud(tmp_path / "a.npz").xyz_m) == 100_000
@@ -270,7 +272,7 @@ def test_an_archive_does_not_swell(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         read_cloud(tmp_path / "a.npz")
 
 
-def test_an_archive_without_points_names_what_it_has(tmp_path: Path):
+def test_the_error_of_an_archive_without_points_names_its_arrays(tmp_path: Path):
     np.savez(tmp_path / "a.npz", weights=XYZ)
     with pytest.raises(FrameError, match=r"has no array points or .* \(its arrays: weights\)"):
         read_cloud(tmp_path / "a.npz")
@@ -300,7 +302,7 @@ def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
         whole = [out.getvalue()]
     content = bytearray(data.draw(st.sampled_from(whole)))
     for _ in range(data.draw(st.integers(1, 4))):
-        # headers first: there is more to break
+        # more often in the header, where damage has more effects
         at = data.draw(st.one_of(st.integers(0, min(250, len(content) - 1)), st.integers(0, len(content) - 1)))
         noise = data.draw(st.one_of(st.binary(max_size=4), st.sampled_from([b"9" * 12, b"-1", b"\n", b" ", b"nan"])))
         content[at : at + data.draw(st.integers(0, 4))] = noise
@@ -317,7 +319,7 @@ def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
 
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.binary(min_size=1, max_size=32), st.tuples(st.integers(1, 400), st.integers(3, 264)))))
-def test_lzf_gives_what_was_meant(steps: list[bytes | tuple[int, int]]):
+def test_lzf_data_is_decompressed(steps: list[bytes | tuple[int, int]]):
     plain, packed = bytearray(), bytearray()
     for step in steps:
         if isinstance(step, bytes):
@@ -334,12 +336,12 @@ def test_lzf_gives_what_was_meant(steps: list[bytes | tuple[int, int]]):
 
 
 @given(st.binary(max_size=60), st.integers(0, 200))
-def test_lzf_of_any_bytes_stays_within_its_size(data: bytes, size: int):
+def test_decompressed_lzf_has_the_declared_size(data: bytes, size: int):
     with contextlib.suppress(ValueError):
         assert len(lzf_decompress(data, size)) == size
 
 
-def test_a_signalling_nan_is_a_point_that_is_not_there(tmp_path: Path):
+def test_a_point_with_a_signalling_nan_is_skipped(tmp_path: Path):
     rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes()
     (tmp_path / "a.pcd").write_bytes(pcd("binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2, XYZ_FIELDS))
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz_m, [[4, 5, 6]])

@@ -1,4 +1,4 @@
-"""Folders of point clouds: with and without images and calibrations, and the picture drawn where there is none."""
+"""Folders of point clouds: with and without images and calibrations, and the image drawn if there is none."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LIDAR_TO_CAMERA = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 
 
 
 @pytest.mark.parametrize("place", ["", "points", "velodyne"])
-def test_clouds_alone_are_a_lidar_s_seen_from_its_place(tmp_path: Path, place: str):
+def test_clouds_without_images_are_seen_from_the_lidars_position(tmp_path: Path, place: str):
     folder = tmp_path / place
     folder.mkdir(exist_ok=True)
     for key in ("10", "2"):
@@ -30,13 +30,13 @@ def test_clouds_alone_are_a_lidar_s_seen_from_its_place(tmp_path: Path, place: s
     recording = open_recording(tmp_path)
     assert (recording.format, recording.keys, recording.root) == ("cloud_folder", ("2", "10"), tmp_path)
     frame = recording.frame(1)
-    # all points stay, those behind, too: x forward, y left, z up
+    # all points are kept, also those behind; x forward, y left, z up
     np.testing.assert_allclose(frame.cloud.xyz_m, np.stack([-SCAN[:, 1], -SCAN[:, 2], SCAN[:, 0]], axis=1), atol=1e-6)
     np.testing.assert_array_equal(frame.cloud.reflectance, SCAN[:, 3])
     np.testing.assert_allclose(frame.T_camera_label.apply(SCAN[:, :3].astype(float)), frame.cloud.xyz_m, atol=1e-5)
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
     assert frame.cloud.rgb is None
-    # where points are the picture shows something, and nearly nothing elsewhere
+    # the image shows the points, and almost nothing elsewhere
     ahead = frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > 5]
     u, v = np.rint(project(frame.camera, ahead)).astype(int).T
     inside = (u >= 0) & (u < 1280) & (v >= 0) & (v < 720)
@@ -47,7 +47,7 @@ def test_clouds_alone_are_a_lidar_s_seen_from_its_place(tmp_path: Path, place: s
 
 @pytest.mark.parametrize("calib", ["calib/7.txt", "calib.txt"])
 @pytest.mark.parametrize("images", ["image", "images", "rgb", "points"])
-def test_an_image_with_kitti_s_calibration_is_a_kitti_frame(tmp_path: Path, calib: str, images: str):
+def test_a_cloud_with_an_image_and_kittis_calibration_is_read_as_in_kitti(tmp_path: Path, calib: str, images: str):
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "7.bin").write_bytes(SCAN.tobytes())
     put_image(tmp_path / images / "7.png", 3)
@@ -62,7 +62,7 @@ def test_an_image_with_kitti_s_calibration_is_a_kitti_frame(tmp_path: Path, cali
     np.testing.assert_allclose(frame.T_camera_label.apply(SCAN[inside, :3].astype(float)), frame.cloud.xyz_m, atol=0.02)
 
 
-def test_a_calibration_without_images_is_the_camera_of_the_picture(tmp_path: Path):
+def test_a_calibration_without_images_is_the_camera_of_the_drawn_image(tmp_path: Path):
     np.save(tmp_path / "7.npy", SCAN[:, :3])
     (tmp_path / "calib.txt").write_text(OBJECT_CALIB)
     frame = open_recording(tmp_path).frame(0)
@@ -78,7 +78,7 @@ def test_a_calibration_without_images_is_the_camera_of_the_picture(tmp_path: Pat
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
 
 
-def test_clouds_of_a_camera_keep_their_frame_and_their_colours(tmp_path: Path):
+def test_clouds_in_the_camera_frame_keep_their_coordinates_and_colours(tmp_path: Path):
     rgb = np.random.default_rng(0).integers(0, 255, (len(SCAN), 3))
     np.save(tmp_path / "7.npy", np.c_[SCAN[:, :3], rgb])
     (tmp_path / "camera_intrinsic.json").write_text(camera_file())
@@ -116,7 +116,9 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("damage", "complaint"), BROKEN)
-def test_a_broken_frame_says_why_and_others_are_fine(tmp_path: Path, damage: Callable[[Path], object], complaint: str):
+def test_a_broken_frame_is_an_error_and_others_are_read(
+    tmp_path: Path, damage: Callable[[Path], object], complaint: str
+):
     (tmp_path / "points").mkdir()
     for key in ("7", "8"):
         (tmp_path / "points" / f"{key}.bin").write_bytes(SCAN.tobytes())
@@ -130,14 +132,14 @@ def test_a_broken_frame_says_why_and_others_are_fine(tmp_path: Path, damage: Cal
         assert len(recording.frame(1).cloud) > 10
 
 
-def test_a_folder_without_clouds_is_none(tmp_path: Path):
+def test_a_folder_without_clouds_is_an_error(tmp_path: Path):
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "notes.txt").touch()
     with pytest.raises(RecordingError, match=r"files of points \(\.ply \.pcd \.npy \.npz \.las \.laz \.bin\)"):
         open_recording(tmp_path)
 
 
-def test_the_nearest_point_is_in_front_in_the_picture():
+def test_the_drawn_image_shows_the_nearest_point():
     camera = Camera(40, 30, 40.0, 40.0, 19.5, 14.5)
     xyz = np.array([[0, 0, 4], [0, 0, 1], [0, 0, 2], [0, 0, -1], [9, 0, 1]], np.float32)
     rgb = np.array([[1, 1, 1], [250, 0, 0], [2, 2, 2], [3, 3, 3], [4, 4, 4]], np.uint8)
@@ -146,7 +148,7 @@ def test_the_nearest_point_is_in_front_in_the_picture():
     assert {tuple(color) for color in picture.reshape(-1, 3)} == {(0, 0, 0), (250, 0, 0)}
 
 
-def test_reflectance_of_bytes_and_shares():
+def test_reflectance_is_scaled_to_0_to_1():
     xyz = dict(zip("xyz", np.ones((3, 2)), strict=True))
     for values, expected in (([0.0, 0.5], [0, 0.5]), ([0.0, 51.0], [0, 0.2]), ([0.0, 65535.0], [0, 1])):
         read = from_columns(Path("a"), xyz | {"intensity": np.array(values)})
@@ -156,7 +158,7 @@ def test_reflectance_of_bytes_and_shares():
 
 
 @pytest.mark.shared
-def test_a_real_kitti_scan_alone_and_as_a_whole_frame(shared: Path, tmp_path: Path):
+def test_a_real_kitti_scan_is_read_alone_and_with_image_and_calibration(shared: Path, tmp_path: Path):
     source = shared / "data" / "kitti" / "training"
     (tmp_path / "velodyne").mkdir()
     shutil.copy(source / "velodyne" / "000008.bin", tmp_path / "velodyne")

@@ -1,4 +1,4 @@
-"""LAS and LAZ: what laspy writes is read, and no damage ends the program, makes it wait or fills its memory."""
+"""LAS and LAZ: files written by laspy are read; damaged files cause no crash, endless loop or large memory use."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RANDOM = np.random.default_rng(0)
 XYZ = np.round(RANDOM.normal(0, 20, (COUNT, 3)), 3)
 INTENSITY = RANDOM.integers(0, 65536, COUNT).astype(np.uint16)
 RGB = RANDOM.integers(0, 256, (COUNT, 3)).astype(np.uint8)
-# A place on a map: zone 32, metres.
+# A position in map coordinates (UTM zone 32), metres.
 FAR_M = np.array([512_000.0, 5_403_000.0, 250.0])
 # LAS version -> point formats, with and without colours, and one with more bytes than the format has
 FORMATS = [("1.2", 0, 0), ("1.2", 3, 0), ("1.4", 6, 0), ("1.4", 7, 2), ("1.4", 8, 0)]
@@ -54,7 +54,7 @@ def written(
 
 @pytest.mark.parametrize("suffix", [".las", ".LAZ"])
 @pytest.mark.parametrize(("version", "point_format", "more"), FORMATS)
-def test_what_laspy_writes(tmp_path: Path, version: str, point_format: int, more: int, suffix: str):
+def test_files_written_by_laspy_are_read(tmp_path: Path, version: str, point_format: int, more: int, suffix: str):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(written(version, point_format, more, suffix == ".LAZ"))
     read = read_cloud(path)
@@ -66,7 +66,7 @@ def test_what_laspy_writes(tmp_path: Path, version: str, point_format: int, more
         assert read.rgb is None
 
 
-def test_points_that_were_withheld_colours_of_8_bits_and_empty_columns(monkeypatch: pytest.MonkeyPatch):
+def test_withheld_points_8_bit_colours_and_empty_columns_are_handled(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(las_file, "POINTS_AT_ONCE", 128)
     header = laspy.LasHeader(point_format=2, version="1.2")
     header.scales = [0.001] * 3
@@ -82,13 +82,13 @@ def test_points_that_were_withheld_colours_of_8_bits_and_empty_columns(monkeypat
     assert read.reflectance is None
 
 
-def test_a_folder_of_maps_is_seen_from_among_its_points(tmp_path: Path):
+def test_clouds_in_map_coordinates_are_seen_from_the_median_of_their_points(tmp_path: Path):
     for key, suffix in (("2", ".las"), ("10", ".laz")):
         (tmp_path / f"{key}{suffix}").write_bytes(written("1.4", 7, 2, suffix == ".laz", tuple(FAR_M)))
     recording = open_recording(tmp_path)
     assert (recording.format, recording.keys) == ("cloud_folder", ("2", "10"))
     frame = recording.frame(1)
-    # millimetres are left, which they would not be so far away
+    # the precision is below a millimetre, which float32 map coordinates would not allow
     back = frame.T_camera_label.inv().apply(frame.cloud.xyz_m.astype(float))
     np.testing.assert_allclose(back, XYZ + FAR_M, atol=1e-4)
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
@@ -99,14 +99,14 @@ def test_a_folder_of_maps_is_seen_from_among_its_points(tmp_path: Path):
     assert frame.rgb[v[inside], u[inside]].any(axis=1).all()
 
 
-def test_each_format_s_parts_are_those_that_the_compressor_names():
+def test_the_items_of_each_point_format_are_those_of_the_compressor():
     for point_format, items in laz_check.ITEMS.items():
         record = lazrs.LazVlr.new_for_compression(point_format, 5).record_data()
         size = sum(size for _, size in items) + 5
         assert not isinstance(laz_check._items(laz_check.LazLayout(record, point_format, size, 1, 0)), str)
 
 
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch):
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "lazrs", None)
     with pytest.raises(MissingExtraError, match=r"laspy\[lazrs\] is not installed; .*scripts/setup las"):
         parse_las(Path("a.las"), b"")
@@ -121,19 +121,19 @@ def patched(data: bytes, at: int, code: str, value: int) -> bytes:
 
 
 def chunks(data: bytes) -> int:
-    """Where the table of chunks begins."""
+    """The offset of the chunk table."""
     return int(struct.unpack_from("<q", data, start_of(data))[0])
 
 
 def record_at(data: bytes) -> int:
-    """Where the content of laszip's own header begins."""
+    """The offset of the content of laszip's header record."""
     return data.index(b"laszip encoded") + 52
 
 
 HUGE = 2**32 - 1
 OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
-# Each would end the program, or let it wait for hours, were it believed.
-LIES = [
+# Each would crash the program or block it for hours if it were not checked.
+FALSE_HEADERS = [
     (b"", "is not a LAS file"),
     (b"LASF" + bytes(300), "position of the points, byte 0"),
     (written("1.2", 3, 0, False)[:-1], "declares 300 points of 34 bytes"),
@@ -160,8 +160,8 @@ LIES = [
 ]
 
 
-@pytest.mark.parametrize(("content", "complaint"), LIES)
-def test_a_lie_is_told_before_anything_is_made_for_it(content: bytes, complaint: str):
+@pytest.mark.parametrize(("content", "complaint"), FALSE_HEADERS)
+def test_a_false_header_is_an_error(content: bytes, complaint: str):
     with pytest.raises(FrameError, match=complaint) as caught:
         parse_las(Path("a.laz"), content)
     assert str(caught.value).startswith("a.laz: ")
@@ -169,7 +169,7 @@ def test_a_lie_is_told_before_anything_is_made_for_it(content: bytes, complaint:
 
 def damage(draw: Callable[..., int], content: bytearray) -> None:
     start = min(start_of(content), len(content))
-    # what leads to the points is more worth breaking than they are
+    # damage of the data that locates the points has more effects than of the points
     around = st.integers(max(start - 80, 0), min(start + 120, len(content) - 1))
     content[draw(st.one_of(around, st.integers(0, len(content) - 1)))] = draw(st.sampled_from([0, 1, 127, 128, 255]))
 

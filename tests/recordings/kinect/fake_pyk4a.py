@@ -1,7 +1,6 @@
-"""A stand-in for pyk4a 1.5.0, with its names, signatures, units and exceptions; what it does is written in a script.
-
-As in the real one `K4AException` has no words, `thread_safe=True` is the default, and images are None where a capture
-has none.
+"""A stand-in for pyk4a 1.5.0, with its names, signatures, units and exceptions; a `Script` controls its behaviour.
+As in the real package, `K4AException` has no message, `thread_safe=True` is the default, and missing images of a
+capture are None.
 """
 
 from __future__ import annotations
@@ -79,18 +78,18 @@ class Capture:
 
 @dataclass
 class Script:
-    """What the connected devices do.
+    """The behaviour of the connected devices.
 
     Attributes:
-        serials: of the connected devices.
-        busy: places of those that another program uses.
+        serials: serial numbers of the connected devices.
+        busy: indices of devices that another program uses.
         starts: whether the cameras start.
-        calibration: what `calibration_raw` says.
-        captures: what `get_capture` gives, one after the other: a capture, "timeout" or "gone"; then timeouts.
-        felt: accelerations that wait, (device time in microseconds, m/s^2).
-        opened, closed: how often that happened.
-        configs: of the devices that were made.
-        locked: whether a device was made that keeps Python's lock while it waits.
+        calibration: the value of `calibration_raw`.
+        captures: the results of `get_capture` in order: a capture, "timeout" or "gone"; then timeouts.
+        felt: queued accelerations, (device time in microseconds, m/s^2).
+        opened, closed: numbers of these calls.
+        configs: the configurations of the created devices.
+        locked: whether a created device holds the GIL while it waits.
     """
 
     serials: tuple[str, ...] = ("000123456712",)
@@ -106,7 +105,7 @@ class Script:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
-    """Puts the stand-in where `import pyk4a` finds it."""
+    """Makes `import pyk4a` import the stand-in."""
 
     class PyK4A:
         TIMEOUT_WAIT_INFINITE = -1
@@ -155,7 +154,7 @@ def install(monkeypatch: pytest.MonkeyPatch, script: Script) -> None:
 
         def get_capture(self, timeout: int = TIMEOUT_WAIT_INFINITE) -> Capture:
             self._require_open()
-            assert timeout >= 0, "nobody could be told to stop"
+            assert timeout >= 0, "without a timeout, the wait cannot be stopped"
             next_one = script.captures.pop(0) if script.captures else "timeout"
             if next_one == "gone":
                 raise K4AException()

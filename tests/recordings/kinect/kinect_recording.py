@@ -1,4 +1,4 @@
-"""Azure Kinect recordings of a made-up scene, written by PyAV (not by anything of ours)."""
+"""Azure Kinect recordings of a synthetic scene, written by PyAV, independently of our code."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ WIDTH, HEIGHT = 1280, 720
 DEPTH_WIDTH, DEPTH_HEIGHT = 320, 288
 PERIOD_US = 33_333
 PIXEL_FORMATS = {"MJPG": "yuvj420p", "NV12": "nv12", "YUY2": "yuyv422", "BGRA": "bgra"}
-# A slight barrel; fx, fy, cx, cy are shares of the sensor's size.
+# Slight barrel distortion; fx, fy, cx, cy are fractions of the sensor's size.
 LENS = [0.5, 0.5, 0.49, 0.49, 0.3, -0.02, 0.001, 0.6, 0.02, -0.001, 0, 0, -1e-4, 2e-4]
 BASELINE_M = 0.032
-# From the device's axes to the accelerometer's, roughly as in the real one: x backwards, z down.
+# From the device's axes to the accelerometer's, approximately as in the real device: x backwards, z down.
 ACCELEROMETER = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]) @ Rotation.from_euler("x", 6, degrees=True).as_matrix()
 START_NS = 5_000_000
 
@@ -46,7 +46,7 @@ def calibration(**changes: object) -> dict[str, object]:
 
 
 def picture(number: int) -> np.ndarray:
-    """RGB: four quarters of one colour each, so that chroma subsampling changes nothing but at their edges."""
+    """RGB: four quarters of one colour each, so that chroma subsampling matters only at their edges."""
     image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     image[: HEIGHT // 2, : WIDTH // 2] = (200, 30 + 5 * number, 40)
     image[: HEIGHT // 2, WIDTH // 2 :] = (40, 180, 60)
@@ -56,7 +56,7 @@ def picture(number: int) -> np.ndarray:
 
 
 def depth_mm(number: int) -> np.ndarray:
-    """A wall at 2 m, nearer by 10 mm a frame, with a post at 1 m before it and no depth at the left edge."""
+    """A wall at 2 m, 10 mm nearer in each frame, with a post at 1 m in front of it; no depth at the left edge."""
     depth = np.full((DEPTH_HEIGHT, DEPTH_WIDTH), 2000 - 10 * number, np.uint16)
     depth[:, 150:170] = 1000
     depth[:, :20] = 0
@@ -74,7 +74,7 @@ def write_recording(
     without_depth: Sequence[int] = (),
     felt: Sequence[tuple[int, Sequence[float]]] = (),
 ) -> Path:
-    """Writes `frames` captures, 30 a second, infrared = depth + 1; and accelerations: microseconds, m/s^2."""
+    """Writes `frames` captures at 30 per second, infrared = depth + 1, and accelerations (microseconds, m/s^2)."""
     with av.open(str(path), "w", format="matroska", options={"allow_raw_vfw": "1"}) as out:
         out.metadata["K4A_START_OFFSET_NS"] = str(START_NS)
         out.metadata["K4A_DEPTH_DELAY_NS"] = str(depth_delay_us * 1000)
@@ -89,7 +89,7 @@ def write_recording(
         for stream, title in zip((color, *raw), titles, strict=True):
             stream.metadata["title"] = title
             stream.codec_context.time_base = Fraction(1, 1_000_000)
-        # any stream of packets will do
+        # the stream's type does not matter
         inertial = out.add_stream("rawvideo", rate=1000) if felt else None
         if inertial is not None:
             inertial.width, inertial.height, inertial.pix_fmt = 20, 1, "gray16be"
@@ -112,7 +112,7 @@ def write_recording(
             packet.time_base = Fraction(1, 1_000_000)
             out.mux(packet)
     if fourcc == "BGRA":
-        # the library writes the same pixels without a name
+        # PyAV writes the same pixels without the FourCC
         unnamed = struct.pack("<IiiHHI", 40, WIDTH, -HEIGHT, 1, 32, 0)
         path.write_bytes(path.read_bytes().replace(unnamed, unnamed[:16] + b"BGRA", 1))
     return path

@@ -22,7 +22,7 @@ from annotator.types.errors import FrameError, RecordingError
 
 @pytest.fixture(scope="module")
 def recording_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three captures with MJPEG colour; not to be changed."""
+    """Three captures with MJPEG colour; do not change it."""
     return made.write_recording(tmp_path_factory.mktemp("kinect") / "take.mkv", "MJPG")
 
 
@@ -33,25 +33,25 @@ def opened(path: Path) -> AzureKinect:
 
 
 @pytest.mark.parametrize("fourcc", ["MJPG", "NV12", "YUY2", "BGRA"])
-def test_each_colour_format_gives_the_picture_with_depth_and_time(tmp_path: Path, fourcc: str):
+def test_all_colour_formats_are_read_with_depth_and_time(tmp_path: Path, fourcc: str):
     recording = opened(made.write_recording(tmp_path / "take.mkv", fourcc))
     assert (recording.name, recording.keys, recording.is_sequence) == ("take", ("000000", "000001", "000002"), True)
     assert recording.fourcc == fourcc
     for i in (2, 0, 1):
         frame = recording.frame(i)
         off = np.abs(frame.rgb.astype(int) - made.picture(i)).max(axis=2)
-        # chroma is shared by neighbours, and JPEG rings, where the quarters meet
+        # subsampled chroma and JPEG artefacts change pixels where the quarters meet
         flat = np.ones(off.shape, bool)
         flat[made.HEIGHT // 2 - 16 : made.HEIGHT // 2 + 16] = flat[:, made.WIDTH // 2 - 16 : made.WIDTH // 2 + 16] = (
             False
         )
         assert off[flat].max() <= (0 if fourcc == "BGRA" else 4)
         np.testing.assert_array_equal(recording.depth_image(i), made.depth_mm(i))
-        # the writer's clock has milliseconds; the recording began at 5 ms
+        # the writer's clock has a resolution of 1 ms; the recording starts at 5 ms
         assert frame.timestamp_ns == pytest.approx(5_000_000 + i * 33_333_000, abs=1_000_000)
 
 
-def test_the_cloud_is_what_opencv_computes_and_what_the_colour_camera_sees(recording_file: Path):
+def test_the_cloud_agrees_with_opencv_and_contains_only_points_visible_to_the_colour_camera(recording_file: Path):
     recording = opened(recording_file)
     frame, depth, color = recording.frame(1), recording.calibration.depth, recording.calibration.color
     xyz = frame.cloud.xyz_m.astype(np.float64)
@@ -61,12 +61,12 @@ def test_the_cloud_is_what_opencv_computes_and_what_the_colour_camera_sees(recor
     np.testing.assert_allclose(xyz[:, 2] * 1000, made.depth_mm(1)[rows, columns], atol=1e-3)
     u, v = by_opencv(color, xyz).T
     assert (u >= -0.5).all() and (u < made.WIDTH - 0.5).all() and (v >= -0.5).all() and (v < made.HEIGHT - 0.5).all()
-    # half-way between two pixels either may be the nearest
+    # points halfway between two pixels are excluded
     clear = (np.abs(np.c_[u, v] % 1 - 0.5) > 1e-3).all(axis=1)
     assert clear.mean() > 0.99
     nearest = frame.rgb[np.rint(v).astype(int), np.rint(u).astype(int)]
     np.testing.assert_array_equal(frame.cloud.rgb[clear], nearest[clear])
-    # a part of the wall, at the width of the parallax, is hidden behind the post
+    # the post occludes a part of the wall, as wide as the parallax
     post, wall = xyz[:, 2] < 1.5, xyz[:, 2] > 1.5
     upper = np.abs(v - 300) < 20
     edges = u[post & upper].min() + 5, u[post & upper].max() - 5
@@ -81,7 +81,7 @@ def by_opencv(camera, xyz: np.ndarray) -> np.ndarray:
     return cv2.projectPoints(xyz[:, None], np.zeros(3), np.zeros(3), camera.matrix, lens)[0][:, 0]
 
 
-def test_dropped_images_leave_gaps_and_delayed_depth_finds_its_colour(tmp_path: Path):
+def test_dropped_images_leave_gaps_and_delayed_depth_is_matched_to_its_colour(tmp_path: Path):
     path = made.write_recording(tmp_path / "take.mkv", frames=5, without_depth=(1, 3), depth_delay_us=60_000)
     recording = opened(path)
     assert recording.keys == ("000000", "000002", "000004")
@@ -91,7 +91,7 @@ def test_dropped_images_leave_gaps_and_delayed_depth_finds_its_colour(tmp_path: 
             recording.frame(i)
 
 
-def test_a_frame_is_read_without_those_before_it(recording_file: Path, tmp_path: Path):
+def test_a_frame_is_read_without_the_frames_before_it(recording_file: Path, tmp_path: Path):
     path, recording = tmp_path / "take.mkv", opened(recording_file)
     data = bytearray(recording_file.read_bytes())
     for block in (recording.captures[0].color, recording.captures[0].depth, recording.captures[1].color):
@@ -104,7 +104,7 @@ def test_a_frame_is_read_without_those_before_it(recording_file: Path, tmp_path:
         opened(path).frame(0)
 
 
-def test_a_damaged_stretch_costs_only_its_own_frames(tmp_path: Path):
+def test_damage_affects_only_the_frames_in_the_damaged_part(tmp_path: Path):
     path = made.write_recording(tmp_path / "take.mkv", "BGRA", frames=9)
     whole = opened(path)
     data = bytearray(path.read_bytes())
@@ -118,7 +118,7 @@ def test_a_damaged_stretch_costs_only_its_own_frames(tmp_path: Path):
 
 
 @pytest.mark.parametrize("share", [0.0001, 0.001, 0.01, 0.2, 0.34, 0.5, 0.67, 0.9, 0.999])
-def test_a_file_that_was_cut_off_says_so_and_gives_the_frames_before(
+def test_a_truncated_file_is_reported_and_its_complete_frames_are_read(
     recording_file: Path, tmp_path: Path, share: float
 ):
     path, whole = tmp_path / "cut.mkv", opened(recording_file)
@@ -146,9 +146,9 @@ def test_a_file_that_was_cut_off_says_so_and_gives_the_frames_before(
 
 @given(st.data())
 @settings(max_examples=40, deadline=None)
-def test_damage_anywhere_is_an_error_that_names_the_file(recording_file: Path, data: st.DataObject):
+def test_random_damage_gives_frames_or_errors_that_name_the_file(recording_file: Path, data: st.DataObject):
     content = bytearray(recording_file.read_bytes())
-    # most of the file is pixels: damage what leads to them as often
+    # most of the file is pixels; damage the structure before them as often
     places = st.one_of(st.integers(0, 6000), st.integers(0, len(content) - 1))
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(places)
@@ -167,28 +167,28 @@ def test_damage_anywhere_is_an_error_that_names_the_file(recording_file: Path, d
         assert str(path) in str(error)
 
 
-def test_times_that_no_clock_shows_are_passed_over(recording_file: Path, tmp_path: Path):
+def test_invalid_times_are_ignored(recording_file: Path, tmp_path: Path):
     whole, path = recording_file.read_bytes(), tmp_path / "take.mkv"
-    # the nanoseconds of a tick, three bytes with their size before them, and what follows them
+    # the nanoseconds per tick (three bytes after their size), and the bytes that follow
     scale = b"\x2a\xd7\xb1\x83\x0f\x42\x40" + whole[whole.index(b"\x2a\xd7\xb1") + 7 :][:7]
     assert scale in whole
     path.write_bytes(whole.replace(scale, b"\x2a\xd7\xb1\x8a" + b"\xff" * 10))
-    # the first capture is at 0 ticks, however long these are
+    # the first capture is at tick 0, whatever the length of a tick
     assert opened(path).keys == ("000000",)
-    # the delay of the depth images, as many digits as the recorder pleases
-    made.write_recording(path, "MJPG", depth_delay_us=Endless())
+    # a delay of the depth images with any number of digits
+    made.write_recording(path, "MJPG", depth_delay_us=HugeDelay())
     recording = opened(path)
     assert (len(recording), recording.times_ns[0]) == (3, made.START_NS)
 
 
-class Endless(int):
-    """No delay in the images, and one that no clock shows in the tag."""
+class HugeDelay(int):
+    """A delay of 0 in the images, but 10**40 in the tag."""
 
     def __mul__(self, _: int) -> int:
         return 10**40
 
 
-def test_a_size_beyond_the_file_takes_no_memory(recording_file: Path):
+def test_a_declared_size_beyond_the_file_allocates_no_memory(recording_file: Path):
     recording = opened(recording_file)
     capture = recording.captures[0]
     endless = replace(capture, color=replace(capture.color, size=1 << 55), depth=replace(capture.depth, size=1 << 55))
@@ -229,7 +229,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("write", "complaint"), REFUSED)
-def test_what_cannot_be_opened_says_why(tmp_path: Path, write: Callable[[Path], object], complaint: str):
+def test_unusable_recordings_are_errors_with_a_cause(tmp_path: Path, write: Callable[[Path], object], complaint: str):
     path = tmp_path / "take.mkv"
     write(path)
     with pytest.raises(RecordingError, match=complaint) as caught:
@@ -246,7 +246,7 @@ def test_a_folder_of_recordings_names_the_files(tmp_path: Path):
 
 
 @pytest.mark.shared
-def test_the_real_recording_gives_the_sdk_s_numbers(shared: Path):
+def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     folder = shared / "data" / "azure_kinect"
     recording = opened(folder / "recording.mkv")
     frame = recording.frame(0)
@@ -264,7 +264,7 @@ def test_the_real_recording_gives_the_sdk_s_numbers(shared: Path):
     np.testing.assert_allclose(in_color * 1000, np.c_[rows["x_c"], rows["y_c"], rows["z_c"]], atol=0.005)
     expected = np.c_[rows["u_color_px"], rows["v_color_px"]]
     np.testing.assert_allclose(by_opencv(calibration.color, in_color), expected, atol=0.002)
-    # the whole cloud goes the same way as single pixels: each visible row is a point of it
+    # the cloud is computed like single pixels: each visible row is one of its points
     inside = (expected > 1).all(axis=1) & (expected < [1278, 718]).all(axis=1)
     distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::20]])
     assert np.mean(distance < 1e-5) > 0.9

@@ -1,4 +1,4 @@
-"""The Azure Kinect's cameras: modes are windows of one sensor, and the lens model has its inverse."""
+"""The Azure Kinect's cameras: modes are windows of one sensor, and the lens model is invertible."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CONTENT = json.dumps(made.calibration()).encode()
 
 @pytest.mark.parametrize("size", COLOUR_MODES)
 def test_colour_modes_show_the_same_directions(size: tuple[int, int]):
-    """A window keeps its place on the sensor, and scaling keeps directions: pixel edges, not centres, are scaled."""
+    """Cropping keeps positions on the sensor, and scaling keeps directions: pixel edges are scaled, not centres."""
     full = parse_calibration(CONTENT, (640, 576), (4096, 3072)).color
     camera = parse_calibration(CONTENT, (640, 576), size).color
     scale = 4096 / size[0]
@@ -46,7 +46,7 @@ def test_depth_modes_are_windows_of_one_sensor(size: tuple[int, int], bin_px: in
 
 
 @pytest.mark.parametrize(("depth", "color"), [((640, 480), (1280, 720)), ((640, 576), (640, 480)), ((0, 0), (0, 0))])
-def test_sizes_of_no_mode_are_refused(depth: tuple[int, int], color: tuple[int, int]):
+def test_image_sizes_of_no_camera_mode_are_refused(depth: tuple[int, int], color: tuple[int, int]):
     with pytest.raises(ValueError, match="belong to no mode of this camera"):
         parse_calibration(CONTENT, depth, color)
 
@@ -57,15 +57,17 @@ near = st.floats(0.9, 1.1)
 @settings(deadline=None)
 @example(1.0, 1.0, 1.0, 2e-5, -7e-5, 1.0)
 @given(near, near, near, st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3), st.floats(0.2, 5.0))
-def test_pixels_survive_the_way_to_3d_and_back(k1: float, k4: float, k5: float, p1: float, p2: float, depth_m: float):
-    """Around the lens of a real depth camera (six radial coefficients that nearly cancel)."""
+def test_pixels_are_recovered_after_conversion_to_3d_and_back(
+    k1: float, k4: float, k5: float, p1: float, p2: float, depth_m: float
+):
+    """With lenses similar to a real depth camera's, whose six radial coefficients nearly cancel."""
     lens = [0.513, 0.517, 0.4928, 0.4929, 0.548 * k1, -0.021, -0.0027, 0.8897 * k4, 0.0861 * k5, -0.0139, 0, 0, p2, p1]
     intrinsics = {"ModelType": "CALIBRATION_LensDistortionModelBrownConrady", "ModelParameters": lens}
     content = json.dumps(made.calibration(Intrinsics=intrinsics)).encode()
     calibration = parse_calibration(content, (640, 576), (1280, 720))
     px = np.stack([each.ravel() for each in np.meshgrid(np.linspace(0, 639, 9), np.linspace(0, 575, 9))], axis=1)
     xyz = calibration.depth_to_3d(px, np.full(len(px), depth_m))
-    # a made-up lens may have no inverse in the corners, the real one has it everywhere
+    # a varied lens may have no inverse in the corners; the real one is invertible everywhere
     known = np.isfinite(xyz).all(axis=1)
     assert known[np.abs(px - [320, 288]).max(axis=1) < 250].all()
     assert known.all() or (k1, k4, k5) != (1, 1, 1)
@@ -73,7 +75,7 @@ def test_pixels_survive_the_way_to_3d_and_back(k1: float, k4: float, k5: float, 
     np.testing.assert_allclose(xyz[known, 2], depth_m)
 
 
-def test_beyond_the_calibrated_radius_there_are_no_points():
+def test_there_are_no_points_beyond_the_calibrated_radius():
     content = json.dumps(made.calibration(MetricRadius=0.3)).encode()
     calibration = parse_calibration(content, (320, 288), (1280, 720))
     image = np.full((288, 320), 1000, np.uint16)

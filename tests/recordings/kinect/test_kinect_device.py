@@ -1,4 +1,4 @@
-"""A connected Azure Kinect, played by a stand-in for pyk4a: its frames, and all that goes wrong."""
+"""A connected Azure Kinect, simulated by a stand-in for pyk4a: its frames and its errors."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from annotator.types.errors import DeviceError
 from annotator.workflows.live.kinect import KinectSource
 
 GO_ON = threading.Event()
-# The accelerometer's x axis of a device that stands upright, roughly: the device's own y axis points down.
+# The acceleration at rest of an upright device, whose y axis points down.
 AT_REST = 9.81 * ACCELEROMETER @ np.array([0.0, -1.0, 0.0])
 
 
 def capture(number: int, *, color: bool = True, depth: bool = True) -> Capture:
-    """The captures of the made-up recording, binned."""
+    """A capture of the synthetic recording, binned."""
     bgra = np.dstack([picture(number)[:, :, ::-1], np.full((720, 1280), 255, np.uint8)])
     return Capture(
         np.ascontiguousarray(bgra) if color else None,
@@ -47,13 +47,13 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Script:
 
 
 @pytest.fixture
-def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for seconds."""
+def short_timeouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shortens the timeouts."""
     monkeypatch.setattr(kinect_device, "FIRST_FRAME_WITHIN_S", 0.2)
     monkeypatch.setattr(kinect_device, "NEXT_FRAME_WITHIN_S", 0.1)
 
 
-def test_its_frames_have_what_those_of_a_recording_have(script: Script) -> None:
+def test_frames_of_a_device_have_the_same_content_as_those_of_a_recording(script: Script) -> None:
     script.captures = ["timeout", capture(0), capture(1, depth=False), capture(2)]
     script.felt = [(990_000 + 100 * n, AT_REST) for n in range(50)]
     device = KinectDevice(mode="nfov_binned")
@@ -77,7 +77,7 @@ def test_its_frames_have_what_those_of_a_recording_have(script: Script) -> None:
     assert (script.opened, script.closed) == (1, 1)
 
 
-def test_it_asks_for_synchronous_pictures_and_never_keeps_pythons_lock(script: Script) -> None:
+def test_the_device_is_opened_for_synchronous_images_and_without_holding_the_gil(script: Script) -> None:
     KinectDevice().close()
     KinectDevice(mode="wfov").close()
     narrow, wide = script.configs
@@ -88,7 +88,7 @@ def test_it_asks_for_synchronous_pictures_and_never_keeps_pythons_lock(script: S
     assert not script.locked
 
 
-def test_up_is_not_known_while_it_moves(script: Script) -> None:
+def test_up_is_unknown_while_the_device_moves(script: Script) -> None:
     script.captures = [capture(0), capture(1)]
     script.felt = [(1_000_000 + 100 * n, AT_REST * (1 + 0.1 * (n % 2))) for n in range(50)]
     device = KinectDevice(mode="nfov_binned")
@@ -100,8 +100,8 @@ def test_up_is_not_known_while_it_moves(script: Script) -> None:
 
 
 @pytest.mark.shared
-def test_the_same_frame_as_from_a_recording(shared: Path, script: Script) -> None:
-    """A real capture, given by the stand-in: the same cloud to the last bit as from the recording."""
+def test_a_real_capture_gives_the_same_frame_as_from_a_recording(shared: Path, script: Script) -> None:
+    """A real capture, returned by the stand-in, gives bitwise the same cloud as the recording."""
     recording = open_recording(shared / "data" / "azure_kinect" / "recording.mkv")
     assert isinstance(recording, AzureKinect)
     script.calibration = (shared / "data" / "azure_kinect" / "calibration.json").read_text()
@@ -116,16 +116,16 @@ def test_the_same_frame_as_from_a_recording(shared: Path, script: Script) -> Non
     assert found.frame.camera.distortion == expected.camera.distortion
 
 
-# --- which one --------------------------------------------------------------------------------------------------------
+# --- selecting a device -----------------------------------------------------------------------------------------------
 
 
-def test_one_of_several_is_named_by_its_serial_number_or_its_place(script: Script) -> None:
+def test_a_device_is_selected_by_serial_number_or_index(script: Script) -> None:
     script.serials, script.busy = ("000000000011", "000000000022", "000000000033"), (0,)
     for which, serial in (("1", "000000000022"), ("000000000033", "000000000033")):
         device = KinectDevice(which)
         assert device.name == f"Azure Kinect {serial}"
         device.close()
-    assert script.opened == script.closed, "those that were looked at are given back"
+    assert script.opened == script.closed, "devices that were only inspected are closed again"
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_one_of_several_is_named_by_its_serial_number_or_its_place(script: Scrip
         (lambda s: setattr(s, "calibration", "{}"), None, "calibration cannot be used .CalibrationInformation"),
     ],
 )
-def test_a_device_that_cannot_be_used_is_told_and_given_back(
+def test_an_unusable_device_is_an_error_and_is_closed(
     script: Script, change: Callable[[Script], None], which: str | None, said: str
 ) -> None:
     change(script)
@@ -153,7 +153,7 @@ def test_a_device_that_cannot_be_used_is_told_and_given_back(
     assert script.opened == script.closed
 
 
-def test_without_pyk4a_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyk4a_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.setattr(kinect_connection, "find_spec", lambda name: None)
     with pytest.raises(DeviceError, match=r'pip install "rcv-annotator\[kinect\]".*glibc 2\.38'):
@@ -163,11 +163,11 @@ def test_without_pyk4a_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) 
         KinectDevice()
 
 
-# --- while it runs ----------------------------------------------------------------------------------------------------
+# --- while the device runs --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("end", ["unplugged", "silent", "only colour"])
-def test_a_device_that_goes_or_gives_nothing_more_is_an_error(script: Script, hurried: None, end: str) -> None:
+def test_an_unplugged_or_silent_device_is_an_error(script: Script, short_timeouts: None, end: str) -> None:
     script.captures = [capture(0)]
     if end == "unplugged":
         script.captures.append("gone")
@@ -185,16 +185,16 @@ def test_a_device_that_goes_or_gives_nothing_more_is_an_error(script: Script, hu
     assert (script.opened, script.closed) == (1, 1)
 
 
-def test_nothing_from_the_beginning_and_images_of_another_size(script: Script, hurried: None) -> None:
+def test_a_missing_first_frame_and_images_of_another_size_are_errors(script: Script, short_timeouts: None) -> None:
     device = KinectDevice()
     with pytest.raises(DeviceError, match=r"no frame for 0\.2 s"):
         device.next_frame(GO_ON)
-    script.captures = [capture(0)]  # binned, and the device was asked for the whole
+    script.captures = [capture(0)]  # binned, although the device was opened unbinned
     with pytest.raises(DeviceError, match=rf"depth images are \({DEPTH_HEIGHT}, {DEPTH_WIDTH}\)"):
         device.next_frame(GO_ON)
 
 
-def test_who_waits_can_be_told_to_stop_and_old_frames_are_left_out(script: Script) -> None:
+def test_waiting_for_a_frame_can_be_stopped_and_old_frames_are_skipped(script: Script) -> None:
     source = KinectSource()
     stop = threading.Event()
     got: list[Any] = []

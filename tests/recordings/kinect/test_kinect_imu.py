@@ -1,4 +1,4 @@
-"""The Azure Kinect's accelerometer: up where the device stands still, and nothing where it does not."""
+"""The Azure Kinect's accelerometer: the up direction while the device is still, and None while it moves."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from annotator.geometry.normals import normals_knn
 from annotator.recordings import open_recording
 from annotator.recordings.kinect.imu import parse_samples, up_at_rest
 
-# Leaning 20 degrees to the front, in the colour camera's axes (those of the device here).
+# Tilted forward by 20 degrees, in the colour camera's axes (here the same as the device's).
 UP = Rotation.from_euler("x", 20, degrees=True).apply([0, -1.0, 0])
 SHAKEN = np.array([1.0, 0, 0])
 FELT = made.ACCELEROMETER @ UP * 9.79
 
 
-def test_up_is_what_the_accelerometer_felt_near_the_frame(tmp_path: Path):
+def test_up_is_the_acceleration_near_the_frames_time(tmp_path: Path):
     random = np.random.default_rng(0)
     still = [(3000 * number, FELT + random.normal(0, 0.03, 3)) for number in range(20)]
     # a knock, half a second later
@@ -36,7 +36,7 @@ def samples(*felt: tuple[int, np.ndarray]) -> np.ndarray:
     return parse_samples(bytes([len(felt) - 1]) + b"".join(made.imu_sample(*each) for each in felt), True)
 
 
-def test_no_up_where_the_device_moves_or_nobody_measured():
+def test_up_is_none_without_samples_or_while_the_device_moves():
     now = made.START_NS
     np.testing.assert_allclose(up_at_rest(samples((0, FELT)), now), FELT / np.linalg.norm(FELT), atol=1e-6)
     assert up_at_rest(samples((0, FELT * 1.05)), now) is None
@@ -48,7 +48,7 @@ def test_no_up_where_the_device_moves_or_nobody_measured():
 
 
 @pytest.mark.parametrize("sizes", [b"", b"\x28\x28", b"\xa8\xbf"], ids=["equal", "xiph", "ebml"])
-def test_laced_samples_stand_behind_their_sizes(sizes: bytes):
+def test_laced_samples_are_read_after_their_sizes(sizes: bytes):
     three = [made.imu_sample(1000 * number, FELT + number) for number in range(3)]
     found = parse_samples(b"\x02" + sizes + b"".join(three), True)
     assert found["time_ns"].tolist() == [made.START_NS + 1_000_000 * number for number in range(3)]
@@ -59,16 +59,16 @@ def test_laced_samples_stand_behind_their_sizes(sizes: bytes):
     ("data", "is_laced"),
     [(b"", False), (b"", True), (bytes(39), False), (bytes(41), False), (b"\xff" + bytes(400), True)],
 )
-def test_other_blocks_have_no_samples(data: bytes, is_laced: bool):
+def test_invalid_blocks_have_no_samples(data: bytes, is_laced: bool):
     assert len(parse_samples(data, is_laced)) == 0
 
 
 @pytest.mark.shared
-def test_up_stands_on_the_real_desk(shared: Path):
+def test_up_is_the_normal_of_the_real_desk(shared: Path):
     frame = open_recording(shared / "data" / "azure_kinect" / "recording.mkv").frame(0)
     assert frame.up is not None
     assert frame.up @ [0, -1, 0] > 0.9
-    # of what is about level, the height at which there is most is the desk's
+    # the desk is at the most frequent height of approximately level points
     xyz = frame.cloud.xyz_m[::20].astype(np.float64)
     level = normals_knn(xyz) @ frame.up > np.cos(np.radians(20))
     heights = xyz[level] @ frame.up

@@ -1,4 +1,4 @@
-"""The Matroska index: what stands in RFC 8794 and 9559, and no bytes that could upset it."""
+"""The Matroska index: as in RFC 8794 and 9559, and robust against any bytes."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ HEADS = [
 
 
 @pytest.mark.parametrize(("data", "expected"), HEADS)
-def test_heads(data: bytes, expected: tuple[int, int | None, int] | None):
+def test_element_heads_are_parsed(data: bytes, expected: tuple[int, int | None, int] | None):
     assert element_head(data) == expected
 
 
-def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
+def test_blocks_are_where_pyav_finds_them(tmp_path: Path):
     path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=4)
     index = read_index(path)
     content = path.read_bytes()
@@ -47,23 +47,23 @@ def test_blocks_lie_where_the_library_finds_them(tmp_path: Path):
     ]  # fmt: skip
     first = content.index(b"\x1f\x43\xb6\x75")
     path.write_bytes(content[:first] + b"\x1f\x43\xb6\x75")
-    assert read_tracks(path) == index.tracks, "the head says so, whatever follows"
+    assert read_tracks(path) == index.tracks, "the tracks depend only on the head"
 
 
-def test_a_recording_is_recognised_by_its_head(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_recording_is_recognised_without_reading_it_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = made.write_recording(tmp_path / "take.mkv", "NV12", frames=1)
     film = tmp_path / "film.mkv"
     film.write_bytes(path.read_bytes().replace(b"DEPTH", b"OTHER"))
     (tmp_path / "text.mkv").write_bytes(b"no film")
     monkeypatch.setattr(
-        "annotator.recordings.kinect.mkv_recording.read_index", lambda path: pytest.fail("all of it is read")
+        "annotator.recordings.kinect.mkv_recording.read_index", lambda path: pytest.fail("the whole file is indexed")
     )
     assert [detect_format(tmp_path / name) for name in ("take.mkv", "film.mkv", "text.mkv")] == [
         "azure_kinect", None, None
     ]  # fmt: skip
 
 
-def test_a_damaged_size_costs_no_more_than_its_cluster(tmp_path: Path):
+def test_a_damaged_size_affects_only_its_cluster(tmp_path: Path):
     path = tmp_path / "x.mkv"
     block = b"\xa3\x86\x81\x00\x07\x80xy"
     content = b"\xe7\x81\x05" + block + block
@@ -81,7 +81,7 @@ def test_a_damaged_size_costs_no_more_than_its_cluster(tmp_path: Path):
     assert not index.is_truncated
 
 
-def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
+def test_unknown_and_huge_sizes_are_handled(tmp_path: Path):
     path = tmp_path / "x.mkv"
     head = b"\x1a\x45\xdf\xa3\x80" + b"\x18\x53\x80\x67\xff"
     cluster = b"\x1f\x43\xb6\x75\xff" + b"\xe7\x82\x01\x00"
@@ -95,9 +95,11 @@ def test_sizes_that_are_not_known_and_huge_ones_cost_nothing(tmp_path: Path):
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
 
 
-def test_many_damaged_places_cost_little_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_many_damaged_elements_are_skipped_without_reading_the_file_repeatedly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     path = tmp_path / "x.mkv"
-    # a cluster, and in it what is none of its elements, again and again
+    # clusters that contain an element that is not allowed in them
     path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + b"\x1f\x43\xb6\x75\xff\x42\x42\x42" * 5000)
     read = 0
     whole = matroska._IndexReader._read
@@ -114,7 +116,7 @@ def test_many_damaged_places_cost_little_each(tmp_path: Path, monkeypatch: pytes
     assert read < 5000 * 5000
 
 
-def test_more_blocks_than_any_recording_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_too_many_blocks_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
     path = tmp_path / "x.mkv"
     path.write_bytes(b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff" + b"\xa3\x84\x81\x00\x00\x80" * 11)
@@ -123,7 +125,7 @@ def test_more_blocks_than_any_recording_has_are_refused(tmp_path: Path, monkeypa
 
 
 @given(st.binary(max_size=200))
-def test_children_of_any_bytes_lie_within_them(data: bytes):
+def test_children_of_any_bytes_are_within_them(data: bytes):
     assert sum(len(content) for _, content in children(data)) <= len(data)
 
 

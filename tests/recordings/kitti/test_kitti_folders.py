@@ -1,4 +1,4 @@
-"""KITTI folders: projection exact against the data set's own formula, and what each kind of damage says."""
+"""KITTI folders: the projection agrees with the data set's formula, and damage gives clear errors."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path, image: np.ndarray, sc
     return tmp_path
 
 
-def test_the_cloud_is_what_the_image_sees_with_its_colours(folder: Path, image: np.ndarray, scan: np.ndarray):
+def test_the_cloud_contains_the_points_on_the_image_with_their_colours(
+    folder: Path, image: np.ndarray, scan: np.ndarray
+):
     frame = open_recording(folder).frame(0)
     px, inside = by_formula(scan)
     assert 10 < inside.sum() < len(scan) / 2
@@ -62,7 +64,7 @@ def test_the_cloud_is_what_the_image_sees_with_its_colours(folder: Path, image: 
     np.testing.assert_array_equal(frame.up, [0, -1, 0])
 
 
-def test_label_coordinates_project_as_p2_projects_them(folder: Path):
+def test_label_coordinates_project_as_with_p2(folder: Path):
     frame = open_recording(folder).frame(0)
     x_rect = np.random.default_rng(2).uniform([-20, -2, 2], [20, 2, 60], (500, 3))
     uvw = np.c_[x_rect, np.ones(500)] @ P2.T
@@ -73,7 +75,7 @@ def test_label_coordinates_project_as_p2_projects_them(folder: Path):
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["kitti/training/calib/000000.txt", "kitti_drive_0005/calib.txt"])
-def test_real_calibrations_project_as_p2_projects(shared: Path, name: str):
+def test_real_calibrations_project_as_with_p2(shared: Path, name: str):
     path = shared / "data" / name
     calibration = read_calibration(path)
     given = {line.split(":")[0]: line.split()[1:] for line in path.read_text().splitlines() if ":" in line}
@@ -87,14 +89,14 @@ def test_real_calibrations_project_as_p2_projects(shared: Path, name: str):
     np.testing.assert_allclose(px, uvw[:, :2] / uvw[:, 2:], atol=1e-6)
 
 
-def test_tracking_frames_know_their_time(folder: Path):
+def test_tracking_frames_have_timestamps(folder: Path):
     recording = open_recording(folder)
     times = [recording.frame(i).timestamp_ns for i in range(len(recording))]
     expected = [300_000_000, 500_000_000] if recording.is_sequence else [None, None]
     assert times == expected
 
 
-def test_some_invalid_points_are_left_out(folder: Path, scan: np.ndarray):
+def test_invalid_points_are_left_out(folder: Path, scan: np.ndarray):
     broken = scan.copy()
     broken[::7, 1], broken[1::7, 3] = np.nan, np.inf
     path = scan_path(folder)
@@ -104,7 +106,7 @@ def test_some_invalid_points_are_left_out(folder: Path, scan: np.ndarray):
     assert len(open_recording(folder).frame(0).cloud) == (inside & valid).sum()
 
 
-def test_unpaired_files_are_frames_that_fail_alone(folder: Path):
+def test_a_missing_file_affects_only_its_frame(folder: Path):
     scan_path(folder).unlink()
     recording = open_recording(folder)
     assert recording.keys == ("000003", "000005")
@@ -168,7 +170,7 @@ DAMAGES = [
 
 
 @pytest.mark.parametrize(("where", "damage", "complaint"), DAMAGES)
-def test_damage_is_named_and_says_what_to_do(
+def test_damage_is_an_error_with_file_cause_and_solution(
     folder: Path,
     where: Callable[[Path], Path],
     damage: Callable[[Path], object],

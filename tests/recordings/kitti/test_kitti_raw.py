@@ -1,4 +1,4 @@
-"""KITTI raw drives: the same frames as a tracking folder of the same files, with the drive's own times."""
+"""KITTI raw drives: the same frames as a tracking folder of the same files, with the drive's timestamps."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
-def test_a_drive_gives_the_frames_of_a_tracking_folder(drive: Path, tmp_path: Path):
+def test_a_drive_has_the_same_frames_as_a_tracking_folder(drive: Path, tmp_path: Path):
     same = tmp_path / "tracking"
     same.mkdir()
     (same / "image_02").symlink_to(drive / "image_02" / "data")
@@ -52,7 +52,7 @@ def test_a_drive_gives_the_frames_of_a_tracking_folder(drive: Path, tmp_path: Pa
         np.testing.assert_allclose(a.T_camera_label.as_matrix(), b.T_camera_label.as_matrix())
 
 
-def test_times_are_the_drive_s_own(drive: Path):
+def test_times_are_read_from_the_drive(drive: Path):
     times = [open_recording(drive).frame(i).timestamp_ns for i in range(3)]
     assert times == [1_317_042_145_964_389_445, 1_317_042_146_000_000_000, 1_317_042_146_500_000_000]
     (drive / "image_02" / "timestamps.txt").unlink()
@@ -83,7 +83,9 @@ DAMAGES = [
 
 
 @pytest.mark.parametrize(("where", "damage", "complaint"), DAMAGES)
-def test_damage_is_named(drive: Path, where: Callable[[Path], Path], damage: Callable[[Path], object], complaint: str):
+def test_errors_name_the_damaged_file(
+    drive: Path, where: Callable[[Path], Path], damage: Callable[[Path], object], complaint: str
+):
     path = where(drive)
     damage(path)
     with pytest.raises(FrameError, match=complaint) as caught:
@@ -91,14 +93,14 @@ def test_damage_is_named(drive: Path, where: Callable[[Path], Path], damage: Cal
     assert caught.value.path == path
 
 
-def test_no_calibration_anywhere_says_where_to_put_it(drive: Path):
+def test_the_error_of_a_missing_calibration_says_where_to_put_it(drive: Path):
     for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"):
         calibration(name)(drive).unlink()
     with pytest.raises(FrameError, match=r"copy calib_cam_to_cam\.txt and calib_velo_to_cam\.txt of the drive's day"):
         open_recording(drive).frame(0)
 
 
-def test_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
+def test_the_error_of_a_day_names_its_drives_and_an_empty_drive_is_an_error(drive: Path):
     with pytest.raises(RecordingError, match=f"one of them: {drive.name}$"):
         open_recording(drive.parent)
     for path in (*drive.glob("*/data/*.png"), *drive.glob("*/data/*.bin")):
@@ -117,22 +119,22 @@ TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
 """
 
 
-def test_tracklets_are_the_drive_s_labels_in_the_camera(drive: Path):
+def test_tracklets_are_read_as_labels_in_the_camera_frame(drive: Path):
     assert not has_truth(open_recording(drive))
     (drive / "tracklet_labels.xml").write_text(TRACKLETS)
     recording = open_recording(drive)
     found = [load_truth(recording, i, recording.frame(i)) for i in range(3)]
-    # poses are of frames 1 and 2, the recording has 0, 2 and 3
+    # the poses are for frames 1 and 2; the recording has frames 0, 2 and 3
     assert [len(truths) for truths in found] == [0, 1, 0]
     ((truth,),) = found[1:2]
     assert (truth.label, truth.track_id) == ("Car", 0)
     shift = np.linalg.solve(P2[:, :3], P2[:, 3])
-    # the matrices are rotations to four digits, and boxes are turned by true ones
+    # the matrices are rotations only to four digits; boxes are rotated by exact ones
     np.testing.assert_allclose(truth.box.center_m, R0 @ TR @ [10, 1, -1.7 + 0.75, 1] + shift, atol=2e-3)
     np.testing.assert_allclose(truth.box.size_m, [4, 1.6, 1.5])
     ahead = R0 @ TR[:, :3] @ [np.cos(0.3), np.sin(0.3), 0]
     assert truth.box.rotation[:, 0] @ ahead / np.linalg.norm(ahead) > 0.99999
-    assert -truth.box.rotation[1, 2] > 0.999, "its top is up in the camera"
+    assert -truth.box.rotation[1, 2] > 0.999, "the box is upright in the camera frame"
     images = drive / "image_02" / "data"
     (images / "0000000003.png").rename(images / "last.png")
     with pytest.raises(FormatError, match="numbers its frames, but the key 'last' is not a number"):

@@ -1,4 +1,4 @@
-"""SUN RGB-D in both layouts, made-up and real: the same camera, cloud and boxes by the data set's own formulas."""
+"""SUN RGB-D in both layouts, synthetic and real: camera, cloud and boxes agree with the data set's formulas."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 def check_frame(frame: Frame) -> None:
-    """What both layouts must give."""
+    """Checks the frame that both layouts must give."""
     xyz, rgb = upright_points()
     np.testing.assert_allclose(frame.T_camera_label.inv().apply(frame.cloud.xyz_m.astype(float)), xyz, atol=1e-5)
     np.testing.assert_array_equal(frame.cloud.rgb, rgb)
@@ -64,7 +64,7 @@ def check_frame(frame: Frame) -> None:
     np.testing.assert_array_equal(frame.rgb, IMAGE)
 
 
-def test_an_extracted_frame(extracted: Path):
+def test_an_extracted_frame_is_read(extracted: Path):
     recording = open_recording(extracted)
     assert (recording.format, recording.keys, recording.is_sequence) == (
         "sunrgbd_extracted",
@@ -74,7 +74,7 @@ def test_an_extracted_frame(extracted: Path):
     check_frame(recording.frame(1))
 
 
-def test_a_scene_and_folders_of_scenes(scene: Path, tmp_path: Path):
+def test_a_scene_and_folders_of_scenes_are_read(scene: Path, tmp_path: Path):
     check_frame(open_recording(scene).frame(0))
     second = scene.with_name("2014-12-19_15-53-21")
     write_scene(second)
@@ -91,7 +91,7 @@ def test_a_scene_and_folders_of_scenes(scene: Path, tmp_path: Path):
         assert [t.label for t in load_truth(recording, 1, recording.frame(1))] == ["night_stand"]
 
 
-def test_extracted_labels_are_votenet_s_boxes(extracted: Path):
+def test_extracted_labels_agree_with_votenets_boxes(extracted: Path):
     recording = open_recording(extracted)
     frame = recording.frame(0)
     stand, bed = load_truth(recording, 0, frame)
@@ -99,16 +99,16 @@ def test_extracted_labels_are_votenet_s_boxes(extracted: Path):
     box = stand.box.transformed(frame.T_camera_label.inv())
     np.testing.assert_allclose(box.center_m, [0.4, 2.5, -0.3], atol=1e-9)
     np.testing.assert_allclose(box.size_m, [1.0, 0.6, 0.8])
-    # VoteNet: heading = -atan2(oy, ox); its length lies along rotz(-heading) x
+    # VoteNet: heading = -atan2(oy, ox); the length is along rotz(-heading) x
     np.testing.assert_allclose(box.rotation, Rotation.from_euler("z", np.arctan2(0.8, 0.6)).as_matrix(), atol=1e-9)
 
 
-def test_scene_labels_are_what_the_toolbox_computes(scene: Path):
+def test_scene_labels_agree_with_the_toolbox(scene: Path):
     recording = open_recording(scene)
     frame = recording.frame(0)
     (truth,) = load_truth(recording, 0, frame)
     box = truth.box.transformed(frame.T_camera_label.inv())
-    # y counts downwards in the file; the orientation points to the first edge, towards the camera here
+    # y points down in the file; the orientation points to the first edge, here towards the camera
     np.testing.assert_allclose(box.center_m, [0.5, 3.0, -0.25], atol=1e-9)
     np.testing.assert_allclose(box.size_m, [2.0, 1.0, 1.5])
     np.testing.assert_allclose(box.rotation[:, 0], [0, -1, 0], atol=1e-9)
@@ -119,10 +119,10 @@ def test_scenes_without_annotations_have_no_truth(scene: Path):
     shutil.rmtree(scene / "annotation3Dfinal")
     assert not has_truth(open_recording(scene))
     write_scene(scene.with_name(f"{scene.name}-later"))
-    assert has_truth(open_recording(scene.parent)), "if only some have them"
+    assert has_truth(open_recording(scene.parent)), "it is enough if some scenes have annotations"
 
 
-def test_depth_values_are_turned_by_three_bits():
+def test_depth_values_are_rotated_by_three_bits():
     depth_m = decode_depth(np.array([[8, 0x8001, 1, 0]], np.uint16))
     np.testing.assert_allclose(depth_m, [[0.001, 12.288, 8.192, 0]], rtol=1e-6)
 
@@ -152,7 +152,9 @@ EXTRACTED_DAMAGES = [
 
 
 @pytest.mark.parametrize(("harm", "complaint"), EXTRACTED_DAMAGES)
-def test_damage_to_an_extracted_frame_is_named(extracted: Path, harm: Callable[[Path], Path], complaint: str):
+def test_errors_of_a_damaged_extracted_frame_name_the_file(
+    extracted: Path, harm: Callable[[Path], Path], complaint: str
+):
     path = harm(extracted)
     recording = open_recording(extracted)
     with pytest.raises(FrameError, match=complaint) as caught:
@@ -172,14 +174,14 @@ SCENE_DAMAGES = [
 
 
 @pytest.mark.parametrize(("harm", "complaint"), SCENE_DAMAGES)
-def test_damage_to_a_scene_is_named(scene: Path, harm: Callable[[Path], Path], complaint: str):
+def test_errors_of_a_damaged_scene_name_the_scene(scene: Path, harm: Callable[[Path], Path], complaint: str):
     harm(scene)
     with pytest.raises(FrameError, match=complaint) as caught:
         open_recording(scene).frame(0)
     assert str(scene) in str(caught.value)
 
 
-def test_filled_depth_is_read_where_there_is_no_other(scene: Path):
+def test_filled_depth_is_read_if_raw_depth_is_missing(scene: Path):
     (scene / "depth").rename(scene / "depth_bfx")
     check_frame(open_recording(scene).frame(0))
 
@@ -194,7 +196,7 @@ def test_filled_depth_is_read_where_there_is_no_other(scene: Path):
         ("bed 0 0 9 9 0 3 nan 1 1 0.5 0 1\n", "not a finite number"),
     ],
 )
-def test_broken_extracted_labels_name_the_line(extracted: Path, text: str, complaint: str):
+def test_errors_of_extracted_labels_name_the_line(extracted: Path, text: str, complaint: str):
     (extracted / "label" / "000001.txt").write_text(text)
     recording = open_recording(extracted)
     with pytest.raises(FormatError, match=complaint):
@@ -211,7 +213,7 @@ def test_broken_extracted_labels_name_the_line(extracted: Path, text: str, compl
         ({"Ymin": None}, "objects.0.polygon.0.Ymin"),
     ],
 )
-def test_broken_scene_labels_say_what(scene: Path, change: dict[str, object], complaint: str):
+def test_errors_of_scene_labels_name_the_field(scene: Path, change: dict[str, object], complaint: str):
     path = scene / "annotation3Dfinal" / "index.json"
     content = json.loads(path.read_text())
     content["objects"][0]["polygon"][0] |= change
@@ -222,7 +224,7 @@ def test_broken_scene_labels_say_what(scene: Path, change: dict[str, object], co
     assert caught.value.path == path
 
 
-def test_many_scenes_are_listed_without_a_look_into_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_scenes_are_listed_without_opening_their_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = tmp_path / "kv1" / "b3dodata"
     for number in range(50):
         scene = folder / f"scene{number:05d}"
@@ -236,10 +238,10 @@ def test_many_scenes_are_listed_without_a_look_into_them(tmp_path: Path, monkeyp
     monkeypatch.setattr(os, "listdir", lambda folder: pytest.fail(f"{folder} was listed"))
     monkeypatch.setattr(os.path, "isdir", lambda path: looked.append(str(path)) or is_dir(path))
     assert len(open_recording(tmp_path)) == 50
-    assert len(looked) <= 5 * 50, "a few looks at each scene's folders"
+    assert len(looked) <= 5 * 50, "a few checks per scene"
 
 
-def test_a_broken_scene_stops_nothing_else(scene: Path):
+def test_a_broken_scene_does_not_affect_others(scene: Path):
     write_scene(scene.with_name("other"))
     shutil.rmtree(scene / "depth")
     recording = open_recording(scene.parent)
@@ -249,14 +251,14 @@ def test_a_broken_scene_stops_nothing_else(scene: Path):
 
 
 @pytest.mark.shared
-def test_the_real_frame_in_both_layouts(shared: Path, tmp_path: Path):
+def test_the_real_frame_is_the_same_in_both_layouts(shared: Path, tmp_path: Path):
     data = shared / "data" / "sunrgbd"
     recording = open_recording(data / "sunrgbd_trainval")
     frame = recording.frame(0)
     assert (frame.key, frame.rgb.shape, frame.depth_m is None) == ("000001", (530, 730, 3), False)
     truths = load_truth(recording, 0, frame)
     assert [t.label for t in truths] == ["bed", "night_stand", "ottoman", "dresser_mirror", "dresser", "lamp"]
-    # frustum-pointnets wrote the same boxes in another way
+    # the same boxes, as written by frustum-pointnets
     boxes = json.loads((data / "imvotenet" / "boxes.json").read_text())["000001"]
     bed = truths[0].box.transformed(frame.T_camera_label.inv())
     theirs = next(each for each in boxes if each["class"] == "bed")

@@ -1,11 +1,11 @@
 """Fixtures for tests in a real browser: headless Chromium with software WebGL against the live server.
 
-`open_page()` gives pages of their own browser context (an own operator, own cookies), `page` is one of them. A test
-that fails leaves a screenshot of each page, and what the pages said on their console, under `out/screenshots` (git
-ignores it). A page that raised an error nobody caught fails its test.
+`open_page()` opens pages in separate browser contexts (with their own operator and cookies); `page` is one of them.
+A failed test leaves a screenshot and the console output of each page in `out/screenshots` (ignored by git). An
+uncaught error in a page fails the test.
 
-Most tests need neither a server nor a page of their own: `shop` is a file's one server, where each test makes itself a
-project, and `shared_page` its one page, without the 3D view (`shared_page_3d`: with it).
+Most tests share a server and a page: `shop` is the server of a test file, in which each test creates a project, and
+`shared_page` is its page without the 3D view (`shared_page_3d`: with it).
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ CHROMIUM_ARGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
-    # as a browser without a graphics card does it: only WebGL goes through the software GL, the page itself does not
+    # as in a browser without a graphics card: only WebGL uses the software GL, not the page itself
     "--disable-gpu-compositing",
     "--disable-background-networking",
 )
 VIEWPORT = {"width": 1366, "height": 768}
-# A limit for what hangs: software draws the 3D view, beside whatever else the machine does.
+# Long, since the 3D view is rendered in software, possibly on a busy machine.
 TIMEOUT_MS = 120_000.0
-# Software WebGL would take most of the time of tests that look at no 3D view.
+# For tests without the 3D view, which spend most of their time in software WebGL otherwise.
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 IS_CLEAN = """!document.querySelector("dialog[open]")
   && dispatchEvent(new Event("beforeunload", { cancelable: true }))"""
@@ -55,7 +55,7 @@ outcome_key = pytest.StashKey[bool]()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
-    """Remembers that a test failed, for the fixtures that are torn down after it."""
+    """Records that a test failed, for the teardown of its fixtures."""
     report = yield
     if report.failed:
         item.stash[outcome_key] = True
@@ -63,7 +63,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 def find_chromium() -> str | None:
-    """The browser: named by ANNOTATOR_CHROMIUM, or the first on the path."""
+    """The browser: ANNOTATOR_CHROMIUM, or the first one on the PATH."""
     named = os.environ.get("ANNOTATOR_CHROMIUM")
     return named or next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
 
@@ -72,8 +72,8 @@ def find_chromium() -> str | None:
 def browser() -> Iterator[Browser]:
     """One headless Chromium for the tests of a file.
 
-    Not for the session: while it runs, Playwright keeps an event loop in this thread, in which no other test could
-    start its own.
+    It is not session-scoped, because Playwright keeps an event loop running in this thread, and other tests start
+    their own.
     """
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="playwright is not installed; run scripts/setup test"
@@ -90,10 +90,10 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
-    """`open_page()` -> a new page in a context of its own; `page.goto("/")` is the live server's start page.
+    """`open_page()`: a new page in its own context; `page.goto("/")` opens the live server's start page.
 
-    Keyword arguments go to `Browser.new_context` (`color_scheme="dark"`, another `viewport` ...). Errors that a page
-    raised are in `page.errors`; clear the list in a test that expects one.
+    Keyword arguments are passed to `Browser.new_context`. Errors raised in a page are in `page.errors`; clear the list
+    in a test that expects one.
     """
     pages: list[Page] = []
 
@@ -102,7 +102,7 @@ def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterato
         return pages[-1]
 
     yield open_one
-    errors = _look_back(pages, request.node)
+    errors = _collect_errors(pages, request.node)
     for page in pages:
         page.context.close()
     assert not errors, f"a page raised {errors}; screenshots are in {SCREENSHOTS}"
@@ -116,7 +116,7 @@ def page(open_page: Callable[..., Page]) -> Page:
 
 @dataclass(eq=False)
 class Shop:
-    """A file's server, and its pages once tests have asked for them, by whether they have the 3D view."""
+    """The server of a test file, and its pages, keyed by whether they have the 3D view."""
 
     live: Live
     recording: Path
@@ -124,7 +124,7 @@ class Shop:
     pages: dict[bool, Page] = field(default_factory=dict)
 
     def new_project(self, recording: Path | None = None) -> Project:
-        """A project with 5 frames of people, none labelled; of the file's recording, or of one of the test's own."""
+        """Creates a project with 5 unlabelled frames of people, from the shared or the given recording."""
         self.projects += 1
         name = f"room{self.projects}"
         with create_project(self.live.settings.projects_root, name, ("person",)) as project:
@@ -134,7 +134,7 @@ class Shop:
 
 @pytest.fixture(scope="module")
 def shop(browser: Browser, generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    """One server for the tests of a file."""
+    """The server shared by the tests of a file."""
     settings = ServerSettings(tmp_path_factory.mktemp("shop") / "projects", (generated,), port=0)
     settings.projects_root.mkdir()
     with running(settings) as live:
@@ -146,38 +146,38 @@ def shop(browser: Browser, generated: Path, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture
 def shared_page(shop: Shop, browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
-    """The file's one page, without the 3D view; the test before has left no trace in it."""
+    """The page shared by the tests of a file, without the 3D view, reset after each test."""
     yield from _shared(shop, browser, request, with_3d=False)
 
 
 @pytest.fixture
 def shared_page_3d(shop: Shop, browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
-    """The same with the 3D view."""
+    """Like `shared_page`, with the 3D view."""
     yield from _shared(shop, browser, request, with_3d=True)
 
 
 @pytest.fixture
 def signed_in(shared_page_3d: Page, shop: Shop) -> Page:
-    """The file's one page, signed in as Ada."""
+    """The shared page with the 3D view, signed in as Ada."""
     sign_in(shared_page_3d, shop.live.url)
     return shared_page_3d
 
 
 @pytest.fixture
 def room(shop: Shop) -> Project:
-    """A project of the test's own on the file's server."""
+    """A new project on the shared server."""
     return shop.new_project()
 
 
 @pytest.fixture
 def desk(shared_page: Page, shop: Shop) -> Desk:
-    """A signed-in operator in Review of a project with proposals; the worst one is selected. Without the 3D view."""
+    """Review mode of a new project with proposals, without the 3D view; the most doubtful proposal is selected."""
     return begin(shared_page, shop)
 
 
 @pytest.fixture
 def desk_3d(shared_page_3d: Page, shop: Shop) -> Desk:
-    """The same with the 3D view."""
+    """Like `desk`, with the 3D view."""
     desk = begin(shared_page_3d, shop)
     desk.page.locator('[data-testid=viewport][data-state="ready"]').wait_for()
     return desk
@@ -190,15 +190,15 @@ def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3
             shop.pages[with_3d].add_init_script(NO_WEBGL)
     page = shop.pages[with_3d]
     yield page
-    errors = _look_back([page], request.node)
+    errors = _collect_errors([page], request.node)
     if errors or request.node.stash.get(outcome_key, False):
         shop.pages.pop(with_3d).context.close()
     else:
-        _tidy(page)
+        _reset(page)
     assert not errors, f"the page raised {errors}; a screenshot is in {SCREENSHOTS}"
 
 
-def _tidy(page: Page) -> None:
+def _reset(page: Page) -> None:
     page.unroute_all(behavior="ignoreErrors")
     if page.url == "about:blank":
         return
@@ -218,23 +218,21 @@ def _new_page(browser: Browser, url: str, **options: object) -> Page:
     return page
 
 
-def _look_back(pages: list[Page], test: pytest.Item) -> list[str]:
-    """Errors that pages raised; screenshots where there are any, or the test failed."""
+def _collect_errors(pages: list[Page], test: pytest.Item) -> list[str]:
+    """Returns errors raised in pages; saves screenshots if there are any, or if the test failed."""
     errors = [error for page in pages for error in page.errors]
     if errors or test.stash.get(outcome_key, False):
-        _keep(pages, test.nodeid)
+        _save_screenshots(pages, test.nodeid)
     return errors
 
 
-def _keep(pages: list[Page], test: str) -> None:
+def _save_screenshots(pages: list[Page], test: str) -> None:
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
     name = re.sub(r"[^\w.-]+", "_", test)
     for number, page in enumerate(pages):
         stem = SCREENSHOTS / f"{name}.{number}"
         try:
             page.screenshot(path=stem.with_suffix(f"{stem.suffix}.png"))
-        except (
-            Exception
-        ) as error:  # a page that crashed or was closed has no picture, but what it said is worth keeping
+        except Exception as error:  # a crashed or closed page has no screenshot, but its console output is saved
             page.said.append(f"no screenshot: {error}")
         stem.with_suffix(f"{stem.suffix}.txt").write_text("\n".join([page.url, *page.errors, *page.said]) + "\n")

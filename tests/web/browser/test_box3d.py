@@ -1,4 +1,4 @@
-"""The page's own mathematics (js/box3d.js, js/rotation.js, js/camera.js) against the package's, in a real browser."""
+"""The page's geometry (js/box3d.js, js/rotation.js, js/camera.js) agrees with the package's, in a real browser."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def from_json(box: dict) -> OrientedBox:
 
 
 def own_view(box: OrientedBox) -> dict[str, object]:
-    """A view along the box's own axes: x to the right, z up, as the server would give it."""
+    """A view along the box's axes, with x to the right and z up, as from the server."""
     x, y, z = box.rotation.T
     return {
         "axes": [x.tolist(), (-z).tolist(), y.tolist()],
@@ -92,18 +92,18 @@ def own_view(box: OrientedBox) -> dict[str, object]:
 
 
 def same_corners(a: OrientedBox, b: OrientedBox) -> bool:
-    """Whether two boxes are the same body, however their axes are called."""
+    """Whether two boxes are the same up to a permutation of their axes."""
     distance = np.linalg.norm(box_corners(a)[:, None] - box_corners(b)[None], axis=2)
     return bool((distance.min(axis=0) < 1e-9).all() and (distance.min(axis=1) < 1e-9).all())
 
 
-def test_corners_are_the_packages(call: Call) -> None:
+def test_corners_agree_with_the_package(call: Call) -> None:
     for box in random_boxes(5):
         np.testing.assert_allclose(call("box3d.corners", as_json(box)), box_corners(box), atol=1e-12)
 
 
 @pytest.mark.parametrize("lens", [*LENSES, TILTED_LENS])
-def test_projection_is_the_packages(call: Call, lens: tuple[float, ...]) -> None:
+def test_projection_agrees_with_the_package(call: Call, lens: tuple[float, ...]) -> None:
     camera = Camera(640, 480, 500.0, 510.0, 321.5, 240.5, lens)
     data = {"fx": 500, "fy": 510, "cx": 321.5, "cy": 240.5, "distortion": lens, "width": 640, "height": 480}
     points = np.array([[0.0, 0, 2], [0.7, -0.4, 2], [-0.9, 0.6, 3], [0.1, 0.1, -1]])
@@ -118,7 +118,7 @@ def test_projection_is_the_packages(call: Call, lens: tuple[float, ...]) -> None
         assert px.max(axis=0) == pytest.approx([seen.x_max, seen.y_max], abs=0.5)
 
 
-def test_an_outline_ends_where_the_picture_and_the_near_plane_end(call: Call) -> None:
+def test_an_outline_is_clipped_to_the_image_and_the_near_plane(call: Call) -> None:
     data = {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "distortion": [], "width": 640, "height": 480}
     around = OrientedBox.from_parts(np.array([0.0, 0, 0.5]), np.eye(3), np.array([0.2, 0.2, 4.0]))
     lines = call("camera.outline", data, as_json(around))
@@ -129,7 +129,7 @@ def test_an_outline_ends_where_the_picture_and_the_near_plane_end(call: Call) ->
     assert call("camera.outline", data, as_json(behind)) == []
 
 
-def test_one_edge_of_a_view_moves_one_face(call: Call) -> None:
+def test_moving_one_edge_in_a_view_moves_one_face(call: Call) -> None:
     for box in random_boxes(4):
         view = own_view(box)
         rect = call("box3d.viewRect", view, as_json(box))
@@ -142,7 +142,7 @@ def test_one_edge_of_a_view_moves_one_face(call: Call) -> None:
         np.testing.assert_allclose(higher.size_m, box.size_m + np.array([0.125, 0, 0.1]), atol=1e-9)
 
 
-def test_a_rectangle_that_moves_keeps_the_size(call: Call) -> None:
+def test_moving_the_rectangle_keeps_the_size(call: Call) -> None:
     box = random_boxes(1)[0]
     view = own_view(box)
     rect = call("box3d.viewRect", view, as_json(box))
@@ -152,7 +152,7 @@ def test_a_rectangle_that_moves_keeps_the_size(call: Call) -> None:
     np.testing.assert_allclose(after.center_m, box.center_m + 0.07 * box.rotation[:, 0], atol=1e-9)
 
 
-def test_no_edge_goes_through_its_opposite(call: Call) -> None:
+def test_an_edge_cannot_cross_the_opposite_edge(call: Call) -> None:
     box = random_boxes(1)[0]
     view = own_view(box)
     rect = call("box3d.viewRect", view, as_json(box))
@@ -160,7 +160,7 @@ def test_no_edge_goes_through_its_opposite(call: Call) -> None:
     assert min(call("box3d.withViewRect", view, as_json(box), rect)["size"]) > 0
 
 
-def test_a_turn_in_a_view_is_clockwise_on_the_screen(call: Call) -> None:
+def test_a_rotation_in_a_view_is_clockwise_on_the_screen(call: Call) -> None:
     box = random_boxes(1)[0]
     view = own_view(box)
     turned = from_json(call("box3d.turnedInView", view, as_json(box), np.pi / 6))
@@ -170,7 +170,7 @@ def test_a_turn_in_a_view_is_clockwise_on_the_screen(call: Call) -> None:
     np.testing.assert_allclose(turned.center_m, box.center_m, atol=1e-12)
 
 
-def test_the_heading_turns_and_the_body_stays(call: Call) -> None:
+def test_turning_the_heading_keeps_the_corners(call: Call) -> None:
     for box in random_boxes(3):
         turned = from_json(call("box3d.headingTurned", as_json(box)))
         assert same_corners(box, turned)
@@ -182,14 +182,14 @@ def test_the_heading_turns_and_the_body_stays(call: Call) -> None:
 
 
 @pytest.mark.parametrize("up", [None, UP, [0, 0, 1]])
-def test_angles_come_back(call: Call, up: list[float] | None) -> None:
+def test_angles_are_recovered(call: Call, up: list[float] | None) -> None:
     for box in random_boxes(4):
         angles = call("box3d.anglesDeg", as_json(box), up)
         back = call("box3d.withAnglesDeg", as_json(box), up, angles)
         np.testing.assert_allclose(back["rotation"], box.rotation, atol=1e-9)
 
 
-def test_yaw_turns_about_up_and_is_zero_away_from_the_camera(call: Call) -> None:
+def test_yaw_is_about_up_and_zero_away_from_the_camera(call: Call) -> None:
     up = np.array(UP) / np.linalg.norm(UP)
     start = {"center": [0, 0, 4], "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
     flat = call("box3d.withAnglesDeg", start, UP, {"yaw": 0, "pitch": 0, "roll": 0})

@@ -1,4 +1,4 @@
-"""The 2D editor under a real mouse: what is dragged is what is stored."""
+"""The 2D editor with a real mouse: boxes are stored as they are drawn."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _picture() -> str:
 
 @dataclass(eq=False)
 class Bench:
-    """A page with nothing but an editor of about 700 x 500 CSS pixels on it."""
+    """A page that contains only an editor of about 700 x 500 CSS pixels."""
 
     page: Any
 
@@ -68,7 +68,7 @@ class Bench:
         return [box[name] for name in ("x_min", "y_min", "x_max", "y_max")]
 
     def at(self, x: float, y: float) -> tuple[float, float]:
-        """The place of a picture's pixel in the page, computed from what the screen shows: the <img> itself."""
+        """The position of an image pixel on the page, computed from the <img> element."""
         rect = self.page.evaluate("() => document.querySelector('img.picture').getBoundingClientRect().toJSON()")
         return (
             rect["left"] + (x + 0.5) / WIDTH_PX * rect["width"],
@@ -76,7 +76,7 @@ class Bench:
         )
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], button: str = "left") -> None:
-        """A real mouse from one pixel of the picture to another."""
+        """Drags a real mouse from one image pixel to another."""
         begin, stop = self.at(*start), self.at(*end)
         mouse = self.page.mouse
         mouse.move(*begin)
@@ -91,7 +91,7 @@ class Bench:
 
 @pytest.fixture
 def live() -> SimpleNamespace:
-    """No server: the browser gets the page's files from the test itself."""
+    """Replaces the server: the test itself serves the page's files."""
     return SimpleNamespace(url="http://page.test")
 
 
@@ -103,7 +103,7 @@ def _serve_asset(route: Any) -> None:
 
 @pytest.fixture
 def bench(open_page: Callable[..., Any]) -> Callable[..., Bench]:
-    """`bench(options="{…}", **browser context)`: a page of one editor."""
+    """`bench(options="{…}", **browser_context)`: a page with one editor."""
 
     def make(options: str = "{}", **context: Any) -> Bench:
         page = open_page(**context)
@@ -128,7 +128,7 @@ def _box(x_min: float, y_min: float, x_max: float, y_max: float, **more: Any) ->
 
 
 @pytest.mark.parametrize("device_pixel_ratio", [1, 2])
-def test_a_drag_stores_where_it_began_and_ended_at_every_zoom(bench, device_pixel_ratio) -> None:
+def test_a_drag_stores_its_start_and_end_at_every_zoom(bench, device_pixel_ratio) -> None:
     it = bench("{single: true}", device_scale_factor=device_pixel_ratio)
     for wanted in (0.75, 1.5, 4.0, 11.0, 25.0):
         it.js("editor.setBoxes([])")
@@ -147,7 +147,7 @@ def test_a_drag_stores_where_it_began_and_ended_at_every_zoom(bench, device_pixe
     assert {entry["why"] for entry in it.log} == {"draw"}
 
 
-def test_zooming_changed_the_scale_and_kept_the_pixel_under_the_pointer(bench) -> None:
+def test_zooming_keeps_the_pixel_under_the_pointer(bench) -> None:
     it = bench()
     before, scale = it.at(70.0, 60.0), it.js("editor.transform.scale")
     it.page.mouse.move(*before)
@@ -160,7 +160,7 @@ def test_zooming_changed_the_scale_and_kept_the_pixel_under_the_pointer(bench) -
 
 
 @pytest.mark.parametrize("page_zoom", [0.8, 1.25, 1.5])
-def test_a_zoomed_page_changes_nothing(bench, page_zoom) -> None:
+def test_page_zoom_does_not_change_drawn_boxes(bench, page_zoom) -> None:
     it = bench()
     it.page.evaluate("(zoom) => { document.body.style.zoom = zoom; }", page_zoom)
     _settle(it.page)
@@ -179,7 +179,7 @@ def test_a_box_is_drawn_where_it_is_stored(bench) -> None:
     assert line["width"] == pytest.approx(picture["width"] * 10 / WIDTH_PX, abs=2)
 
 
-def test_a_drag_out_of_the_picture_ends_at_its_border(bench) -> None:
+def test_a_drag_out_of_the_image_is_clipped_to_its_border(bench) -> None:
     it = bench()
     it.drag((250.0, 180.0), (400.0, 238.0))
     assert it.edges() == pytest.approx([250, 180, WIDTH_PX - 0.5, 238], abs=0.5)
@@ -199,7 +199,7 @@ def test_a_drag_out_of_the_picture_ends_at_its_border(bench) -> None:
     ],
     ids=["left", "right", "top", "bottom", "top left", "bottom right", "top right", "right over left"],
 )
-def test_edges_and_corners_resize(bench, grab, drop, edges) -> None:
+def test_dragging_edges_and_corners_resizes_the_box(bench, grab, drop, edges) -> None:
     it = bench()
     it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120))
     it.drag(grab, drop)
@@ -207,7 +207,7 @@ def test_edges_and_corners_resize(bench, grab, drop, edges) -> None:
     assert [entry["why"] for entry in it.log] == ["resize"]
 
 
-def test_the_inside_moves_and_the_border_stops_it(bench) -> None:
+def test_dragging_the_inside_moves_the_box_up_to_the_border(bench) -> None:
     it = bench()
     it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120))
     it.drag((100, 90), (112, 75))
@@ -217,7 +217,7 @@ def test_the_inside_moves_and_the_border_stops_it(bench) -> None:
     assert [entry["why"] for entry in it.log] == ["move", "move"]
 
 
-def test_several_boxes_a_click_selects_and_del_deletes(bench) -> None:
+def test_a_click_selects_one_of_several_boxes_and_delete_removes_it(bench) -> None:
     it = bench()
     it.drag((20, 20), (80, 90))
     it.drag((120, 30), (200, 160))
@@ -229,7 +229,7 @@ def test_several_boxes_a_click_selects_and_del_deletes(bench) -> None:
     assert [entry["why"] for entry in it.log] == ["draw", "draw", "delete"]
 
 
-def test_shift_draws_over_a_selected_box(bench) -> None:
+def test_shift_draws_a_new_box_inside_a_selected_one(bench) -> None:
     it = bench()
     it.js("editor.setBoxes([value], 0)", _box(20, 20, 300, 220))
     it.page.keyboard.down("Shift")
@@ -239,7 +239,7 @@ def test_shift_draws_over_a_selected_box(bench) -> None:
     assert it.edges(0) == [20, 20, 300, 220]
 
 
-def test_arrows_nudge_by_whole_pixels_and_are_one_change(bench) -> None:
+def test_arrow_keys_move_edges_by_whole_pixels_as_one_change(bench) -> None:
     it = bench()
     it.js("editor.setBoxes([value], 0)", _box(50.25, 60.5, 150.25, 120.5))
     it.js("editor.root.focus()")
@@ -250,7 +250,7 @@ def test_arrows_nudge_by_whole_pixels_and_are_one_change(bench) -> None:
     assert [(entry["why"], entry["actions"]) for entry in it.log] == [("nudge", 5)]
 
 
-def test_escape_gives_a_drag_up(bench) -> None:
+def test_escape_cancels_a_drag(bench) -> None:
     it = bench()
     it.js("editor.setBoxes([value], 0)", _box(50, 60, 150, 120))
     it.page.mouse.move(*it.at(100, 90))
@@ -278,7 +278,7 @@ def test_a_suggestion_is_accepted_by_a_click_or_enter_and_corrected_by_a_drag(be
     assert it.edges() == pytest.approx([50, 60, 160, 120], abs=0.5)
 
 
-def test_one_box_only_is_replaced_by_drawing(bench) -> None:
+def test_drawing_replaces_the_box_of_a_single_box_editor(bench) -> None:
     it = bench("{single: true}")
     it.js("editor.setBoxes([value], 0)", _box(50, 60, 90, 120))
     it.drag((150, 100), (200, 180))
@@ -287,7 +287,7 @@ def test_one_box_only_is_replaced_by_drawing(bench) -> None:
 
 
 @pytest.mark.parametrize("how", ["middle button", "space"])
-def test_panning_moves_the_picture_and_no_box(bench, how) -> None:
+def test_panning_moves_the_image_and_changes_no_box(bench, how) -> None:
     it = bench()
     before = it.at(100, 100)
     if how == "space":
@@ -304,7 +304,7 @@ def test_panning_moves_the_picture_and_no_box(bench, how) -> None:
     assert it.edges() == pytest.approx([20, 30, 60, 80], abs=0.5)
 
 
-def test_the_rotation_handle_tells_a_clockwise_turn_as_positive(bench) -> None:
+def test_the_rotation_handle_reports_clockwise_angles_as_positive(bench) -> None:
     it = bench("{single: true, canDraw: false, clip: false}")
     it.js("editor.setHandles({rotate: true}) ?? editor.setBoxes([value], 0)", _box(110, 100, 210, 160))
     _settle(it.page)
@@ -320,7 +320,7 @@ def test_the_rotation_handle_tells_a_clockwise_turn_as_positive(bench) -> None:
     assert it.log[-1]["angle"] == pytest.approx(1.5708, abs=0.01)
 
 
-def test_a_click_in_an_overlay_tells_its_id(bench) -> None:
+def test_a_click_on_an_overlay_reports_its_id(bench) -> None:
     it = bench()
     outline = [[[40, 40], [120, 40]], [[120, 40], [120, 100]], [[120, 100], [40, 100]], [[40, 100], [40, 40]]]
     it.js("editor.setOverlays([{segments: value, color: 'lime', id: 'abc'}])", outline)
@@ -334,7 +334,7 @@ def _touch(session: Any, kind: str, *points: tuple[float, float]) -> None:
     session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
 
 
-def test_a_finger_draws_and_two_fingers_zoom(bench) -> None:
+def test_one_finger_draws_and_two_fingers_zoom(bench) -> None:
     it = bench(has_touch=True)
     session = it.page.context.new_cdp_session(it.page)
     _touch(session, "touchStart", it.at(40, 50))

@@ -1,4 +1,4 @@
-"""Export in a real browser: choose, start, watch, download; and the pages that say how far a project is."""
+"""Export in a real browser: options, progress and download; and the Statistics and Checks pages."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 
-def test_nothing_to_export_says_what_to_do_next(signed_in: Page, room: Project) -> None:
+def test_without_reviewed_boxes_the_page_says_what_to_do_next(signed_in: Page, room: Project) -> None:
     signed_in.goto(f"/#/{room.path.name}/export")
     expect(signed_in.get_by_test_id("export-start")).to_be_disabled()
     expect(signed_in.get_by_text("No boxes are accepted yet")).to_be_visible()
 
 
-def test_a_dataset_is_made_and_downloaded(
+def test_a_dataset_is_exported_and_downloaded(
     signed_in: Page, shop: Shop, own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Without the frame that cannot be read, as somebody has chosen; the page says which one it is."""
+    """The unreadable frame is left out, as chosen, and the page names it."""
     recording = own_copy("people")
     room = shop.new_project(recording)
     chosen = label_truth(room, recording, 3)
@@ -46,7 +46,7 @@ def test_a_dataset_is_made_and_downloaded(
     unreadable = signed_in.get_by_test_id("export-unreadable").locator("li")
     expect(unreadable).to_contain_text("people/depth/000000.png: the file is empty")
     expect(unreadable).not_to_contain_text(str(tmp_path))
-    signed_in.reload()  # the job and its file are still known
+    signed_in.reload()  # the page shows the job and its file again
     with signed_in.expect_download() as downloading:
         signed_in.get_by_test_id("download").click()
     packed = tmp_path / "dataset.zip"
@@ -65,7 +65,7 @@ def test_a_dataset_is_made_and_downloaded(
     expect(signed_in.get_by_test_id("download")).to_have_count(0)
 
 
-def test_a_format_that_holds_less_says_what_it_left_out(shared_page: Page, shop: Shop, room: Project) -> None:
+def test_the_losses_of_a_format_are_shown(shared_page: Page, shop: Shop, room: Project) -> None:
     page = shared_page
     label_truth(room, shop.recording, 2)
     sign_in(page, shop.live.url)
@@ -84,11 +84,11 @@ def test_a_format_that_holds_less_says_what_it_left_out(shared_page: Page, shop:
     expect(page.get_by_test_id("export-lost")).to_contain_text("boxes have a track id")
 
 
-def test_statistics_say_what_the_server_says(signed_in: Page, shop: Shop, room: Project) -> None:
+def test_statistics_show_the_servers_numbers(signed_in: Page, shop: Shop, room: Project) -> None:
     count = label_truth(room, shop.recording, 2)
     signed_in.goto(f"/#/{room.path.name}/statistics")
-    told = shop.live.client.get(f"/api/projects/{room.path.name}/statistics").json()
-    assert told["labels"]["total"] == count
+    statistics = shop.live.client.get(f"/api/projects/{room.path.name}/statistics").json()
+    assert statistics["labels"]["total"] == count
     row = signed_in.get_by_test_id("stats-states").locator("tr", has_text="person")
     expect(row.locator("td").last).to_have_text(str(count))
     expect(signed_in.locator(".chart .plot-container").first).to_be_visible()

@@ -1,4 +1,4 @@
-"""Label mode in a real browser: five drags an object, each saved as it is made."""
+"""Label mode in a real browser: five drags per object, each saved at once."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SIDES = ("front", "side")
 
 @dataclass(eq=False)
 class Bench:
-    """A page in Label mode, the project behind it, and what is truly on its frame."""
+    """A page in Label mode, its project, and the true objects of its frame."""
 
     page: Page
     live: Live
@@ -44,7 +44,7 @@ class Bench:
 
     @property
     def api(self) -> str:
-        """Where the project is."""
+        """The URL path of the project's API."""
         return f"/api/projects/{self.project.path.name}"
 
     @property
@@ -65,23 +65,23 @@ class Bench:
         return self.page.get_by_test_id("hint").inner_text()
 
     def saved(self) -> None:
-        """Nothing is on its way to the server any more."""
+        """Waits until all changes are saved."""
         self.page.wait_for_selector(".label-mode:not([data-saving])")
         assert self.page.get_by_test_id("save-problem").inner_text() == ""
 
     def draw_on_image(self, number: int) -> dict[str, Any]:
-        """Drags the image box of a true object; the answer holds its first views."""
+        """Draws the image box of a true object; returns the answer with its first views."""
         camera = self.scene.frame.camera
         with self.page.expect_response(brings_views) as answer:
             drag_box(self.page, "image-editor", self.scene.image_box(number), camera.width_px, camera.height_px)
         return answer.value.json()
 
     def draw_on_views(self, number: int, views: list[dict[str, Any]]) -> None:
-        """Drags the boxes of a true object on the two views that are shown."""
+        """Draws the boxes of a true object on the two shown views."""
         draw_on_views(self.page, self.scene, number, views)
 
     def draw_on_view(self, side: int, view: dict[str, Any], box: dict[str, Any]) -> None:
-        """Drags a box on one of the two views that are shown."""
+        """Draws a box on one of the two shown views."""
         drag_box(self.page, f"view-{SIDES[side]}", box, view["width"], view["height"])
 
     def wait_for_view(self, side: int, view: dict[str, Any]) -> None:
@@ -89,7 +89,7 @@ class Bench:
         pane.locator(f'img.picture[src="{view["url"]}"]').wait_for(state="attached")
 
     def draw_object(self, number: int) -> None:
-        """All five drags of a true object."""
+        """Draws all five boxes of a true object."""
         first = self.draw_on_image(number)
         with self.page.expect_response(brings_views) as answer:
             self.draw_on_views(number, first["steps"][0]["views"])
@@ -108,7 +108,7 @@ class Bench:
 
 @pytest.fixture
 def bench(shared_page: Page, shop: Shop, generated: Path) -> Bench:
-    """A signed-in operator in Label on a frame without labels; `live.client` is another one. Without the 3D view."""
+    """Label mode on a frame without labels, without the 3D view; `live.client` is another operator."""
     project = shop.new_project()
     sign_in(shared_page, shop.live.url, "Bob")
     shared_page.goto(f"/#/{project.path.name}/label/{FRAME}")
@@ -121,7 +121,7 @@ def _close(a: dict[str, Any], b: dict[str, Any]) -> bool:
     return all(abs(a[edge] - b[edge]) < 0.5 for edge in EDGES)
 
 
-def test_an_object_from_nothing_takes_five_drags(bench: Bench) -> None:
+def test_a_new_object_takes_five_drags(bench: Bench) -> None:
     bench.draw_object(0)
     (label,) = bench.labels
     assert label.label == "person"
@@ -139,7 +139,7 @@ def test_an_object_from_nothing_takes_five_drags(bench: Bench) -> None:
     assert effort["seconds_a_box"] > 0
 
 
-def test_each_drag_is_kept_when_it_is_made_and_survives_a_reload(bench: Bench) -> None:
+def test_each_drag_is_saved_at_once_and_survives_a_reload(bench: Bench) -> None:
     first = bench.draw_on_image(0)
     bench.saved()
     assert _close(bench.image_boxes[0], bench.scene.image_box(0))
@@ -156,7 +156,7 @@ def test_each_drag_is_kept_when_it_is_made_and_survives_a_reload(bench: Bench) -
     expect(bench.page.get_by_test_id("view-front").get_by_test_id("editor-box")).to_have_count(1)
 
 
-def test_a_single_box_on_the_side_view_comes_back_on_the_side_view(bench: Bench) -> None:
+def test_a_box_on_the_side_view_alone_is_restored_after_a_reload(bench: Bench) -> None:
     views = bench.draw_on_image(0)["steps"][0]["views"]
     bench.wait_for_view(1, views[1])
     bench.draw_on_view(1, views[1], bench.scene.view_box(0, views[1]))
@@ -167,7 +167,7 @@ def test_a_single_box_on_the_side_view_comes_back_on_the_side_view(bench: Bench)
     assert bench.page.get_by_test_id("view-front").get_by_test_id("editor-box").count() == 0
 
 
-def test_a_finished_object_follows_a_correction(bench: Bench) -> None:
+def test_correcting_a_view_box_updates_the_label(bench: Bench) -> None:
     bench.draw_object(0)
     (before,) = bench.labels
     bench.page.get_by_test_id("view-front").get_by_test_id("editor2d").focus()
@@ -180,7 +180,7 @@ def test_a_finished_object_follows_a_correction(bench: Bench) -> None:
 
 
 def _metres(state: dict[str, Any]) -> np.ndarray:
-    """What the boxes of the frame's one object span on its views, metres along their axes."""
+    """The extent of the boxes of the frame's only object on its views, metres along their axes."""
     views = state["objects"][0]["views"]
     px = np.array([[[box[edge] for edge in EDGES[:2]], [box[edge] for edge in EDGES[2:]]] for _, box in views])
     scale, origin = (np.array([view[name] for view, _ in views]) for name in ("metres_per_px", "origin_m"))
@@ -199,7 +199,7 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
         for _ in range(6):
             page.keyboard.press(key)
 
-    # the new views cannot be had
+    # the request for the new views fails
     page.route("**/label/steps", lambda route: route.abort())
     move("ArrowRight")
     problem.get_by_role("button").wait_for()
@@ -216,7 +216,7 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
     guesses = page.locator(".views .box.suggested")
     expect(guesses).to_have_count(2)  # the second step's views have other axes
 
-    # they come when the object is not the current one any more
+    # the answer arrives after the object was deselected
     held: list[Any] = []
     page.route("**/label/steps", lambda route: route.continue_() if held else held.append(route))
     move("ArrowLeft")
@@ -234,7 +234,7 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
     expect(guesses).to_have_count(2)
 
 
-def test_undo_takes_drags_back_and_redo_does_them_again(bench: Bench) -> None:
+def test_undo_and_redo_work_on_single_drags(bench: Bench) -> None:
     bench.draw_object(0)
     row = bench.page.get_by_test_id("object")
     bench.page.keyboard.press("Control+z")
@@ -249,7 +249,7 @@ def test_undo_takes_drags_back_and_redo_does_them_again(bench: Bench) -> None:
     assert row.get_attribute("data-uid") == bench.labels[0].uid
 
 
-def test_delete_takes_the_label_with_its_boxes(bench: Bench) -> None:
+def test_deleting_an_object_deletes_its_label_and_boxes(bench: Bench) -> None:
     bench.draw_object(0)
     bench.page.get_by_role("button", name="Delete this person").click()
     bench.saved()
@@ -260,7 +260,7 @@ def test_delete_takes_the_label_with_its_boxes(bench: Bench) -> None:
     assert len(bench.labels) == 1
 
 
-def test_a_finalised_frame_takes_no_boxes_until_it_is_reopened(bench: Bench) -> None:
+def test_a_finalised_frame_accepts_no_boxes_until_it_is_reopened(bench: Bench) -> None:
     bench.page.get_by_test_id("finalise").click()
     bench.saved()
     assert "finalised" in bench.hint
@@ -273,7 +273,7 @@ def test_a_finalised_frame_takes_no_boxes_until_it_is_reopened(bench: Bench) -> 
     assert len(bench.image_boxes) == 1
 
 
-def test_what_boxes_mean_is_told_to_the_server(bench: Bench) -> None:
+def test_the_kind_of_boxes_is_saved(bench: Bench) -> None:
     bench.draw_on_image(0)
     bench.saved()
     assert bench.state["image_boxes"]["box_kind"] == "silhouette"
@@ -282,26 +282,26 @@ def test_what_boxes_mean_is_told_to_the_server(bench: Bench) -> None:
     assert bench.state["image_boxes"]["box_kind"] == "box"
 
 
-def test_another_operators_boxes_appear_by_themselves(bench: Bench) -> None:
+def test_another_operators_boxes_appear_without_a_reload(bench: Bench) -> None:
     bench.other_saves(bench.scene.image_box(1))
     bench.page.get_by_test_id("object").wait_for()
 
 
 def _save_in_between(bench: Bench, box: dict[str, Any]) -> None:
-    """Another operator is faster: saves in the moment in which this page's next drag is on its way."""
+    """Lets another operator save just before this page's next drag is saved."""
 
     done: list[bool] = []
 
-    def meddle(route: Any) -> None:
+    def save_first(route: Any) -> None:
         if not done:
             done.append(True)
             bench.other_saves(box)
         route.continue_()
 
-    bench.page.route("**/label/object", meddle)
+    bench.page.route("**/label/object", save_first)
 
 
-def test_a_stale_edit_shows_both_versions_and_mine_can_go_on_top(bench: Bench) -> None:
+def test_a_stale_edit_shows_both_versions_and_can_be_saved_on_top(bench: Bench) -> None:
     theirs, mine = bench.scene.image_box(1), bench.scene.image_box(0)
     _save_in_between(bench, theirs)
     bench.draw_on_image(0)
@@ -315,7 +315,7 @@ def test_a_stale_edit_shows_both_versions_and_mine_can_go_on_top(bench: Bench) -
     assert bench.page.get_by_test_id("object").count() == 2
 
 
-def test_taking_theirs_keeps_mine_in_sight_to_be_saved_after_all(bench: Bench) -> None:
+def test_after_taking_the_other_version_the_own_box_can_still_be_saved(bench: Bench) -> None:
     theirs, mine = bench.scene.image_box(1), bench.scene.image_box(0)
     _save_in_between(bench, theirs)
     bench.draw_on_image(0)
@@ -330,7 +330,7 @@ def test_taking_theirs_keeps_mine_in_sight_to_be_saved_after_all(bench: Bench) -
     assert _close(bench.image_boxes[1], mine)
 
 
-def test_keys_lead_from_frame_to_frame_and_the_table_lists_them(bench: Bench) -> None:
+def test_keys_change_the_frame_and_the_key_table_lists_them(bench: Bench) -> None:
     bench.page.get_by_test_id("order").select_option("time")
     bench.page.keyboard.press("n")
     bench.page.wait_for_url("**/label/2")
@@ -345,7 +345,7 @@ def test_keys_lead_from_frame_to_frame_and_the_table_lists_them(bench: Bench) ->
     table.wait_for(state="detached")
 
 
-def test_a_refused_save_is_told_and_can_be_tried_again(bench: Bench) -> None:
+def test_a_failed_save_is_shown_and_can_be_retried(bench: Bench) -> None:
     bench.page.route("**/label/object", lambda route: route.abort())
     bench.draw_on_image(0)
     problem = bench.page.get_by_test_id("save-problem")
@@ -367,7 +367,7 @@ def test_a_refused_save_is_told_and_can_be_tried_again(bench: Bench) -> None:
 
 @pytest.fixture
 def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """`teach(image=..., view=...)`: gives the project detectors, and opens the page anew."""
+    """`teach(image=..., view=...)`: gives the project detectors, and reloads the page."""
 
     def taught(**detectors: Any) -> None:
         ready = {
@@ -403,11 +403,11 @@ def test_suggestions_are_accepted_with_enter(
     assert effort["actions_a_box"] == 5
 
 
-class Slow:
-    """A detector that answers when it may."""
+class BlockedDetector:
+    """A detector that blocks until `may_answer` is set."""
 
     labels = ("person",)
-    fingerprint = "slow"
+    fingerprint = "blocked"
 
     def __init__(self, detector: Any) -> None:
         self.detector = detector
@@ -419,15 +419,17 @@ class Slow:
 
 
 @pytest.fixture
-def slow(bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]) -> Iterator[Slow]:
-    """The project's view detector, which does not answer yet."""
-    detector = Slow(knowing("people", kind=BoxKind.SILHOUETTE).view)
+def blocked(bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]) -> Iterator[BlockedDetector]:
+    """A view detector of the project that is still blocked."""
+    detector = BlockedDetector(knowing("people", kind=BoxKind.SILHOUETTE).view)
     teach(view=detector)
     yield detector
     detector.may_answer.set()
 
 
-def test_views_wait_for_no_detector_and_its_boxes_take_no_drawn_ones_place(bench: Bench, slow: Slow) -> None:
+def test_views_do_not_wait_for_the_detector_and_suggestions_replace_no_drawn_box(
+    bench: Bench, blocked: BlockedDetector
+) -> None:
     views = bench.draw_on_image(0)["steps"][0]["views"]
     front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
     bench.wait_for_view(1, views[1])
@@ -436,14 +438,14 @@ def test_views_wait_for_no_detector_and_its_boxes_take_no_drawn_ones_place(bench
     bench.draw_on_view(0, views[0], mine)
     bench.saved()
     assert side.locator(".box.suggested").count() == 0
-    slow.may_answer.set()
+    blocked.may_answer.set()
     expect(side.locator(".box.suggested")).to_have_count(1)
     expect(front.locator(".box.suggested")).to_have_count(0)
     (kept,) = [box for _, box in bench.state["objects"][0]["views"] if box]
     assert abs(kept["x_max"] - mine["x_max"]) < 1
 
 
-def test_a_box_drawn_and_deleted_meanwhile_is_not_suggested_again(bench: Bench, slow: Slow) -> None:
+def test_a_box_deleted_while_the_detector_runs_is_not_suggested_again(bench: Bench, blocked: BlockedDetector) -> None:
     views = bench.draw_on_image(0)["steps"][0]["views"]
     front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
     bench.wait_for_view(0, views[0])
@@ -452,12 +454,12 @@ def test_a_box_drawn_and_deleted_meanwhile_is_not_suggested_again(bench: Bench, 
     bench.page.keyboard.press("Delete")
     expect(front.get_by_test_id("editor-box")).to_have_count(0)
     bench.saved()
-    slow.may_answer.set()
+    blocked.may_answer.set()
     expect(side.locator(".box.suggested")).to_have_count(1)
     expect(front.locator(".box.suggested")).to_have_count(0)
 
 
-def test_a_detector_that_cannot_be_loaded_is_told_once(bench: Bench, tmp_path: Path) -> None:
+def test_a_detector_that_cannot_be_loaded_is_reported_once(bench: Bench, tmp_path: Path) -> None:
     weights = tmp_path / "broken" / "best.pt"
     weights.parent.mkdir()
     weights.write_bytes(b"no weights")
@@ -474,7 +476,7 @@ def test_a_detector_that_cannot_be_loaded_is_told_once(bench: Bench, tmp_path: P
     expect(told).to_have_count(0)
 
 
-def test_the_next_frame_is_read_ahead_and_navigation_gives_that_up(bench: Bench) -> None:
+def test_the_next_frame_is_prefetched_and_navigation_cancels_that(bench: Bench) -> None:
     page = bench.page
     page.evaluate("localStorage.setItem('label-order', 'time')")
     with page.expect_request("**/frames/2/image.jpg*"):

@@ -1,4 +1,4 @@
-"""The live page in a browser: frames as they come, what stands beside them, and Pause."""
+"""The live page in a browser: frames, figures and Pause."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 STARTS_MS = 60_000.0
 
 
-def test_frames_are_shown_as_they_come_until_somebody_pauses(browser: Browser, generated: Path, tmp_path: Path) -> None:
+def test_frames_are_shown_until_paused(browser: Browser, generated: Path, tmp_path: Path) -> None:
     with served(ServerSettings(tmp_path, port=0), generated / "hands") as (url, pipeline, _):
         page = browser.new_context(viewport={"width": 1000, "height": 700}).new_page()
         page.set_default_timeout(STARTS_MS)
@@ -42,6 +42,6 @@ def test_frames_are_shown_as_they_come_until_somebody_pauses(browser: Browser, g
 
 
 def drawn(screenshot: bytes) -> float:
-    """The share of the 3D view, left of the panel, that is not its background."""
+    """The fraction of the 3D view, left of the panel, that is not background."""
     view = np.asarray(Image.open(io.BytesIO(screenshot)).convert("RGB"))[160:, :540].astype(int)
     return float((np.abs(view - view[-1, 0]).max(axis=2) > 30).mean())

@@ -1,4 +1,4 @@
-"""Review in a real browser: the selected box is changed in the views along its axes, by numbers, and in 3D."""
+"""Review in a real browser: changing the selected box in the views along its axes, by numbers, and in 3D."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 
 
 @pytest.mark.parametrize("view", ["top", "front", "side"])
-def test_a_dragged_edge_moves_one_face_by_as_many_metres(desk: Desk, wait_for, view: str) -> None:
+def test_dragging_an_edge_moves_one_face_by_the_same_distance(desk: Desk, wait_for, view: str) -> None:
     before = desk.label.box
     rect = desk.box(view).bounding_box()
     assert rect is not None
@@ -28,14 +28,14 @@ def test_a_dragged_edge_moves_one_face_by_as_many_metres(desk: Desk, wait_for, v
     side = int(changed[0])
     px_m = before.size_m[side] / (rect["width"] - 2)  # the line around the box is 2 px wide
     assert after.size_m[side] - before.size_m[side] == pytest.approx(pull * px_m, rel=0.02)
-    # the face on the other side stayed where it was
+    # the opposite face did not move
     shift = before.rotation.T @ (after.center_m - before.center_m)
     assert abs(shift[side]) == pytest.approx((after.size_m[side] - before.size_m[side]) / 2, abs=1e-6)
     assert np.abs(np.delete(shift, side)).max() < 1e-6
     np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-6)
 
 
-def test_while_an_edge_is_dragged_nothing_is_asked_and_all_pictures_follow(desk: Desk) -> None:
+def test_dragging_an_edge_sends_no_requests_and_updates_all_views(desk: Desk) -> None:
     page = desk.page
     rect = desk.box("top").bounding_box()
     assert rect is not None
@@ -87,7 +87,7 @@ def test_the_rotation_handle_turns_the_box_about_its_centre(desk: Desk, wait_for
     assert abs(turn[2]) == pytest.approx(np.linalg.norm(turn), rel=1e-3)  # seen from the top: about the box's own z
     np.testing.assert_allclose(after.center_m, before.center_m, atol=1e-6)
     np.testing.assert_allclose(after.size_m, before.size_m, atol=1e-9)
-    desk.settled()  # new pictures, along the new axes: the box is a rectangle again
+    desk.settled()  # the new views are along the new axes, where the box is a rectangle
 
 
 def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None:
@@ -109,7 +109,7 @@ def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None
     assert np.degrees(turn) == pytest.approx(20, abs=0.2)
 
 
-def test_escape_takes_back_a_number_that_is_not_saved(desk: Desk) -> None:
+def test_escape_restores_an_unsaved_number(desk: Desk) -> None:
     field = desk.page.get_by_test_id("field-center-x")
     was = field.input_value()
     field.fill("9.5")
@@ -129,7 +129,7 @@ def test_keys_work_when_the_focus_is_in_the_3d_view(desk_3d: Desk, wait_for) -> 
     wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED)
 
 
-def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(desk_3d: Desk, wait_for) -> None:
+def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_on_release(desk_3d: Desk, wait_for) -> None:
     desk, page = desk_3d, desk_3d.page
     with page.expect_response(lambda response: '"gizmo":"translate"' in (response.request.post_data or "")) as answer:
         desk.press("t")
@@ -139,12 +139,12 @@ def test_the_gizmo_moves_the_box_along_its_axis_and_saves_it_when_it_is_let_go(d
     rect = page.get_by_test_id("viewport").bounding_box()
     assert rect is not None
     box, uid = desk.label.box, desk.uid
-    page.wait_for_timeout(1000)  # the gizmo is on the screen
+    page.wait_for_timeout(1000)  # until the gizmo is drawn
 
     def on_axis(axis: int, share: float) -> tuple[float, float]:
         return seen_by_viewer(bench, rect, box.center_m + share * node.scale * box.rotation[:, axis])
 
-    # of the three arrows the one that is seen longest: taken at its middle, and pulled outwards
+    # drags the arrow that is longest on the screen, from its middle outwards
     lengths = [np.linalg.norm(np.subtract(on_axis(axis, 1.0), on_axis(axis, 0.0))) for axis in range(3)]
     axis = int(np.argmax(lengths))
     start, end = on_axis(axis, 0.6), on_axis(axis, 1.0)

@@ -1,4 +1,4 @@
-"""Review in a real browser: frames are stepped through, finalised, seen by others, and not always readable."""
+"""Review in a real browser: navigation, finalising, changes of other operators, and unreadable frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from annotator.types.errors import FrameError
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 
-def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
+def test_keys_change_the_frame_and_finalise_it(desk: Desk, wait_for) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
     desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
@@ -32,7 +32,7 @@ def test_frames_are_stepped_through_and_finalised(desk: Desk, wait_for) -> None:
     wait_for(lambda: not desk.project.frames.get(frames[0]).finalised)
 
 
-def test_of_two_frames_asked_for_the_later_one_is_opened(desk: Desk) -> None:
+def test_of_two_requested_frames_the_last_one_is_opened(desk: Desk) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
     desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
@@ -46,7 +46,7 @@ def test_of_two_frames_asked_for_the_later_one_is_opened(desk: Desk) -> None:
     assert desk.frame == frames[1]
 
 
-def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
+def test_another_operators_change_appears_at_once(desk: Desk) -> None:
     frame, uid = desk.frame, desk.uid
     revision = desk.project.frames.get(frame).revision
     body = {"revision": revision, "changes": [{"kind": "reject", "uid": uid}], "effort": None, "subject": None}
@@ -56,9 +56,7 @@ def test_what_another_operator_does_is_seen_at_once(desk: Desk) -> None:
     row.wait_for()
 
 
-def test_a_frame_that_cannot_be_read_says_so_in_place_of_its_picture(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unreadable_frame_shows_its_error_instead_of_its_image(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     page, frames = desk.page, desk.live.context.caches.frames
     page.evaluate("localStorage.setItem('label-order', 'time')")
     first, second, third = (stored.id for stored in desk.project.frames.of()[:3])

@@ -1,4 +1,4 @@
-"""Review in a real browser: boxes that are fitted, drawn on the image, or copied from the frame before."""
+"""Review in a real browser: boxes that are fitted, drawn on the image, or copied from the previous frame."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for)
     wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before))
 
 
-# A new box is accepted again before the server has answered: what is sent, and which boxes are left unsaved.
+# Accepts a new box twice before the server has answered; returns the sent changes and the unsaved boxes.
 ACCEPTED_TWICE = """async () => {
   const { createDesk } = await import("/assets/js/review/desk.js");
   const sent = [];
@@ -90,17 +90,17 @@ def test_a_new_box_is_drawn_on_the_image(
     draw_on_image(desk, scene.image_box(0))
     expect(page.get_by_test_id("label-state")).to_have_text("new")
     desk.settled()
-    desk.press("t")  # gizmo and views work on it as on any other box
+    desk.press("t")  # gizmo and views work as for other boxes
     field = page.get_by_test_id("field-size-length")
     field.fill("0.9")
     field.press("Enter")
     assert {stored.label.uid for stored in desk.project.labels.select()} == known
-    desk.press("n")  # nobody has accepted it: it is not left behind without a word
+    desk.press("n")  # the page asks before it leaves a box that is not accepted
     expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box that nobody has accepted")
     page.get_by_test_id("dialog-stay").click()
     page.locator("dialog").wait_for(state="detached")
     page.get_by_test_id("ortho-top").get_by_test_id("editor2d").focus()
-    desk.press("ArrowRight", "Space")  # the arrow keys leave a draft for a moment
+    desk.press("ArrowRight", "Space")  # an arrow key leaves unsaved changes for a moment
     wait_for(lambda: len(desk.project.labels.select()) == len(known) + 1)
     (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
     assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
@@ -112,7 +112,7 @@ def test_a_new_box_is_drawn_on_the_image(
     )  # the drag, the number, the arrow, Space
     assert page.evaluate(ACCEPTED_TWICE) == [["create"], []]
 
-    # without a detector, Label goes on with it; not where the operator stays, and opens Label later
+    # without a detector, the box is continued in Label, unless the operator stays and opens Label later
     monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))
     desk.settled()
     frame = desk.frame

@@ -1,4 +1,4 @@
-"""Review in a real browser: the queue of proposals, and the keys it is worked off with."""
+"""Review in a real browser: the queue of proposals and its keys."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from annotator.types import ReviewState
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 
-def test_one_key_accepts_a_right_proposal_and_counts_one_action(desk: Desk, wait_for) -> None:
+def test_one_key_accepts_a_proposal_and_counts_as_one_action(desk: Desk, wait_for) -> None:
     first, items = desk.uid, desk.page.get_by_test_id("queue-item").count()
     desk.press("Space")
     wait_for(lambda: desk.project.labels.get(first).label.state is ReviewState.ACCEPTED)
@@ -24,7 +24,7 @@ def test_one_key_accepts_a_right_proposal_and_counts_one_action(desk: Desk, wait
     assert statistics["accepted_untouched"] == 1
 
 
-def test_the_queue_is_worked_off_with_one_key_a_proposal(desk: Desk, wait_for) -> None:
+def test_the_whole_queue_can_be_accepted_with_one_key_per_proposal(desk: Desk, wait_for) -> None:
     items = desk.page.get_by_test_id("queue-item").count()
     assert items >= 2 * FRAMES
     for left in range(items - 1, -1, -1):
@@ -37,7 +37,7 @@ def test_the_queue_is_worked_off_with_one_key_a_proposal(desk: Desk, wait_for) -
     assert desk.live.client.get(f"{desk.api}/statistics").json()["effort"]["actions_a_box"] == 1
 
 
-def test_an_edit_is_undone_and_done_again(desk: Desk, wait_for) -> None:
+def test_an_edit_can_be_undone_and_redone(desk: Desk, wait_for) -> None:
     before, uid = desk.label.box, desk.uid
     desk.press("f")
     wait_for(lambda: desk.label.state is ReviewState.EDITED)
@@ -52,7 +52,7 @@ def test_an_edit_is_undone_and_done_again(desk: Desk, wait_for) -> None:
     np.testing.assert_array_equal(desk.project.labels.get(uid).label.box.size_m, turned.size_m)
 
 
-def test_the_heading_turns_by_90_degrees_and_the_body_stays(desk: Desk, wait_for) -> None:
+def test_the_heading_turns_by_90_degrees_and_the_corners_stay(desk: Desk, wait_for) -> None:
     before = desk.label.box
     desk.press("f")
     wait_for(lambda: desk.label.state is ReviewState.EDITED)
@@ -62,7 +62,7 @@ def test_the_heading_turns_by_90_degrees_and_the_body_stays(desk: Desk, wait_for
     np.testing.assert_allclose(after.center_m, before.center_m, atol=1e-9)
 
 
-def test_reject_delete_tab_and_the_class_by_a_digit(desk: Desk, wait_for) -> None:
+def test_keys_reject_delete_select_and_set_the_class(desk: Desk, wait_for) -> None:
     desk.project.configure(classes=("person", "chair"))
     desk.page.reload()
     desk.settled()
@@ -94,7 +94,7 @@ def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) ->
     desk.settled()
     page.keyboard.press("Escape")
     expect(page.locator('[data-testid="frame-box"][aria-current="true"]')).to_have_count(0)
-    # pictures are drawn anew with the next frame of the screen, so what is found now may be gone in a moment
+    # overlays are redrawn with the next animation frame, so elements found before may be stale
     x, y = page.evaluate(
         """uid => new Promise((tell) => requestAnimationFrame(() => requestAnimationFrame(() => {
             const lines = document.querySelector(`[data-testid=editor-overlay][data-id="${uid}"]`);

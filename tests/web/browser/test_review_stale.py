@@ -1,4 +1,4 @@
-"""Review in a real browser: edits that are late or could not be saved are neither lost nor forced."""
+"""Review in a real browser: stale and failed edits are neither lost nor forced."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 
 
 @pytest.mark.parametrize("choice", ["theirs", "mine"])
-def test_a_stale_edit_shows_both_versions_and_loses_neither(desk: Desk, wait_for, choice: str) -> None:
+def test_a_stale_edit_shows_both_versions_in_review(desk: Desk, wait_for, choice: str) -> None:
     frame, uid, before = desk.frame, desk.uid, desk.label.box
-    # a change that the page has not heard of
+    # a change that is not announced to the page
     context = WriteContext(desk.project.frames.get(frame).revision, "Bob")
     desk.project.labels.accept(frame, uid, context)
     desk.press("f")
@@ -45,7 +45,7 @@ def test_a_box_that_could_not_be_saved_stays_until_it_is_saved_or_discarded(desk
     assert float(page.get_by_test_id("field-size-length").input_value()) == pytest.approx(size[1], abs=6e-4)
     assert page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
 
-    # nobody leaves it behind without a word
+    # the page asks before it leaves the unsaved box
     for key in ("n", "Control+z"):
         desk.press(key)
         page.get_by_test_id("unsaved-dialog").wait_for()
@@ -74,7 +74,7 @@ def test_a_box_that_could_not_be_saved_stays_until_it_is_saved_or_discarded(desk
     expect(page).not_to_have_url(here)
 
 
-# The rule by itself: states as the server sends them, and what is shown after each.
+# Server states in this order, and the state that the page shows after each.
 OVERTAKING = """async () => {
   const load = (name) => import(`/assets/js/${name}.js`);
   const { createFrameState } = await load("frame_state");

@@ -1,4 +1,4 @@
-"""Review in a real browser: an object over the recording, carried on, filled in, and found again."""
+"""Review in a real browser: tracks are continued into the next frame, filled between key frames, and followed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def of_track(desk: Desk, frame: int, track_id: int = 7) -> list[Label]:
     return [label for label in desk.project.labels.of_frame(frame) if label.track_id == track_id]
 
 
-def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for) -> None:
+def test_a_track_is_continued_filled_and_followed(desk: Desk, wait_for) -> None:
     page, project = desk.page, desk.project
     frames = [stored.id for stored in project.frames.of()]
     page.goto(f"/#/{desk.name}/review/{frames[0]}")
@@ -27,22 +27,22 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     page.get_by_test_id("field-track").fill("7")
     page.get_by_test_id("field-track").press("Enter")
     wait_for(lambda: desk.label.track_id == 7)
-    assert desk.label.state is ReviewState.PROPOSED, "its box was not looked at"
+    assert desk.label.state is ReviewState.PROPOSED, "setting the track is not a review of the box"
     desk.settled()
     expect(page.get_by_test_id("track-tick")).to_have_count(1)
 
-    # the track that is still typed comes along with the answer
+    # a track id that is still being typed is saved with the decision
     page.get_by_test_id("field-track").fill("70")
     desk.press("Space")
     wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED)
     assert desk.project.labels.get(uid).label.track_id == 70
-    # the page has gone on to the next proposal
+    # the page has selected the next proposal
     page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
     desk.settled()
     page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
     desk.settled()
-    # a rejected box is accepted, too, where only its track was typed
+    # the same for a rejected box
     desk.press("x")
     wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.REJECTED)
     desk.settled()
@@ -63,7 +63,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     assert desk.label.state is ReviewState.ACCEPTED
     page.locator("body").click(position={"x": 2, "y": 2})
 
-    # there are no detectors: the reviewed box is copied, and the page goes there
+    # without detectors the reviewed box is copied, and the page opens that frame
     desk.press("v")
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     (copied,) = of_track(desk, frames[1])
@@ -80,7 +80,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     desk.press("Control+z")
     wait_for(lambda: not of_track(desk, frames[1]))
 
-    # somebody reviews the object in frame 4; what lies between is filled from there
+    # another operator reviews the object in frame 4, from which the frames between are filled
     first = project.labels.get(uid).label
     context = WriteContext(project.frames.get(frames[3]).revision, "bob")
     project.labels.create(frames[3], [NewLabel(first.label, first.box, track_id=7)], context)
@@ -107,7 +107,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     desk.press("Escape")
 
 
-def test_what_cannot_be_carried_on_is_said(desk: Desk) -> None:
+def test_continuing_without_a_reviewed_box_or_track_gives_a_message(desk: Desk) -> None:
     frames = [stored.id for stored in desk.project.frames.of()]
     desk.page.goto(f"/#/{desk.name}/review/{frames[0]}")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")

@@ -1,9 +1,8 @@
-"""A day at the workbench, without a terminal: from an empty folder of projects to a downloaded dataset.
-
-Everything is done with the mouse and the keys, in one browser with its 3D view, on a generated recording; the truth is
-used to know where to drag and what to accept, and at the end to say how good the downloaded boxes are. The training is
-so short that it teaches next to nothing, and proposals come from detectors that know the truth: what a training
-teaches depends on the processor, and is measured by `benchmarks.loop`.
+"""The whole workflow in the workbench, without a terminal: from an empty projects folder to a downloaded dataset.
+Everything is done with mouse and keyboard, in one browser with the 3D view, on a generated recording. The ground truth
+determines where to drag and what to accept, and measures the downloaded boxes. The training is too short to be useful,
+and proposals come from perfect detectors, since the result of a training depends on the processor; `benchmarks.loop`
+measures it.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ RIGHT = 0.5
 
 @pytest.fixture
 def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
-    """A server that has no project yet, and may show the generated recordings."""
+    """Settings of a server without projects that may access the generated recordings."""
     return ServerSettings(tmp_path / "projects", (generated,), port=0)
 
 
@@ -52,15 +51,15 @@ def begins_job(answer: Response) -> bool:
 
 
 @pytest.fixture
-def workers_know(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Worker processes find `knowing_jobs`."""
+def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worker processes can import `knowing_jobs`."""
     paths = [str(Path(knowing_jobs.__file__).parent), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
 @dataclass(eq=False)
 class Operator:
-    """Somebody at the page who knows where things truly are."""
+    """A simulated operator of the page who knows the ground truth."""
 
     page: Page
     live: Live
@@ -92,7 +91,7 @@ class Operator:
         self.click("open-crowd")
 
     def draw_object(self, scene: Scene, number: int) -> None:
-        """Five drags."""
+        """Draws the five boxes of an object."""
         camera = scene.frame.camera
         with self.page.expect_response(brings_views) as answer:
             drag_box(self.page, "image-editor", scene.image_box(number), camera.width_px, camera.height_px)
@@ -103,7 +102,7 @@ class Operator:
         self.page.wait_for_selector(".label-mode:not([data-saving])")
 
     def label_frames(self) -> int:
-        """Every visible object of the frames to label; how many there were."""
+        """Draws all visible objects of the frames to label; returns their number."""
         self.page.get_by_test_id("order").select_option("time")
         drawn = 0
         for index in LABELLED:
@@ -138,8 +137,8 @@ class Operator:
         expect(self.page.locator('[data-testid="model-row"][data-active="true"]')).to_have_count(2)
         expect(self.page.get_by_test_id("material-image")).not_to_contain_text("nothing yet")
 
-    def propose_by_what_was_learned(self) -> None:
-        """Which is nothing; but the detectors run."""
+    def propose_with_trained_detectors(self) -> None:
+        """Checks that the trained detectors run; they are not expected to find anything."""
         models = self.live.client.get("/api/projects/crowd/models").json()["models"]
         assert [(model["role"], model["active"]) for model in models] == [("image", True), ("view", True)]
         for model in models:
@@ -174,8 +173,8 @@ class Operator:
         assert line.get_attribute("data-state") == "done", line.inner_text()
 
     def review(self) -> dict[str, int]:
-        """Goes through the queue: Space for what is right, X for what is nothing, a mended box for what is between."""
-        done = {"accepted": 0, "mended": 0, "rejected": 0}
+        """Reviews the queue: accepts correct boxes, rejects false positives, and corrects the others."""
+        done = {"accepted": 0, "corrected": 0, "rejected": 0}
         self.page.get_by_test_id("queue-item").first.wait_for()
         while int(self.page.get_by_test_id("queue-remaining").inner_text().split()[0]):
             uid = self.selected()
@@ -188,16 +187,16 @@ class Operator:
                 self.page.keyboard.press("x")
                 done["rejected"] += 1
             else:
-                self.mend(truth)
+                self.correct(truth)
                 self.page.keyboard.press("Space")
-                done["mended"] += 1
+                done["corrected"] += 1
             self.wait_until_decided(uid)
         return done
 
     def selected(self) -> str:
         row = self.page.locator('[data-testid="frame-box"][aria-current="true"]')
         row.wait_for()
-        # no key decides while a frame is being opened
+        # keys have no effect while a frame is being opened
         expect(self.page.get_by_test_id("saving")).to_have_text("")
         uid = row.get_attribute("data-uid")
         assert uid is not None
@@ -212,8 +211,8 @@ class Operator:
         best = int(np.argmax(overlaps))
         return truths[best], overlaps[best]
 
-    def mend(self, truth: Truth) -> None:
-        """Types in where the object truly is and how large."""
+    def correct(self, truth: Truth) -> None:
+        """Enters the object's true position and size."""
         for name, value in zip(("x", "y", "z"), truth.box.center_m, strict=True):
             self.page.get_by_test_id(f"field-center-{name}").fill(f"{value:.3f}")
         for name, value in zip(("length", "width", "height"), truth.box.size_m, strict=True):
@@ -245,7 +244,7 @@ class Operator:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-@pytest.mark.usefixtures("workers_know")
+@pytest.mark.usefixtures("jobs_on_path")
 def test_from_an_empty_folder_to_a_downloaded_dataset(
     page: Page, live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,7 +255,7 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
     drawn = operator.label_frames()
     monkeypatch.setitem(WORK, "train", "knowing_jobs:train")
     operator.train()
-    operator.propose_by_what_was_learned()
+    operator.propose_with_trained_detectors()
     monkeypatch.setitem(WORK, "propose", "knowing_jobs:propose")
     operator.propose()
     decided = operator.review()
@@ -270,7 +269,7 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
         boxes = [label.box for label in exported.labels]
         assert {label.author for label in exported.labels} == {"Ada"}
         ious += [max(iou_3d(box, item.box) for item in scene.objects) for box in boxes]
-    assert len(ious) == drawn + decided["accepted"] + decided["mended"]
+    assert len(ious) == drawn + decided["accepted"] + decided["corrected"]
     assert np.mean(ious) > 0.6, sorted(ious)
     assert min(ious) > 0.25, sorted(ious)
 

@@ -1,4 +1,4 @@
-"""The start page in a real browser: from nothing to the first frame, with what a new operator sees on the way."""
+"""The start page in a real browser: creating projects, adding and locating recordings, and errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def start(open_page: Callable[..., Page]) -> Page:
     return page
 
 
-def test_a_new_project_gets_a_recording_and_opens(start: Page, live: Live) -> None:
+def test_a_new_project_can_be_created_filled_and_opened(start: Page, live: Live) -> None:
     expect(start.get_by_test_id("project-room")).to_contain_text("1 recording, 5 frames")
     start.get_by_test_id("new-project").click()
     start.get_by_test_id("project-name").fill("hands")
@@ -49,13 +49,13 @@ def test_a_new_project_gets_a_recording_and_opens(start: Page, live: Live) -> No
     expect(start.get_by_test_id("frame-position")).to_have_text("1 / 5")
 
 
-def test_the_boxes_of_a_recording_are_read_in_the_background(start: Page, live: Live) -> None:
+def test_the_boxes_of_a_recording_are_imported_in_the_background(start: Page, live: Live) -> None:
     live.client.post("/api/projects", json={"name": "crowd", "classes": ["person"]})
     start.reload()
     start.get_by_test_id("add-recording-crowd").click()
     start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
     dialog = start.get_by_test_id("add-recording-dialog")
-    dialog.get_by_test_id("folder-people").click()  # what else is in its folder can be looked at
+    dialog.get_by_test_id("folder-people").click()  # the recording's folder can be opened
     crumbs = dialog.get_by_label("Folder", exact=True)
     expect(crumbs).to_contain_text("people")
     crumbs.get_by_role("button").nth(1).click()
@@ -67,7 +67,7 @@ def test_the_boxes_of_a_recording_are_read_in_the_background(start: Page, live: 
     expect(start.get_by_test_id("project-crowd").get_by_test_id("job-import")).to_be_hidden()
 
 
-# How long `imports.js` waits between its questions, while a job goes on for as many of them; times pass at once.
+# The delays between the requests of `imports.js` while a job runs; timers fire at once.
 WAITS = """async (questions) => {
   const { followImports } = await import("/assets/js/start/imports.js");
   const waits = [];
@@ -85,13 +85,13 @@ WAITS = """async (questions) => {
 }"""
 
 
-def test_a_long_import_is_asked_for_less_and_less(start: Page) -> None:
+def test_a_long_import_is_polled_less_and_less_often(start: Page) -> None:
     waits = start.evaluate(WAITS, 9)
     assert len(waits) == 9 and waits[0] == 700
     assert waits == sorted(waits) and waits[-1] == 5000
 
 
-def test_a_recording_that_was_moved_is_located(start: Page, live: Live, tmp_path: Path, generated: Path) -> None:
+def test_a_moved_recording_can_be_located(start: Page, live: Live, tmp_path: Path, generated: Path) -> None:
     there = tmp_path / "was here" / "people"
     shutil.copytree(generated / "people", there)
     project = live.context.project("room")
@@ -110,7 +110,7 @@ def test_a_recording_that_was_moved_is_located(start: Page, live: Live, tmp_path
     assert project.recordings.get(1).path == generated / "people"
 
 
-def test_a_name_that_cannot_be_is_told_in_the_dialog(start: Page) -> None:
+def test_the_dialog_shows_the_error_of_an_invalid_name(start: Page) -> None:
     start.get_by_test_id("new-project").click()
     start.get_by_test_id("project-name").fill("room")
     start.get_by_test_id("project-classes").fill("person")
@@ -120,14 +120,14 @@ def test_a_name_that_cannot_be_is_told_in_the_dialog(start: Page) -> None:
     expect(start.get_by_test_id("dialog-create")).to_be_enabled()
 
 
-def test_a_project_that_is_not_there_says_so(start: Page) -> None:
+def test_a_missing_project_is_reported(start: Page) -> None:
     start.goto("/#/nowhere/label/1")
     expect(start.get_by_test_id("page-problem")).to_be_visible()
     start.get_by_role("link", name="All projects").last.click()
     expect(start.get_by_test_id("project-room")).to_be_visible()
 
 
-def test_the_theme_is_switched_and_kept(start: Page) -> None:
+def test_the_theme_can_be_switched_and_survives_a_reload(start: Page) -> None:
     def background() -> str:
         return start.evaluate("() => getComputedStyle(document.body).backgroundColor")
 

@@ -1,4 +1,4 @@
-"""Train in a real browser: what there is to learn from, and a training that is stopped; `test_scenario` ends one."""
+"""Train in a real browser: training data, errors, and stopping a training; `test_scenario` completes one."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 
-def test_nothing_to_learn_from_says_what_to_do_next(signed_in: Page, room: Project) -> None:
+def test_without_boxes_the_page_says_what_to_do_next(signed_in: Page, room: Project) -> None:
     signed_in.goto(f"/#/{room.path.name}/train")
     expect(signed_in.get_by_text("There are no boxes to train on yet")).to_be_visible()
     expect(signed_in.get_by_test_id("train-start")).to_be_hidden()
     expect(signed_in.get_by_test_id("propose-start")).to_be_disabled()
 
 
-def test_bad_settings_are_told_where_they_are(signed_in: Page, room: Project, generated: Path) -> None:
+def test_invalid_settings_are_shown_as_an_error(signed_in: Page, room: Project, generated: Path) -> None:
     label_truth(room, generated / "people", 1)
     signed_in.goto(f"/#/{room.path.name}/train")
     signed_in.get_by_test_id("train-role-image").uncheck()
@@ -33,7 +33,9 @@ def test_bad_settings_are_told_where_they_are(signed_in: Page, room: Project, ge
 
 
 @pytest.mark.slow
-def test_a_training_is_found_again_and_stopped(signed_in: Page, room: Project, generated: Path) -> None:
+def test_a_running_training_is_shown_after_a_reload_and_can_be_stopped(
+    signed_in: Page, room: Project, generated: Path
+) -> None:
     page = signed_in
     count = label_truth(room, generated / "people", 2)
     page.goto(f"/#/{room.path.name}/train")
@@ -45,7 +47,7 @@ def test_a_training_is_found_again_and_stopped(signed_in: Page, room: Project, g
     page.get_by_test_id("train-start").click()
     expect(page.get_by_test_id("stop-train")).to_be_visible()
     expect(page.get_by_test_id("job-indicator")).to_be_visible()
-    page.reload()  # it goes on, and the page finds it again
+    page.reload()  # the training continues, and the page shows it again
     expect(page.get_by_test_id("job-train-text")).to_contain_text("train the image detector")
     page.get_by_test_id("stop-train").click()
     expect(page.get_by_test_id("job-train-text")).to_contain_text("topped")

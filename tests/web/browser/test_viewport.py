@@ -1,4 +1,4 @@
-"""The 3D view in a real browser: the cloud is drawn, keys belong to the page, the gizmo and a click tell the page."""
+"""The 3D view in a real browser: drawing, keys that are forwarded to the page, clicks and the gizmo."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 STARTS_S = 60.0
 LEFT, TOP, WIDTH, HEIGHT = 200, 100, 700, 520
 
-# The page's own modules around the view, without a mode: `view` and what it and the key table have told.
+# Loads the page's modules without a mode; `told` and `pressed` record the events of `view` and the keys.
 PAGE = """async ([project, left, top, width, height]) => {
   const load = (name) => import(`/assets/js/${name}.js`);
   const [viewport, keys, api, events, effort, state] = await Promise.all(
@@ -49,7 +49,7 @@ PAGE = """async ([project, left, top, width, height]) => {
 
 @pytest.fixture
 def live(shop: Shop) -> Live:
-    """The file's server."""
+    """The server shared by the tests of a file."""
     return shop.live
 
 
@@ -63,13 +63,13 @@ def room(shop: Shop) -> Project:
 
 @pytest.fixture
 def labels(room: Project) -> list[Label]:
-    """The boxes on its first frame."""
+    """The boxes on the first frame."""
     return list(room.labels.of_frame(room.frames.of()[0].id))
 
 
 @pytest.fixture
 def view(shared_page_3d: Page, shop: Shop, room: Project) -> Iterator[Page]:
-    """A page with the view of the first frame, connected and drawn; it goes from test to test."""
+    """The shared page with the view of the first frame, connected and drawn."""
     page = shared_page_3d
     if not page.evaluate("'view' in window"):
         begin(page, shop.live, room)
@@ -81,7 +81,7 @@ def view(shared_page_3d: Page, shop: Shop, room: Project) -> Iterator[Page]:
 
 
 def begin(page: Page, live: Live, room: Project) -> None:
-    """The page's modules, without a mode."""
+    """Opens the page's modules without a mode."""
     sign_in(page, live.url)
     page.goto("/")
     page.evaluate(PAGE, [room.path.name, LEFT, TOP, WIDTH, HEIGHT])
@@ -92,13 +92,13 @@ def show(page: Page, **scene: Any) -> None:
 
 
 def picture(page: Page) -> np.ndarray:
-    """What is on the screen where the view is."""
+    """The screenshot of the view, as int RGB."""
     clip = {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}
     return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")).astype(int)
 
 
 def drawn(page: Page) -> float:
-    """Share of the view's pixels that are not its background."""
+    """The fraction of the view's pixels that are not background."""
     seen = picture(page)
     return float((np.abs(seen - seen[2, 2]).max(axis=2) > 24).mean())
 
@@ -108,17 +108,19 @@ def bench(live: Live, page: Page) -> Any:
 
 
 def camera(live: Live, page: Page) -> np.ndarray:
-    """Where viser's camera is: position and direction."""
+    """The position and orientation of viser's camera."""
     (client,) = bench(live, page)._server.get_clients().values()
     return np.concatenate([client.camera.position, client.camera.wxyz])
 
 
 def on_screen(live: Live, page: Page, point: np.ndarray) -> tuple[float, float]:
-    """Where a point of the camera frame is on the page."""
+    """The position on the page of a point in the camera frame."""
     return seen_by_viewer(bench(live, page), {"x": LEFT, "y": TOP, "width": WIDTH, "height": HEIGHT}, point)
 
 
-def test_the_cloud_is_drawn_in_its_own_colours_and_the_newest_scene_wins(view: Page, live: Live, room: Project) -> None:
+def test_the_cloud_is_drawn_in_its_colours_and_only_the_last_of_many_scenes(
+    view: Page, live: Live, room: Project
+) -> None:
     assert drawn(view) > 0.3
     mean = picture(view).reshape(-1, 3)
     mean = mean[np.abs(mean - mean[0]).max(axis=1) > 24].mean(axis=0)
@@ -139,7 +141,7 @@ def test_the_cloud_is_drawn_in_its_own_colours_and_the_newest_scene_wins(view: P
     until(view, lambda: drawn(view) < 0.01)
 
 
-def test_keys_in_the_view_reach_the_page_and_never_the_camera(view: Page, live: Live) -> None:
+def test_keys_in_the_view_are_forwarded_to_the_page_and_do_not_move_the_camera(view: Page, live: Live) -> None:
     view.mouse.click(LEFT + 10, TOP + 10)
     assert view.evaluate("document.activeElement.dataset.testid") == "viewport-frame"
     view.wait_for_timeout(500)
@@ -156,7 +158,7 @@ def test_keys_in_the_view_reach_the_page_and_never_the_camera(view: Page, live: 
     np.testing.assert_array_equal(camera(live, view), before)
     assert np.abs(picture(view) - seen).mean() < 0.1
 
-    # the mouse does turn it
+    # the mouse rotates the camera
     view.mouse.move(LEFT + 100, TOP + 450)
     view.mouse.down()
     view.mouse.move(LEFT + 200, TOP + 430, steps=5)
@@ -176,7 +178,7 @@ def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Live, la
     view.wait_for_timeout(1000)
     node = bench(live, view)._server.scene.get_handle_by_name("/selected")
     axis = label.box.rotation[:, 0]
-    # the arrow along the box's own x: take it at its middle, pull outwards
+    # drags the arrow along the box's x axis, from its middle outwards
     start, end = (on_screen(live, view, label.box.center_m + share * node.scale * axis) for share in (0.6, 1.0))
     view.mouse.move(*start)
     view.wait_for_timeout(300)
@@ -195,7 +197,7 @@ def test_a_click_selects_a_box_and_the_gizmo_moves_it(view: Page, live: Live, la
     np.testing.assert_allclose(events[-1]["box"]["rotation"], label.box.rotation, atol=1e-6)
 
 
-def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Page, live: Live) -> None:
+def test_the_view_survives_moving_and_a_server_restart_and_closes_with_the_page(view: Page, live: Live) -> None:
     known = view.evaluate("view.id")
     view.evaluate("view.detach()")
     until(view, lambda: not view.get_by_test_id("viewport-frame").is_visible())
@@ -204,7 +206,7 @@ def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Pa
     assert view.evaluate("[view.id, view.state]") == [known, "ready"]
     until(view, lambda: drawn(view) > 0.1)
 
-    # the server has closed it, or was started anew
+    # the server has closed the view, or was restarted
     live.client.delete(f"/api/workbench/{known}")
     show(view, frame=2)
     until(view, f"view.id !== null && view.id !== '{known}' && view.state === 'ready'")
@@ -216,7 +218,7 @@ def test_the_view_outlives_its_place_and_its_workbench_but_not_the_page(view: Pa
     until(view, lambda: len(benches._open) == 0)
 
 
-def test_without_webgl_the_page_says_so(shared_page: Page, live: Live, room: Project) -> None:
+def test_without_webgl_the_page_shows_a_note(shared_page: Page, live: Live, room: Project) -> None:
     known = list(live.server.app.state.viewports._open)
     begin(shared_page, live, room)
     show(shared_page, frame=1)

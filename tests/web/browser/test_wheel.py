@@ -1,7 +1,6 @@
-"""The wheel, built and installed without the network: its commands in an empty folder, and its page in a browser.
-
-The sdist is built from the repository and the wheel from the sdist, so what either lacks is missed here. The wheel's
-environment sees the installed dependencies of this one, but not the repository.
+"""The wheel, built and installed without network access: its commands in an empty folder, and its page in a browser.
+The sdist is built from the repository and the wheel from the sdist, so that files missing in either are detected. The
+wheel's environment contains the dependencies of this one, but not the repository.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the environment's pr
 
 ROOT = Path(__file__).resolve().parents[3]
 STEM = f"rcv_annotator-{__version__}"
-# What names another file of the page, in HTML, CSS and JavaScript.
+# References to other files of the page in HTML, CSS and JavaScript.
 NAMED = re.compile(
     r"""(?:src|href)="(/[^"#]+)" | url\(["']?([^"')]+) | ["'](/assets/[^"']+)["'] | ["'](\.{1,2}/[\w./-]+\.js)["']""",
     re.VERBOSE,
@@ -42,7 +41,7 @@ NAMED = re.compile(
 
 @dataclass(frozen=True)
 class Installed:
-    """An environment with the wheel, and the folder in which its commands are run."""
+    """An environment with the wheel, and the working folder of its commands."""
 
     programs: Path
     folder: Path
@@ -59,7 +58,7 @@ class Installed:
         )
 
     def run(self, *words: str, code: int = 0) -> str:
-        """What a program says: on standard output, or on standard error where it is to fail."""
+        """Runs a program; returns its standard output, or standard error if a failure is expected."""
         with self.start(*words) as process:
             out, err = process.communicate(timeout=120)
         assert process.returncode == code, out + err
@@ -68,12 +67,12 @@ class Installed:
 
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the sdist, and the wheel that was built from it."""
+    """A folder with the sdist and the wheel built from it."""
     for module in ("build", "hatchling.build"):
-        pytest.importorskip(module, reason="what builds the wheel is not installed; run scripts/setup test")
+        pytest.importorskip(module, reason="the build tools are not installed; run scripts/setup test")
     folder = tmp_path_factory.mktemp("archives")
     words = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
-    # not in the repository, where a folder `build` would hide the module
+    # not run in the repository, where a folder `build` would shadow the module
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
@@ -81,7 +80,7 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(archives: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    """The wheel in an environment of its own."""
+    """The wheel in its own environment."""
     environment = tmp_path_factory.mktemp("environment")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
     python = environment / "bin" / "python"
@@ -94,7 +93,7 @@ def installed(archives: Path, tmp_path_factory: pytest.TempPathFactory) -> Insta
         capture_output=True,
         text=True,
     )
-    # Their own .pth files are not read, and with them not the one that leads to the repository.
+    # The .pth files in these folders are not read, including the one that points to the repository.
     folders = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages")]
     Path(where.stdout.strip(), "dependencies.pth").write_text("\n".join(folders) + "\n")
     return Installed(environment / "bin", tmp_path_factory.mktemp("empty"))
@@ -102,7 +101,7 @@ def installed(archives: Path, tmp_path_factory: pytest.TempPathFactory) -> Insta
 
 @pytest.fixture(scope="module")
 def project(installed: Installed) -> str:
-    """A project with a recording, made by the wheel's commands."""
+    """A project with a recording, created by the wheel's commands."""
     size = ["--width", "160", "--height", "120"]
     installed.run("annotator", "generate", "people", "--frames", "2", *size)
     installed.run("annotator", "new", "room", "--classes", "person")
@@ -113,7 +112,7 @@ def project(installed: Installed) -> str:
 
 @pytest.fixture(scope="module")
 def live(installed: Installed, project: str) -> Iterator[SimpleNamespace]:
-    """`annotator serve` of the wheel, in the place of the server that other tests of pages have."""
+    """Replaces the test server by the wheel's `annotator serve`."""
     process = installed.start("annotator", "serve", project, "--port", "0")
     assert process.stdout is not None
     assert process.stderr is not None
@@ -129,13 +128,13 @@ def live(installed: Installed, project: str) -> Iterator[SimpleNamespace]:
 
 
 def files_below(folder: Path) -> set[str]:
-    """The files in a folder of the repository, by their paths in it, without what git ignores there."""
+    """The relative paths of the files in a folder of the repository, without files ignored by git."""
     paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     generated = {"__pycache__", "node_modules", "server.d.ts"}
     return {path.as_posix() for path in paths if not generated & set(path.parts)}
 
 
-def test_the_wheel_holds_the_package_and_the_page(archives: Path) -> None:
+def test_the_wheel_contains_exactly_the_package_and_the_page(archives: Path) -> None:
     with ZipFile(archives / f"{STEM}-py3-none-any.whl") as wheel:
         names = {name for name in wheel.namelist() if not name.startswith(f"{STEM}.dist-info/")}
     page = {name for name in files_below(ROOT / "web_assets") if not name.endswith((".md", ".json"))}
@@ -143,7 +142,7 @@ def test_the_wheel_holds_the_package_and_the_page(archives: Path) -> None:
     assert names == package | {f"annotator/web_assets/{name}" for name in page}
 
 
-def test_the_sdist_holds_the_repository_without_what_work_leaves_in_it(archives: Path) -> None:
+def test_the_sdist_contains_the_repository_without_generated_files(archives: Path) -> None:
     with tarfile.open(archives / f"{STEM}.tar.gz") as sdist:
         names = {Path(*Path(name).parts[1:]).as_posix() for name in sdist.getnames()}
     for folder in ("annotator", "web_assets", "tests", "scripts"):
@@ -155,7 +154,7 @@ def test_the_sdist_holds_the_repository_without_what_work_leaves_in_it(archives:
     assert {name for name in names if name.startswith("projects/")} == {"projects/README.md"}
 
 
-def test_the_installed_program_is_the_wheels(installed: Installed) -> None:
+def test_the_installed_program_is_from_the_wheel(installed: Installed) -> None:
     code = "import annotator, importlib.metadata as m; print(annotator.__file__, m.version('rcv-annotator'))"
     file, version = installed.run("python", "-c", code).split()
     assert installed.programs.parent in Path(file).parents
@@ -164,13 +163,13 @@ def test_the_installed_program_is_the_wheels(installed: Installed) -> None:
     assert installed.run("annotator", "--version") == installed.run("python", "-m", "annotator", "--version") == said
 
 
-def test_annotate_refuses_without_detectors(installed: Installed, project: str) -> None:
+def test_annotate_without_detectors_is_an_error(installed: Installed, project: str) -> None:
     said = installed.run("annotator", "annotate", project, code=2)
     assert f"has no image detector yet; run `annotator train {project}`" in said
     assert "Traceback" not in said
 
 
-def test_the_page_and_every_file_that_it_names_are_served(live: SimpleNamespace) -> None:
+def test_the_page_and_all_files_that_it_references_are_served(live: SimpleNamespace) -> None:
     seen: set[str] = set()
     waiting = [f"{live.url}/"]
     with httpx.Client(timeout=60) as client:
@@ -179,12 +178,12 @@ def test_the_page_and_every_file_that_it_names_are_served(live: SimpleNamespace)
             answer = client.get(url)
             assert answer.status_code == 200, url
             seen.add(url)
-            # the vendor's script is a bundle, and names nothing
+            # the vendor script is a bundle without references
             if "/vendor/" not in url:
                 named = {urljoin(url, next(filter(None, found))) for found in NAMED.findall(answer.text)}
                 waiting += named - seen - set(waiting)
     code = {name for name in files_below(ROOT / "web_assets") if name.endswith((".js", ".css"))}
-    assert {f"{live.url}/assets/{name}" for name in code} <= seen, "no file names these"
+    assert {f"{live.url}/assets/{name}" for name in code} <= seen, "some files are not referenced"
     assert f"{live.url}/assets/vendor/plotly.min.js" in seen
 
 

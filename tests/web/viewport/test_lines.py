@@ -28,7 +28,7 @@ def truth(generated: Path, frame: Frame) -> OrientedBox:
     return load_truth(open_recording(generated / "people"), 0, frame)[0].box
 
 
-def test_a_box_is_drawn_by_its_edges_and_a_line_out_of_its_front(truth: OrientedBox) -> None:
+def test_a_box_is_drawn_as_its_edges_and_a_line_to_its_front(truth: OrientedBox) -> None:
     lines = placed_box_lines(truth)
     assert lines.shape == (13, 2, 3)
     corners = box_corners(truth)
@@ -57,14 +57,14 @@ def test_the_frustum_projects_onto_the_image_box(frame: Frame, distortion: tuple
     assert on_edge.max() < 0.05
 
 
-def test_an_arrow_has_its_head_on_the_shaft_and_points_to_its_end() -> None:
+def test_an_arrow_has_its_head_on_the_shaft() -> None:
     start, end = np.array([0.3, -0.2, 1.0]), np.array([0.1, 0.9, 3.0])
     tip = start + 0.6 * (end - start)
     lines = arrow_lines(start, tip, end)
     np.testing.assert_allclose(lines[0], [start, end], atol=1e-6)
     head = lines[1:].reshape(-1, 3) - start
     share = head @ (end - start) / float((end - start) @ (end - start))
-    # from a ring around the shaft to the tip
+    # the head is a ring around the shaft, connected to the tip
     assert 0.4 < share.min() < share.max() == pytest.approx(0.6, abs=1e-6)
     ring = head[share < 0.59] - share.min() * (end - start)
     np.testing.assert_allclose(ring.mean(axis=0), 0, atol=1e-5)

@@ -23,7 +23,7 @@ AHEAD = np.array([0.0, 0.0, 1.0])
 ORIGIN = np.zeros(3)
 
 
-def test_the_nearest_box_on_the_ray_is_pick() -> None:
+def test_the_nearest_box_on_the_ray_is_picked() -> None:
     boxes = [box_at(9), box_at(3), box_at(6), box_at(-3)]
     assert pick(boxes, ORIGIN, AHEAD) == 1
     assert pick(boxes, ORIGIN, -AHEAD) == 3

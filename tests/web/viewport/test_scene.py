@@ -61,7 +61,7 @@ def sent(viewport: Viewport) -> list[str]:
     ]
 
 
-def test_it_listens_on_loopback_only(viewport: Viewport) -> None:
+def test_the_viser_server_listens_on_loopback_only(viewport: Viewport) -> None:
     assert viewport._server.get_host() == "127.0.0.1"
 
 
@@ -159,7 +159,7 @@ def test_without_a_frame_the_scene_is_empty(viewport: Viewport, frames: list[Fra
     assert node(viewport, "/cloud") is None
 
 
-def drawing(frame: Frame, box: OrientedBox, drags: int) -> Draft:
+def drawn_draft(frame: Frame, box: OrientedBox, drags: int) -> Draft:
     """A draft with the given number of drawn boxes, each of which encloses the true box."""
     image_box = box_on_image(frame.camera, box, "person")
     assert image_box is not None
@@ -177,7 +177,7 @@ def drawing(frame: Frame, box: OrientedBox, drags: int) -> Draft:
 def test_a_draft_has_a_frustum_two_pictures_two_arrows_and_the_box_so_far(
     viewport: Viewport, frames: list[Frame], boxes: tuple[ShownBox, ...], drags: int
 ) -> None:
-    draft = drawing(frames[0], boxes[0].box, drags)
+    draft = drawn_draft(frames[0], boxes[0].box, drags)
     viewport.show(SceneContent(("room", 1), frames[0], draft=draft))
     assert node(viewport, "/draft/frustum") is not None
     assert node(viewport, "/draft/view0") is not None
@@ -185,7 +185,7 @@ def test_a_draft_has_a_frustum_two_pictures_two_arrows_and_the_box_so_far(
     arrows = node(viewport, "/draft/axes")
     one = arrow_lines(np.zeros(3), np.ones(3), np.ones(3))
     assert arrows.points.shape == (2 * len(one), 2, 3)
-    # red, as linear light
+    # red in linear RGB
     assert arrows.colors.reshape(-1, 3)[0].tolist() == [255, 10, 6]
     assert (node(viewport, "/draft/box") is not None) == (drags >= 2)
     if drags >= 2:

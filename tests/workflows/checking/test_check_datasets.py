@@ -1,4 +1,4 @@
-"""`annotator check PATH`: each rule finds its fault, with file and line, and nothing else is found."""
+"""`annotator check PATH`: each rule finds its error, with file and line, and nothing else."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Edit = Callable[[Path], object]
 
 
 def car(x: float, z: float, rotation_y: float = 1.2, length: float = 4.0) -> KittiLabel:
-    """A row whose 2D box and alpha belong to its 3D box."""
+    """A row whose 2D box and alpha are derived from its 3D box."""
     row = KittiLabel("Car", 0.0, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.5, 1.6, length, x, 1.5, z, rotation_y)
     alpha = observation_angle(rotation_y, x, z)
     derived = derived_box(CAMERA, label_box(row), None)
@@ -57,7 +57,7 @@ ROWS = [car(-4.0, 14.0), car(0.0, 20.0, -2.0), car(5.0, 25.0, 0.1)]
 
 @pytest.fixture
 def kitti(tmp_path: Path) -> Path:
-    """Three frames without a fault: three cars each, ten points in each car, and points all over the image."""
+    """Three frames without errors: three cars each, ten points in each car, and points all over the image."""
     for name in ("image_2", "velodyne", "calib", "label_2"):
         (tmp_path / "data" / name).mkdir(parents=True)
     random = np.random.default_rng(0)
@@ -75,7 +75,7 @@ def kitti(tmp_path: Path) -> Path:
 
 
 def found(path: Path) -> Found:
-    """Rule, file below the path and line of all findings."""
+    """Rule, relative file path and line of all findings."""
     report = check_datasets(path)
     return [(f.rule, Path(f.file).relative_to(path).as_posix(), f.line) for f in report.findings]
 
@@ -97,13 +97,13 @@ def image_set(name: str, text: str) -> Edit:
 
 
 def with_row(**changes: float | str) -> Edit:
-    """A fourth row in frame 1: one more car where nobody is, with some fields changed."""
+    """Adds a fourth row to frame 1: a car without points, with some fields changed."""
     return rewrite("label_2/000001.txt", DONT_CARE, line(KittiLabel(**(vars(car(-9.0, 40.0)) | changes))))  # type: ignore[arg-type]
 
 
 LABELS = "label_2/000001.txt"
 EMPTY = ("empty-box", LABELS, 4)
-TURNED = CALIB.replace("0 -1 0 0 0 0 -1 0 1 0 0 0", "0 -1 0 0 0 0.2 -1 0 1 0 0 0")
+SHEARED = CALIB.replace("0 -1 0 0 0 0 -1 0 1 0 0 0", "0 -1 0 0 0 0.2 -1 0 1 0 0 0")
 MANY_WRONG = "\n".join(["Car a", line(ROWS[0]), "Car 1 2 3", "", line(ROWS[1]).replace("Car 0.0 0", "Car nan 0")])
 
 CASES: list[tuple[str, Edit, Found]] = [
@@ -118,7 +118,7 @@ CASES: list[tuple[str, Edit, Found]] = [
         rewrite("calib/000001.txt", "R0_rect", "R9"),
         [("unreadable-calibration", "calib/000001.txt", None)],
     ),
-    ("skewed", rewrite("calib/000001.txt", None, TURNED), [("unreadable-calibration", "calib/000001.txt", None)]),
+    ("skewed", rewrite("calib/000001.txt", None, SHEARED), [("unreadable-calibration", "calib/000001.txt", None)]),
     ("no-labels", lambda f: (f / LABELS).unlink(), [("missing-labels", LABELS, None)]),
     ("stray", rewrite("label_2/000009.txt", None, ""), [("stray-file", "label_2/000009.txt", None)]),
     ("stray-calibration", rewrite("calib/000009.txt", None, CALIB), [("stray-file", "calib/000009.txt", None)]),
@@ -128,7 +128,7 @@ CASES: list[tuple[str, Edit, Found]] = [
     ("all-wrong-rows", rewrite(LABELS, None, MANY_WRONG), [("broken-label", LABELS, n) for n in (1, 3, 5)]),
     ("no-height", with_row(height=-1.0), [("broken-label", LABELS, 4)]),
     ("empty", with_row(), [EMPTY]),
-    ("edges-exchanged", with_row(left=90.0, right=10.0), [("broken-label", LABELS, 4), EMPTY]),
+    ("edges-swapped", with_row(left=90.0, right=10.0), [("broken-label", LABELS, 4), EMPTY]),
     ("truncated", with_row(truncated=7.0), [("field-range", LABELS, 4), EMPTY]),
     ("score", with_row(score=0.9), [("field-range", LABELS, 4), EMPTY]),
     ("behind", with_row(z=-30.0, alpha=-10.0), [("box-behind-camera", LABELS, 4)]),
@@ -152,12 +152,12 @@ def cut(path: Path, by: int = 100) -> None:
 
 
 @pytest.mark.parametrize(("edit", "expected"), [case[1:] for case in CASES], ids=[case[0] for case in CASES])
-def test_faults_of_a_kitti_folder(kitti: Path, edit: Edit, expected: Found) -> None:
+def test_each_error_in_a_kitti_folder_is_found_with_file_and_line(kitti: Path, edit: Edit, expected: Found) -> None:
     edit(kitti)
     assert sorted(found(kitti), key=str) == sorted(expected, key=str)
 
 
-def test_what_is_wrong_everywhere_is_told_of_the_dataset(kitti: Path) -> None:
+def test_errors_in_all_frames_are_reported_for_the_dataset(kitti: Path) -> None:
     for key in KEYS:
         (kitti / f"calib/{key}.txt").write_text(CALIB.replace(str(F), str(F * 2.2)))
     assert ("boxes-off-image", ".", None) in found(kitti)
@@ -170,7 +170,7 @@ def test_what_is_wrong_everywhere_is_told_of_the_dataset(kitti: Path) -> None:
         )
 
 
-def test_clouds_in_millimetres_and_elsewhere(kitti: Path) -> None:
+def test_clouds_in_millimetres_and_outside_the_image_are_found(kitti: Path) -> None:
     for key, (scale, shift) in zip(KEYS, ((1000, 0), (1, -80), (1, 0)), strict=True):
         path = kitti / f"velodyne/{key}.bin"
         scan = np.frombuffer(path.read_bytes(), "<f4").reshape(-1, 4) * [scale, scale, scale, 1] + [shift, 0, 0, 0]
@@ -182,15 +182,17 @@ def test_clouds_in_millimetres_and_elsewhere(kitti: Path) -> None:
     assert not any(file.endswith("000002.txt") for _, file in rules)
 
 
-def test_a_file_of_faults_does_not_fill_the_report(kitti: Path) -> None:
+def test_findings_per_file_are_limited_but_all_are_counted(kitti: Path) -> None:
     (kitti / LABELS).write_text("Car\n" * 5000)
     report = check_datasets(kitti)
     assert len(report.findings) == 21
     assert report.findings[-1].message == "and 4980 more like this in this file"
-    assert report.counts == {"error": 5000, "warning": 0, "note": 0}, "of breaches, not of lines"
+    assert report.counts == {"error": 5000, "warning": 0, "note": 0}, (
+        "all findings are counted, not only the listed ones"
+    )
 
 
-def test_what_comes_again_counts_once(tmp_path: Path) -> None:
+def test_repeated_findings_are_counted_once(tmp_path: Path) -> None:
     findings = Findings()
     for _ in range(3):
         for number in range(30):
@@ -199,7 +201,7 @@ def test_what_comes_again_counts_once(tmp_path: Path) -> None:
     assert findings.all()[-1].message == "and 10 more like this in this file"
 
 
-def test_a_kitti_drive(kitti: Path) -> None:
+def test_errors_in_a_kitti_drive_are_found(kitti: Path) -> None:
     (kitti / "image_2").rename(kitti / "image_02")
     shutil.copy(kitti / "calib/000000.txt", kitti / "calib.txt")
     rows = [f"{n} {track} {line(row)}" for n in range(3) for track, row in enumerate(ROWS)]
@@ -215,13 +217,15 @@ def test_a_kitti_drive(kitti: Path) -> None:
         ("stray-file", "label_02.txt", 10),
         ("broken-label", "label_02.txt", 11),
     ]
-    told = found(kitti)
-    assert set(expected) <= set(told)
-    # the rows that were changed are odd in more than one way
-    assert {at for _, _, at in told} <= {5, 7, 9, 10, 11, 12}
+    reported = found(kitti)
+    assert set(expected) <= set(reported)
+    # the changed rows violate more than one rule
+    assert {at for _, _, at in reported} <= {5, 7, 9, 10, 11, 12}
 
 
-def test_generated_recordings_and_their_damages(generated: Path, own_copy: Callable[[str], Path]) -> None:
+def test_generated_recordings_are_without_findings_and_damage_is_found(
+    generated: Path, own_copy: Callable[[str], Path]
+) -> None:
     assert found(generated / "hands") == []
     people = own_copy("people")
     boxes = json.loads((people / "truth/boxes.json").read_text())
@@ -232,8 +236,8 @@ def test_generated_recordings_and_their_damages(generated: Path, own_copy: Calla
     cut(people / "depth/000003.png")
     cv2.imwrite(str(people / "depth/000004.png"), np.ones((9, 9), np.uint16))
     report = check_datasets(people)
-    told = [(f.rule, Path(f.file).name, f.message.split(";")[0]) for f in report.findings]
-    assert told == [
+    reported = [(f.rule, Path(f.file).name, f.message.split(";")[0]) for f in report.findings]
+    assert reported == [
         ("unreadable-file", "000003.png", "the PNG image is truncated"),
         ("unreadable-file", "000004.png", "the image is 9 x 9 pixels, but the colour image has 320 x 240"),
         ("broken-label", "boxes.json", "000001.3.center: Field required"),
@@ -253,7 +257,7 @@ def exported(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_rcv_datasets(exported: Path, tmp_path: Path) -> None:
+def test_errors_in_rcv_datasets_are_found(exported: Path, tmp_path: Path) -> None:
     assert found(exported) == []
     own = Path(shutil.copytree(exported, tmp_path / "own"))
     ids = sorted(path.stem for path in (own / "labels").iterdir())
@@ -289,16 +293,16 @@ def test_rcv_datasets(exported: Path, tmp_path: Path) -> None:
     }
 
 
-def test_lists_of_votenets_folders(tmp_path: Path) -> None:
+def test_lists_of_votenets_folders_are_checked_for_unknown_frames(tmp_path: Path) -> None:
     for file in ("image/000001.jpg", "calib/000001.txt", "calib/000002.txt", "points/000001.npz"):
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
     (tmp_path / "train_data_idx.txt").write_text("1\n000001\n7\n")
-    told = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
-    assert told == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
+    reported = [(file.name, line, name) for file, line, name in stray_names(open_recording(tmp_path))]
+    assert reported == [("000002.txt", None, "000002"), ("train_data_idx.txt", 3, "7")]
 
 
-def test_a_folder_of_datasets(kitti: Path, exported: Path) -> None:
+def test_all_datasets_in_a_folder_are_checked(kitti: Path, exported: Path) -> None:
     shutil.copytree(exported, kitti.parent / "deep" / "rcv")
     (kitti.parent / "empty" / "color").mkdir(parents=True)
     (kitti.parent / "empty" / "depth").mkdir()
@@ -336,7 +340,7 @@ FOREIGN = [
 
 
 @pytest.mark.parametrize(("name", "files"), FOREIGN)
-def test_labels_of_other_software_are_read(tmp_path: Path, name: str, files: dict[str, str]) -> None:
+def test_labels_of_other_tools_are_read(tmp_path: Path, name: str, files: dict[str, str]) -> None:
     for file, text in files.items():
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).write_text(text)
@@ -378,19 +382,21 @@ SEVERAL = [
 
 
 @pytest.mark.parametrize(("files", "faults"), SEVERAL, ids=["labelcloud", "coco", "yolo"])
-def test_all_faults_of_other_software_are_told(
+def test_all_errors_in_labels_of_other_tools_are_found(
     tmp_path: Path, files: dict[str, str], faults: list[tuple[str, int | None, str]]
 ) -> None:
     for file, text in files.items():
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).write_text(text)
-    told = check_datasets(tmp_path).findings
-    assert len(told) == len(faults)
+    reported = check_datasets(tmp_path).findings
+    assert len(reported) == len(faults)
     for file, line, message in faults:
-        assert any((Path(f.file).name, f.line) == (file, line) and f.message.startswith(message) for f in told), told
+        assert any((Path(f.file).name, f.line) == (file, line) and f.message.startswith(message) for f in reported), (
+            reported
+        )
 
 
-def test_openlabel_whole_and_in_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     document = {
         "metadata": {"schema_version": "1.0.0"},
         "streams": {"cam": {"type": "camera"}},
@@ -410,19 +416,19 @@ def test_openlabel_whole_and_in_parts(tmp_path: Path, capsys: pytest.CaptureFixt
         assert "2 errors" in capsys.readouterr().out
 
 
-def test_the_command(
+def test_the_check_command_prints_findings_and_sets_the_exit_code(
     kitti: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with_row()(kitti)
-    assert main(["check", str(kitti)]) == 0, "a warning is no error"
+    assert main(["check", str(kitti)]) == 0, "warnings do not change the exit code"
     out = capsys.readouterr().out.splitlines()
     assert out[0] == f"{kitti / LABELS}:4: warning empty-box: 0 points lie in the box of this Car"
     assert out[1:] == [f"{kitti}: kitti_object, 3 frames, 10 labels", "0 errors, 1 warnings, 0 notes"]
     (kitti / "image_2/000002.png").unlink()
     assert main(["check", str(kitti), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["counts"] == {"error": 1, "warning": 1, "note": 0}
-    assert {(f["rule"], f["frame"], f["line"]) for f in told["findings"]} == {
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["counts"] == {"error": 1, "warning": 1, "note": 0}
+    assert {(f["rule"], f["frame"], f["line"]) for f in reported["findings"]} == {
         ("empty-box", "000001", 4),
         ("missing-file", "000002", None),
     }
@@ -440,14 +446,14 @@ def test_the_command(
     assert capsys.readouterr().out == "0 warnings about 0 labels\n"
 
 
-def test_the_docs_have_every_rule() -> None:
+def test_the_docs_list_every_rule() -> None:
     text = (Path(__file__).parents[3] / "docs/checks.md").read_text()
     rows = re.findall(r"^\| `([a-z0-9-]+)` \| (\w+) \| (.+) \|$", text, re.MULTILINE)
     assert rows == [(rule.id, rule.severity, rule.meaning) for rule in RULES.values()]
 
 
 @pytest.mark.shared
-def test_a_turned_calibration_is_found(shared: Path, tmp_path: Path) -> None:
+def test_a_rotated_calibration_is_found(shared: Path, tmp_path: Path) -> None:
     real = shared / "data/kitti_drive_0005"
     for name in ("image_02", "velodyne"):
         (tmp_path / name).mkdir()
@@ -469,18 +475,18 @@ def test_a_turned_calibration_is_found(shared: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_real_data_are_not_complained_about(shared: Path) -> None:
+def test_real_data_has_no_false_findings(shared: Path) -> None:
     report = check_datasets(shared / "data/kitti")
-    told = [(f.rule, Path(f.file).name, f.line) for f in report.findings if f.severity != "note"]
-    # a car far away and hidden, in which the scan has no point, as the set's README says there are
-    assert told == [("empty-box", "000060.txt", 3)]
+    reported = [(f.rule, Path(f.file).name, f.line) for f in report.findings if f.severity != "note"]
+    # a distant, occluded car without points, as mentioned in the data set's README
+    assert reported == [("empty-box", "000060.txt", 3)]
     for name in ("sunrgbd/sunrgbd_trainval", "rgbd_open3d_testdata"):
         assert check_datasets(shared / "data" / name).findings == (), name
 
 
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.tuples(st.integers(1, 14), st.sampled_from(HOSTILE)), min_size=1, max_size=4))
-def test_whatever_the_labels_say_the_check_goes_on(kitti: Path, changes: list[tuple[int, str]]) -> None:
+def test_the_check_continues_after_any_label_content(kitti: Path, changes: list[tuple[int, str]]) -> None:
     words = line(ROWS[1]).split()
     for place, word in changes:
         words[place] = word

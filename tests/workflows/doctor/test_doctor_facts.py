@@ -1,4 +1,4 @@
-"""What is told of this machine and its packages, also where some are missing or broken."""
+"""The report about the machine and its packages, also with missing or broken packages."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def lines(check: Callable[[Path], Iterator[Line]], projects: Path = Path("projec
 
 
 def hide(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
-    """Has imports of these fail as if they were not installed."""
+    """Lets imports of these packages fail as if they were not installed."""
     for name in names:
         monkeypatch.setitem(sys.modules, name, None)
 
 
-def test_the_machine(tmp_path: Path) -> None:
+def test_the_machine_lines_have_version_cores_memory_and_disk(tmp_path: Path) -> None:
     found = lines(machine.machine, tmp_path / "not" / "there")
     assert __version__ in found["annotator"].found
     assert "3." in found["Python"].found
@@ -46,7 +46,7 @@ def test_the_machine(tmp_path: Path) -> None:
     assert str(tmp_path / "not" / "there") in found["disk of projects"].found
 
 
-def test_little_room_is_a_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_little_memory_or_disk_space_is_a_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: usage(10, 9, 1))
     monkeypatch.setattr(machine, "_memory_bytes", lambda: (2**30, None))
@@ -56,18 +56,18 @@ def test_little_room_is_a_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     assert lines(machine.machine, tmp_path)["memory"].found == "unknown on this system"
 
 
-def test_all_that_is_needed_is_looked_for() -> None:
+def test_all_dependencies_and_extras_are_checked() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     looked_for = {*packages.REQUIRED, "numba", "open3d", "ultralytics", "openvino"}
     names = {re.split(r"[<>=;\[ ]", text)[0].lower() for text in project["dependencies"]} - {"open3d"}
     brought_by = packages_distributions()
     found = {name.lower() for module in looked_for for name in brought_by.get(module, ())}
-    assert names - found <= {"openvino"}  # not for all processors
+    assert names - found <= {"openvino"}  # optional on some processors
     extras = {name for name in project["optional-dependencies"] if name != "test"}
     assert set(packages.EXTRAS) == extras
 
 
-def test_the_system_libraries_are_those_of_the_set_up() -> None:
+def test_the_system_libraries_are_those_of_the_setup_script() -> None:
     text = (ROOT / "scripts" / "setup").read_text(encoding="utf-8")
     listed = re.search(r"^LIBRARIES=\((.*?)^\)", text, re.MULTILINE | re.DOTALL)
     assert listed
@@ -92,7 +92,7 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
         (packages.kinect, "pyk4a", None),
     ],
 )
-def test_a_package_that_is_not_installed(
+def test_a_package_that_is_not_installed_is_reported(
     monkeypatch: pytest.MonkeyPatch, check: Callable[[Path], Iterator[Line]], module: str, state: State | None
 ) -> None:
     hide(monkeypatch, module)
@@ -102,13 +102,13 @@ def test_a_package_that_is_not_installed(
     assert all("not installed" in each.found for each in found)
 
 
-def test_nobody_misses_openvino_on_other_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_openvino_is_no_problem_on_other_processors(monkeypatch: pytest.MonkeyPatch) -> None:
     hide(monkeypatch, "openvino")
     monkeypatch.setattr(packages.platform, "machine", lambda: "arm64")
     assert lines(packages.openvino)["OpenVINO"].state is State.OK
 
 
-def test_a_missing_system_library_comes_with_its_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_system_library_is_reported_with_its_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "open3d" / "__init__.py"
     broken.parent.mkdir()
     broken.write_text("raise OSError('libGL.so.1: cannot open shared object file: No such file or directory')")
@@ -121,7 +121,7 @@ def test_a_missing_system_library_comes_with_its_package(monkeypatch: pytest.Mon
     assert "apt-get install libgl1 " in found.remedy
 
 
-def test_numba_that_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numba_that_cannot_be_loaded_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: str) -> None:
         raise ImportError("Numba needs NumPy 2.3 or less. Got NumPy 9")
 
@@ -147,7 +147,7 @@ def test_compiled_kernels_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 GPU = facts.CudaDevice("cuda:0", "NVIDIA Something", "8.9", 8 * 2**30, 6 * 2**30)
 
 
-def test_cuda_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cuda_devices_and_their_errors_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(facts, "cuda_devices", lambda: [GPU])
     assert lines(packages.torch)["cuda:0"].found == ("NVIDIA Something, compute capability 8.9, 6.0 of 8.0 GiB free")
     monkeypatch.setattr(facts, "cuda_devices", list)
@@ -198,8 +198,8 @@ def test_the_choice_of_a_backend_is_explained(monkeypatch: pytest.MonkeyPatch) -
         raise DetectionError("OpenVINO cannot be loaded")
 
     monkeypatch.setattr(openvino_api, "openvino", broken)
-    passed_over = lines(packages.choices)["image, auto"].found
-    assert passed_over.startswith("onnxruntime (") and "OpenVINO cannot be loaded" in passed_over
+    skipped = lines(packages.choices)["image, auto"].found
+    assert skipped.startswith("onnxruntime (") and "OpenVINO cannot be loaded" in skipped
     installed.clear()
     assert lines(packages.choices)["image, auto"].found.startswith("torch (")
     monkeypatch.setattr(choose, "has_cuda", lambda: True)
@@ -220,7 +220,9 @@ def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -
     assert "no torch" in found.found
 
 
-def test_a_kinect(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     library = ModuleType("pyk4a")
     library.__spec__ = ModuleSpec("pyk4a", None)
     library.connected_device_count = lambda: 1

@@ -1,4 +1,4 @@
-"""What goes wrong in a check becomes a line: exceptions, crashes, hangs."""
+"""Exceptions, crashes and hangs in a check become lines of the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from annotator.workflows.doctor.examine import run_check
 
 
 def fine(projects: Path) -> Iterator[Line]:
-    # libraries print as they like
+    # libraries may print to standard output
     os.write(1, b"noise")
     yield Line(section="test", name="fine", state=State.OK, found=projects.name)
 
@@ -40,14 +40,14 @@ def hangs(_: Path) -> Iterator[Line]:
     yield
 
 
-def test_a_check_that_raises_keeps_what_it_has_found(tmp_path: Path) -> None:
+def test_a_check_that_raises_keeps_its_earlier_lines(tmp_path: Path) -> None:
     found, lost = run_check("raises", raises, tmp_path)
     assert (found.name, found.state) == ("fine", State.OK)
     assert (lost.name, lost.state, lost.found) == ("raises", State.FAILED, "LookupError: a broken library")
     assert lost.remedy
 
 
-def test_a_crash_takes_one_check_with_it(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_crash_affects_only_one_check(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     report = examine(tmp_path / "here", {"a": fine, "crashes": crashes, "b": fine, "leaves": leaves, "c": fine})
     assert [(each.name, each.state.value) for each in report.lines] == [
         ("fine", "ok"),
@@ -63,6 +63,6 @@ def test_a_crash_takes_one_check_with_it(tmp_path: Path, capfd: pytest.CaptureFi
     assert "noise" not in capfd.readouterr().out
 
 
-def test_a_check_that_hangs_is_given_up(tmp_path: Path) -> None:
+def test_a_check_that_hangs_is_ended(tmp_path: Path) -> None:
     (lost,) = examine(tmp_path, {"hangs": hangs}, limit_s=1.0).lines
     assert (lost.name, lost.state, lost.found) == ("hangs", State.FAILED, "did not finish within 1 s")

@@ -16,7 +16,7 @@ def line(state: State, remedy: str = "", **figures: float) -> Line:
     return Line(section="machine", name=str(state), state=state, found="something", remedy=remedy, figures=figures)
 
 
-def test_each_line_ends_in_its_state_and_says_what_to_do() -> None:
+def test_each_line_has_its_state_and_remedy() -> None:
     lines = (line(State.OK), line(State.WARNING, "mend it"), line(State.FAILED, "replace it"))
     text = list(as_text(Report(annotator_version="1.2.3", lines=lines)))
     assert text[0] == "annotator 1.2.3"
@@ -26,11 +26,11 @@ def test_each_line_ends_in_its_state_and_says_what_to_do() -> None:
 
 
 @pytest.mark.parametrize(("state", "failed"), [(State.OK, False), (State.WARNING, False), (State.FAILED, True)])
-def test_only_failed_lines_make_it_fail(state: State, failed: bool) -> None:
+def test_only_failed_lines_make_the_report_fail(state: State, failed: bool) -> None:
     assert Report(annotator_version="1", lines=(line(State.OK), line(state))).failed == failed
 
 
-def test_the_json_reads_back_also_where_a_figure_is_no_number() -> None:
+def test_the_json_reads_back_also_with_nan_and_infinity() -> None:
     report = Report(annotator_version="1", lines=(line(State.FAILED, value=math.nan, bound=math.inf),))
     text = report.model_dump_json()
     assert "null" not in text
@@ -38,8 +38,8 @@ def test_the_json_reads_back_also_where_a_figure_is_no_number() -> None:
     assert math.isnan(back.lines[0].figures["value"]) and back.lines[0].figures["bound"] == math.inf
 
 
-def test_the_schema_stays() -> None:
-    """Programs read it: whoever changes it raises `REPORT_VERSION`."""
+def test_the_json_schema_is_unchanged() -> None:
+    """Programs read it; raise `REPORT_VERSION` with every change."""
     report = json.loads(Report(annotator_version="1", lines=(line(State.OK, cores=2),)).model_dump_json())
     assert report == {
         "report_version": 1,

@@ -1,4 +1,4 @@
-"""The self-test finds what is wrong: a backend with other answers, and a device that draws or clusters differently."""
+"""The self-test detects backends with wrong output, and devices that draw or cluster differently."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def agreements(weights: Path) -> Agreements:
 
 @dataclass
 class Wrong:
-    """Torch on the processor with its answers changed, under another backend's name."""
+    """Torch on the CPU with changed output, under another backend's name."""
 
     weights: Path
     change: Callable[[Answer], Answer]
@@ -55,7 +55,7 @@ def moved(by_px: float) -> Callable[[Answer], Answer]:
     return lambda answer: np.concatenate([answer[:, :4] + np.float32(by_px), answer[:, 4:]], axis=1)
 
 
-def test_the_same_seed_makes_the_same_network_and_leaves_torchs_own_numbers(weights: Path, tmp_path: Path) -> None:
+def test_equal_seeds_give_equal_networks_and_keep_torchs_random_state(weights: Path, tmp_path: Path) -> None:
     torch = api().torch
     state = torch.random.get_rng_state()
     write_seeded_network(tmp_path / "new" / "again.pt")
@@ -68,11 +68,11 @@ def test_the_same_seed_makes_the_same_network_and_leaves_torchs_own_numbers(weig
     )
     np.testing.assert_array_equal(same, again)
     assert np.abs(same - other).max() > 1
-    # there is something to compare: scores differ from anchor to anchor
+    # the scores differ between anchors, so a comparison is meaningful
     assert same[:, 4:].std() > 0.01
 
 
-def test_right_answers_agree_and_wrong_ones_do_not(agreements: Agreements) -> None:
+def test_correct_output_agrees_and_wrong_output_does_not(agreements: Agreements) -> None:
     assert agreements.of(lambda path: Wrong(path, lambda answer: answer)).holds
     for wrong in (
         moved(0.5),
@@ -86,14 +86,14 @@ def test_right_answers_agree_and_wrong_ones_do_not(agreements: Agreements) -> No
 
 
 @pytest.mark.parametrize(("name", "precision"), [("openvino-bf16", "bfloat16"), ("torch", "float16")])
-def test_half_precision_may_be_further_off_but_not_far(agreements: Agreements, name: str, precision: str) -> None:
+def test_half_precision_has_a_larger_but_limited_tolerance(agreements: Agreements, name: str, precision: str) -> None:
     device = "cuda:0" if precision == "float16" else "cpu"
     small = agreements.of(lambda path: Wrong(path, moved(0.5), name, device))
     assert small.holds and small.yardstick == precision
     assert not agreements.of(lambda path: Wrong(path, moved(100.0), name, device)).holds
 
 
-def test_a_wrong_backend_is_a_failed_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_wrong_or_broken_backend_is_a_failed_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def fails(_: Path) -> None:
         raise DetectionError("no such operation")
 
@@ -115,7 +115,7 @@ def test_a_wrong_backend_is_a_failed_line(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 @pytest.mark.slow
-def test_the_backends_here_agree(tmp_path: Path) -> None:
+def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
     found = {line.name: line for line in self_test.backends(tmp_path)}
     assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
     assert all(line.state is State.OK for line in found.values()), found
@@ -171,7 +171,7 @@ def shifted(views: list[Any]) -> list[Any]:
         ("kmeans", "axial_kmeans", lambda result: (result[0], result[1][::-1].copy()), "clusters"),
     ],
 )
-def test_a_planted_error_is_found_and_nothing_else(
+def test_an_injected_error_is_found_and_nothing_else(
     monkeypatch: pytest.MonkeyPatch, module: str, function: str, change: Callable[[Any], Any], expected: str
 ) -> None:
     right = getattr(getattr(compute, module), function)
@@ -181,7 +181,7 @@ def test_a_planted_error_is_found_and_nothing_else(
     assert {name.split(", ")[1] for name in failed} == {expected}
 
 
-def test_a_device_that_fails_is_a_line_for_each_kind_of_work() -> None:
+def test_a_failing_device_gives_one_line_per_kind_of_work() -> None:
     found = points("nonsense")
     assert set(found) == {"nonsense, drawing", "nonsense, normals", "nonsense, clusters"}
     assert all(line.state is State.FAILED and "cannot process points" in line.found for line in found.values())

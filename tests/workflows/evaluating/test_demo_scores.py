@@ -1,4 +1,4 @@
-"""Scores of a project against its recordings' truth, checked by hand-made labels."""
+"""Scores of a project against its recordings' truth, checked with modified labels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from annotator.workflows.recorded.reading import load_truth
 
 
 def put(project: Project, index: int, change: Callable[[int, OrientedBox], OrientedBox | None], **more: object) -> None:
-    """Labels a frame with its true boxes, changed."""
+    """Labels a frame with its true boxes, modified by `change`."""
     recording = open_recording(project.recordings.all()[0].path)
     stored = project.frames.of()[index]
     truths = load_truth(recording, index, recording.frame(index))
@@ -30,7 +30,7 @@ def put(project: Project, index: int, change: Callable[[int, OrientedBox], Orien
 
 
 def moved(box: OrientedBox, share: float) -> OrientedBox:
-    """Shifted along its own x by a share of its length: IoU (1 - share) / (1 + share)."""
+    """The box shifted along its x axis by a fraction of its length: IoU (1 - share) / (1 + share)."""
     shift = box.rotation @ (np.array([share, 0, 0]) * box.size_m)
     return OrientedBox.from_parts(box.center_m + shift, box.rotation, box.size_m)
 
@@ -40,7 +40,7 @@ def score(project: Project, **options: object):
     return scores
 
 
-def test_true_boxes_score_one(people: Project) -> None:
+def test_true_boxes_have_scores_of_1(people: Project) -> None:
     for index in range(5):
         put(people, index, lambda _, box: box)
     scores = score(people)
@@ -49,12 +49,12 @@ def test_true_boxes_score_one(people: Project) -> None:
     assert scores.mean_iou == pytest.approx(1.0)
 
 
-def test_no_labels_score_nothing(people: Project) -> None:
+def test_a_project_without_labels_has_scores_of_0(people: Project) -> None:
     scores = score(people)
     assert (scores.found, scores.mean_iou, scores.ap25, scores.ap50) == (0.0, 0.0, 0.0, 0.0)
 
 
-def test_shifted_and_missing_boxes(people: Project) -> None:
+def test_shifted_and_missing_boxes_reduce_the_scores(people: Project) -> None:
     """First box exact, second at IoU 1/3, third missing; only frame 0."""
     put(people, 0, lambda number, box: [box, moved(box, 0.5), None][number])
     scores = score(people, frame_ids=[people.frames.of()[0].id])
@@ -78,20 +78,20 @@ def test_objects_of_few_points_are_left_out(people: Project) -> None:
     assert score(people, min_points=0).objects == 15
 
 
-def test_a_label_on_an_object_of_few_points_is_neither_right_nor_wrong(people: Project) -> None:
+def test_a_label_on_an_object_of_few_points_is_neither_tp_nor_fp(people: Project) -> None:
     recording = open_recording(people.recordings.all()[0].path)
     frame = recording.frame(0)
     points = [int(contains(t.box, frame.cloud.xyz_m).sum()) for t in load_truth(recording, 0, frame)]
     least = int(np.argmin(points))
     options = {"frame_ids": [people.frames.of()[0].id], "min_points": min(points) + 1}
-    # equal scores count in the order of the labels: the first is the one that would do harm
+    # boxes with equal scores are ranked in label order, so a false positive would have to come first
     put(people, 0, lambda number, box: box if number == least else None)
     put(people, 0, lambda number, box: None if number == least else box)
     scores = score(people, **options)
     assert (scores.objects, scores.ap50) == (2, 1.0)
 
 
-def test_classes_are_scored_apart(make_project: Callable[..., Project], generated: Path) -> None:
+def test_classes_are_scored_separately(make_project: Callable[..., Project], generated: Path) -> None:
     project = make_project(generated / "people", classes=("robot", "person"))
     put(project, 0, lambda _, box: box)
     robot, person = score_project(project, project.recordings.all()[0].id)
@@ -100,9 +100,7 @@ def test_classes_are_scored_apart(make_project: Callable[..., Project], generate
     assert person.mean_iou == pytest.approx(1 / 5)
 
 
-def test_frames_that_are_gone_are_passed_by(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
+def test_missing_frames_are_not_scored(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("people")
     project = make_project(folder)
     for name in ("color/000000.jpg", "depth/000000.png"):
@@ -111,7 +109,9 @@ def test_frames_that_are_gone_are_passed_by(
     assert score(project).frames == 4
 
 
-def test_a_recording_without_truth(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
+def test_a_recording_without_truth_cannot_be_scored(
+    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
+) -> None:
     folder = own_copy("people")
     shutil.rmtree(folder / "truth")
     with pytest.raises(RecordingError, match="has no true boxes"):

@@ -1,4 +1,4 @@
-"""Evaluation of files and of projects: what belongs together is compared, and what does not is said."""
+"""Evaluation of files and projects: matching frames are compared, mismatches are errors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def content(report: Report) -> dict:
 
 
 def kitti_folders(tmp_path: Path, frames: int = 3) -> tuple[Path, Path]:
-    """Each frame with two cars that are found as they are."""
+    """Frames with two cars each, which are detected exactly."""
     paths = tmp_path / "found", tmp_path / "label_2"
     for path in paths:
         path.mkdir()
@@ -44,7 +44,7 @@ def kitti_folders(tmp_path: Path, frames: int = 3) -> tuple[Path, Path]:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_kitti_folders(tmp_path: Path) -> None:
+def test_exact_kitti_detections_have_full_precision(tmp_path: Path) -> None:
     report = evaluate_files(*kitti_folders(tmp_path), Protocol.KITTI)
     assert list(content(report)) == ["Car"]
     assert list(content(report)["Car"]) == ["bbox", "aos", "bev", "3d"]
@@ -55,7 +55,7 @@ def test_kitti_folders(tmp_path: Path) -> None:
     assert len(report.diagrams) == 4
 
 
-def test_kitti_frames_must_belong_together(tmp_path: Path) -> None:
+def test_kitti_frames_must_match(tmp_path: Path) -> None:
     found, truth = kitti_folders(tmp_path)
     (found / "000001.txt").unlink()
     with pytest.raises(ConfigError, match=r"000001\.txt, for one, is missing\. Write an empty file"):
@@ -76,7 +76,7 @@ def test_kitti_evaluates_its_classes_only(tmp_path: Path) -> None:
         evaluate_files(found, truth, Protocol.KITTI)
 
 
-def test_relaxed_overlaps_find_more(tmp_path: Path) -> None:
+def test_relaxed_overlaps_match_more_boxes(tmp_path: Path) -> None:
     found, truth = kitti_folders(tmp_path)
     for file in found.iterdir():
         file.write_text(file.read_text().replace(" 1.60 20.00", " 1.60 20.35"))
@@ -93,7 +93,7 @@ HEAD = "image,class,cx,cy,cz,l,w,h,yaw"
 
 
 def csv_files(tmp_path: Path) -> tuple[Path, Path]:
-    """A bed found, a chair missed, a table that is none, and an image without truth."""
+    """A bed found, a chair missed, a false table, and an image without truth."""
     found, truth = tmp_path / "found.csv", tmp_path / "truth.csv"
     truth.write_text(f"{HEAD}\n1,bed,0,0,0,2,1.5,0.5,0.3\n1,chair,3,0,0,1,1,1,0\n")
     rows = ["1,bed,0.1,0,0,2,1.5,0.5,0.3,0.9", "1,table,0,0,0,1,1,1,0,0.8", "2,bed,0,0,0,2,1.5,0.5,0.3,0.95"]
@@ -101,7 +101,7 @@ def csv_files(tmp_path: Path) -> tuple[Path, Path]:
     return found, truth
 
 
-def test_sunrgbd_files(tmp_path: Path) -> None:
+def test_sunrgbd_files_are_evaluated_and_mismatches_are_errors(tmp_path: Path) -> None:
     report = evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD)
     assert content(report) == {key: {"mAP": 0.25, "AP": {"bed": 0.5, "chair": 0.0}} for key in ("0.15", "0.25", "0.5")}
     assert [row[0] for row in report.rows] == ["bed", "chair", "mean"]
@@ -130,7 +130,7 @@ def test_frame_names_come_from_a_file(tmp_path: Path) -> None:
 
 
 def moved(box: OrientedBox, share: float) -> OrientedBox:
-    """Shifted along its own x by a share of its length: IoU (1 - share) / (1 + share)."""
+    """The box shifted along its x axis by a fraction of its length: IoU (1 - share) / (1 + share)."""
     shift = box.rotation @ (np.array([share, 0, 0]) * box.size_m)
     return OrientedBox.from_parts(box.center_m + shift, box.rotation, box.size_m)
 
@@ -141,7 +141,7 @@ def true_boxes(project: Project, index: int) -> list[tuple[str, OrientedBox]]:
 
 
 def label(project: Project, index: int, share: float = 0.0, state: ReviewState = ReviewState.ACCEPTED) -> None:
-    """Labels a frame with its true boxes, moved."""
+    """Labels a frame with its true boxes, shifted."""
     stored = project.frames.of()[index]
     new = [NewLabel(name, moved(box, share), state=state) for name, box in true_boxes(project, index)]
     project.labels.create(stored.id, new, WriteContext(stored.revision, "me"))
@@ -156,11 +156,11 @@ def propose(project: Project, index: int, share: float) -> None:
     project.proposals.replace(stored.id, proposals, WriteContext(stored.revision, "rcv", Source.AUTO))
 
 
-def test_labels_against_the_truth_of_the_recording(people: Project) -> None:
+def test_labels_are_evaluated_against_the_recordings_truth(people: Project) -> None:
     label(people, 0)
     label(people, 1, share=0.2)
     found = content(evaluate_project(people, Protocol.ORIENTED))["classes"]["person"]
-    assert (found["objects"], found["detections"], found["matched"]) == (6, 6, 6), "frames nobody looked at are out"
+    assert (found["objects"], found["detections"], found["matched"]) == (6, 6, 6), "unlabelled frames are not evaluated"
     assert found["mean_iou"] == pytest.approx((1 + 0.8 / 1.2) / 2)
     assert found["AP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 0.5})
     assert found["rotation_error_rad"] == pytest.approx(0.0, abs=1e-6)
@@ -169,14 +169,14 @@ def test_labels_against_the_truth_of_the_recording(people: Project) -> None:
     assert as_rooms["0.5"] == {"mAP": pytest.approx(1.0), "AP": {"person": pytest.approx(1.0)}}
 
 
-def test_rejected_labels_are_none_but_their_frame_counts(people: Project) -> None:
+def test_rejected_labels_are_ignored_but_their_frame_is_evaluated(people: Project) -> None:
     label(people, 0, state=ReviewState.REJECTED)
     found = content(evaluate_project(people, Protocol.ORIENTED))["classes"]["person"]
     assert (found["objects"], found["detections"], found["rotation_error_rad"]) == (3, 0, None)
 
 
-def test_proposals_as_they_were_against_what_was_reviewed(people: Project) -> None:
-    """Frame 0 is reviewed: its boxes were moved to their places. Frame 1 is not, and frame 2 was never proposed."""
+def test_original_proposals_are_evaluated_against_reviewed_labels(people: Project) -> None:
+    """Frame 0 is reviewed with corrected boxes, frame 1 is not reviewed, and frame 2 has no proposals."""
     for index in (0, 1):
         propose(people, index, share=0.2)
     stored = people.frames.of()[0]
@@ -192,7 +192,9 @@ def test_proposals_as_they_were_against_what_was_reviewed(people: Project) -> No
     assert content(against_truth)["classes"]["person"]["objects"] == 6
 
 
-def test_recordings_and_frames_are_chosen(make_project: Callable[..., Project], generated: Path) -> None:
+def test_evaluation_can_be_limited_to_recordings_and_frames(
+    make_project: Callable[..., Project], generated: Path
+) -> None:
     project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
     ids = {recording.name: recording.id for recording in project.recordings.all()}
     for recording_id in ids.values():
@@ -207,7 +209,7 @@ def test_recordings_and_frames_are_chosen(make_project: Callable[..., Project], 
     assert content(one)["classes"]["person"]["objects"] == 3
 
 
-def test_boxes_of_another_dataset_are_not_the_recordings_own(
+def test_only_labels_from_the_recordings_themselves_give_a_note(
     make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
     other = make_project(generated / "people")
@@ -221,7 +223,7 @@ def test_boxes_of_another_dataset_are_not_the_recordings_own(
     assert note.startswith("12 of the 15 labels were imported from the recordings")
 
 
-def test_what_cannot_be_compared_is_said(people: Project, own_copy, make_project: Callable[..., Project]) -> None:
+def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project: Callable[..., Project]) -> None:
     with pytest.raises(ConfigError, match="no true box in the 0 frames"):
         evaluate_project(people, Protocol.ORIENTED)
     with pytest.raises(ConfigError, match="measure proposals"):
@@ -242,8 +244,8 @@ def test_what_cannot_be_compared_is_said(people: Project, own_copy, make_project
 
 
 @pytest.mark.shared
-def test_kitti_on_a_project_of_kitti(make_project: Callable[..., Project], shared: Path) -> None:
-    """Its own labels, by way of our boxes and back: in 3D nothing is lost, on the image what labels do not tell."""
+def test_a_kitti_project_scores_well_against_its_own_labels(make_project: Callable[..., Project], shared: Path) -> None:
+    """KITTI's labels after conversion to our boxes and back: nothing is lost in 3D, only fields of the image."""
     project = make_project(shared / "data" / "kitti", classes=("Car", "Pedestrian", "Cyclist"))
     import_own_labels(project, 1)
     found = content(evaluate_project(project, Protocol.KITTI))
@@ -255,10 +257,10 @@ def test_kitti_on_a_project_of_kitti(make_project: Callable[..., Project], share
     assert found["Car"]["3d"]["R40"] == pytest.approx(found["Car"]["bev"]["R40"])
 
 
-def test_kitti_on_boxes_of_another_recording(
+def test_the_kitti_protocol_works_for_other_recordings(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
-    """The pictures' own camera gives the 2D boxes."""
+    """The 2D boxes are computed with the recording's camera."""
     folder = own_copy("people")
     for file in folder.rglob("boxes.json"):
         file.write_text(file.read_text().replace('"person"', '"Pedestrian"'))
@@ -266,14 +268,16 @@ def test_kitti_on_boxes_of_another_recording(
     import_own_labels(project, 1)
     found = content(evaluate_project(project, Protocol.KITTI))["Pedestrian"]
     assert list(found) == ["bbox", "aos", "bev", "3d"]
-    # all scores are 1, so there is one threshold a recall, up to 15 objects
+    # all scores are 1, so there is one threshold per recall, for up to 15 objects
     assert found["3d"]["R40"][1] == pytest.approx(100 * 14 / 40, abs=7.6)
 
 
 # --- rcv datasets ----------------------------------------------------------------------------------------------------
 
 
-def test_rcv_datasets(people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path) -> None:
+def test_rcv_datasets_are_compared_frame_by_frame(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
     other = make_project(generated / "people")
     for index in range(3):
         label(people, index)
@@ -289,9 +293,7 @@ def test_rcv_datasets(people: Project, make_project: Callable[..., Project], gen
     assert content(one)["classes"]["person"]["objects"] == 3
 
 
-def test_rcv_datasets_of_other_recordings_have_nothing_in_common(
-    people: Project, hands: Project, tmp_path: Path
-) -> None:
+def test_rcv_datasets_without_common_frames_are_an_error(people: Project, hands: Project, tmp_path: Path) -> None:
     for project, name in ((people, "truth"), (hands, "found")):
         label(project, 0)
         export_project(project, tmp_path / name)

@@ -1,4 +1,4 @@
-"""Export of a project: what is chosen leaves, reads back as it was, and a failed export leaves nothing."""
+"""Export of a project: the selected labels are written and read back unchanged; a failed export leaves nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED, Review
 
 
 def label_all(project: Project, indices: tuple[int, ...], recording: int = 0) -> None:
-    """The true boxes of some frames as accepted labels; of each frame the second is then rejected."""
+    """Creates accepted labels of the true boxes of some frames, and rejects the second one of each frame."""
     stored_recording = project.recordings.all()[recording]
     opened = open_recording(stored_recording.path)
     for index in indices:
@@ -36,7 +36,7 @@ def label_all(project: Project, indices: tuple[int, ...], recording: int = 0) ->
 
 
 def exported(project: Project, out: Path, **options: object) -> RcvManifest:
-    """Exports to the `rcv` format and reads what the dataset says of itself."""
+    """Exports to the `rcv` format; returns the dataset's manifest."""
     report = export_project(project, out, **options)  # type: ignore[arg-type]
     manifest = read_rcv(out).manifest
     assert (report.frames, report.objects) == (manifest.counts.frames, manifest.counts.objects)
@@ -44,7 +44,7 @@ def exported(project: Project, out: Path, **options: object) -> RcvManifest:
     return manifest
 
 
-def test_what_leaves_reads_back(people: Project, tmp_path: Path) -> None:
+def test_an_exported_dataset_reads_back_unchanged(people: Project, tmp_path: Path) -> None:
     label_all(people, (0, 3))
     told: list[tuple[int, int]] = []
     manifest = exported(people, tmp_path / "out", progress=lambda done, of: told.append((done, of)))
@@ -76,7 +76,7 @@ def test_what_leaves_reads_back(people: Project, tmp_path: Path) -> None:
         ((ReviewState.PROPOSED, ReviewState.REJECTED), 2),
     ],
 )
-def test_only_labels_in_the_chosen_states(
+def test_only_labels_in_the_selected_states_are_exported(
     people: Project, tmp_path: Path, states: tuple[ReviewState, ...], objects: int
 ) -> None:
     label_all(people, (0, 1))
@@ -85,14 +85,14 @@ def test_only_labels_in_the_chosen_states(
     assert {state for state, number in manifest.counts.objects_by_state.items() if number} <= set(states)
 
 
-def test_frames_without_labels_only_where_asked_for(people: Project, tmp_path: Path) -> None:
+def test_frames_without_labels_are_exported_only_on_request(people: Project, tmp_path: Path) -> None:
     label_all(people, (1,))
     assert exported(people, tmp_path / "few").counts.frames == 1
     every = exported(people, tmp_path / "all", choose=ExportFilter(empty_frames=True))
     assert (every.counts.frames, every.counts.objects) == (5, 2)
 
 
-def test_classes_and_recordings_are_chosen(
+def test_export_can_be_limited_to_classes_and_recordings(
     make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
     project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
@@ -104,7 +104,7 @@ def test_classes_and_recordings_are_chosen(
     assert of_class.counts == of_recording.counts
     assert of_class.counts.objects_by_class == {"person": 0, "hand": 2}
     assert of_class.counts.frames_by_recording == {"hands": 2}
-    assert of_class.classes == ("person", "hand"), "class numbers stay those of the project"
+    assert of_class.classes == ("person", "hand"), "class numbers are those of the project"
 
 
 def trained(project: Project, role: DetectorKind, name: str, fingerprint: str) -> None:
@@ -115,7 +115,7 @@ def trained(project: Project, role: DetectorKind, name: str, fingerprint: str) -
 
 
 def propose_as(project: Project, index: int, image: str, view: str) -> None:
-    """One proposal on a frame, in a run of these detectors."""
+    """Creates a proposal on a frame, in a run of these detectors."""
     stored = project.frames.of()[index]
     run = project.jobs.start(image_detector=image, view_detector=view, config_json="{}")
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
@@ -123,7 +123,7 @@ def propose_as(project: Project, index: int, image: str, view: str) -> None:
     project.proposals.replace(stored.id, [found], WriteContext(0, "rcv", Source.AUTO), run=RunShare(run.id, 1.0))
 
 
-def test_the_detectors_that_made_the_boxes_are_named_and_no_others(people: Project, tmp_path: Path) -> None:
+def test_only_the_detectors_of_exported_boxes_are_named(people: Project, tmp_path: Path) -> None:
     trained(people, DetectorKind.IMAGE, "image-1", "i1")
     trained(people, DetectorKind.VIEW, "view-1", "v1")
     propose_as(people, 0, "i1", "v1")
@@ -131,7 +131,7 @@ def test_the_detectors_that_made_the_boxes_are_named_and_no_others(people: Proje
     propose_as(people, 2, "i1", "rejected all")
     (rejected,) = people.labels.of_frame(people.frames.of()[2].id)
     people.labels.reject(people.frames.of()[2].id, rejected.uid, WriteContext(1, "me"))
-    trained(people, DetectorKind.VIEW, "view-2", "v2")  # active by now, and has made nothing
+    trained(people, DetectorKind.VIEW, "view-2", "v2")  # now active, but without proposals
     found = exported(people, tmp_path / "out").detectors
     assert [(detector.role, detector.name, detector.fingerprint) for detector in found] == [
         ("image", "image-1", "i1"),
@@ -146,7 +146,7 @@ def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -
     assert exported(people, tmp_path / "out").detectors == ()
 
 
-def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:
+def test_images_can_be_exported_as_jpeg(people: Project, tmp_path: Path) -> None:
     label_all(people, (0,))
     exported(people, tmp_path / "out", options=ExportOptions(image_format="jpg"))
     assert [path.suffix for path in (tmp_path / "out" / "images").iterdir()] == [".jpg"]
@@ -160,13 +160,13 @@ def test_images_as_jpeg(people: Project, tmp_path: Path) -> None:
         (ExportFilter(states=(ReviewState.EDITED,)), "has no labels in state edited to export"),
     ],
 )
-def test_nothing_to_export(people: Project, tmp_path: Path, choose: ExportFilter, problem: str) -> None:
+def test_an_empty_export_is_an_error(people: Project, tmp_path: Path, choose: ExportFilter, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         exported(people, tmp_path / "out", choose=choose)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_frame_that_fails_leaves_nothing(
+def test_an_unreadable_frame_fails_the_export_and_leaves_nothing(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
     folder = own_copy("people")
@@ -181,7 +181,7 @@ def test_a_frame_that_fails_leaves_nothing(
 
 
 @pytest.mark.parametrize("format", [ExportFormat.RCV, ExportFormat.KITTI, ExportFormat.COCO])
-def test_frames_that_fail_are_left_out_where_that_is_asked_for(
+def test_unreadable_frames_are_left_out_on_request(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path, format: ExportFormat
 ) -> None:
     folder = own_copy("people")
@@ -194,7 +194,7 @@ def test_frames_that_fail_are_left_out_where_that_is_asked_for(
     progress = lambda done, total: told.append((done, total))  # noqa: E731
     report = export_project(project, tmp_path / "out", format, choose=skip, progress=progress)
     assert (report.frames, report.objects) == (1, 2)
-    assert told == [(1, 4), (2, 4), (2, 2)], "two are looked at, and one is written"
+    assert told == [(1, 4), (2, 4), (2, 2)], "two frames are read, and one is written"
     (left_out,) = report.unreadable
     assert left_out.startswith("people/000000: ") and "the PNG image is truncated" in left_out
     assert [loss.count for loss in report.losses if loss.kind is Lost.UNREADABLE] == [1]
@@ -204,10 +204,10 @@ def test_frames_that_fail_are_left_out_where_that_is_asked_for(
     assert not (tmp_path / "none").exists()
 
 
-def test_frames_that_are_gone(
+def test_missing_frames_with_labels_fail_the_export(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Without labels they are no part of the export; with labels they would be missed, so it fails."""
+    """Missing frames without labels are not exported; with labels they are an error."""
     folder = own_copy("people")
     project = make_project(folder)
     label_all(project, (0, 1))
@@ -223,7 +223,7 @@ def test_frames_that_are_gone(
     assert not (tmp_path / "b").exists()
 
 
-def test_an_older_export_is_replaced_only_where_that_is_said(people: Project, tmp_path: Path) -> None:
+def test_an_older_export_is_replaced_only_on_request(people: Project, tmp_path: Path) -> None:
     label_all(people, (0,))
     exported(people, tmp_path / "out")
     with pytest.raises(FormatError, match="exists and is not empty"):
@@ -233,7 +233,9 @@ def test_an_older_export_is_replaced_only_where_that_is_said(people: Project, tm
     assert len(read_rcv(tmp_path / "out")) == 2
 
 
-def test_one_key_in_two_recordings(people: Project, own_copy: Callable[[str], Path], tmp_path: Path) -> None:
+def test_frames_with_the_same_key_in_two_recordings_are_exported(
+    people: Project, own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
     register_recording(people, open_recording(own_copy("people")))
     label_all(people, (0,), recording=0)
     label_all(people, (0,), recording=1)

@@ -1,4 +1,4 @@
-"""COCO and YOLO datasets of a project: what leaves, in which parts, and that it comes back into another project."""
+"""COCO and YOLO datasets of a project: selection, splits, and import into another project."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from annotator.workflows.recorded.reading import load_truth
 
 FORMATS = (ExportFormat.COCO, ExportFormat.YOLO)
 DRAWN = (Box2D("person", 10.25, 20.5, 60.75, 90.0), Box2D("person", 100.0, -9.0, 160.5, 300.0))
-# cut to the picture, which is 320 x 240
+# clipped to the image, which is 320 x 240
 KEPT = (DRAWN[0], replace(DRAWN[1], y_min=-0.5, y_max=239.5))
 ON_VIEW = Box2D("person", 3.5, 4.5, 30.25, 41.0)
 BOTH = ExportOptions(pictures="both")
@@ -45,9 +45,9 @@ def picture(seed: int) -> np.ndarray:
 
 
 def labelled(project: Project) -> list[int]:
-    """Of five frames: 0 drawn, 1 drawn and empty, 2 with two reviewed labels, 3 half reviewed, 4 untouched.
+    """Five frames: 0 with boxes, 1 labelled as empty, 2 with two reviewed labels, 3 half reviewed, 4 unlabelled.
 
-    Frame 0 also has a pseudo-view with a box, and one said to show nothing; a third view belongs to no frame.
+    Frame 0 also has a pseudo-view with a box and one labelled as empty; a third view belongs to no frame.
     """
     ids = [frame.id for frame in project.frames.of()]
     project.boxes.set_on_image(ids[0], DRAWN, BoxKind.SILHOUETTE, WriteContext(0, "me"))
@@ -77,7 +77,7 @@ def labelled(project: Project) -> list[int]:
 
 
 def propose(project: Project, frame_id: int) -> None:
-    """One more object of the frame, which waits for a review."""
+    """Adds an unreviewed proposal to the frame."""
     run = project.jobs.start(image_detector="i", view_detector="v", config_json="{}")
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
     found = Proposal("person", 0.5, box, DRAWN[0], (), Quality(0.0, 1.0, 0.0))
@@ -96,7 +96,7 @@ def assert_same(boxes: tuple[Box2D, ...], wanted: tuple[Box2D, ...]) -> None:
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_all_pictures_come_back_into_another_project(
+def test_exported_pictures_can_be_imported_into_another_project(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, format: ExportFormat
 ) -> None:
     ids = labelled(people)
@@ -114,7 +114,7 @@ def test_all_pictures_come_back_into_another_project(
     assert list(on_images) == [other.frames.of()[index].id for index in (0, 1, 2)]
     drawn, empty, projected = (boxes.boxes for boxes in on_images.values())
     assert_same(drawn, KEPT)
-    assert drawn[0] == DRAWN[0], "what a view was drawn from is taken over as it was"
+    assert drawn[0] == DRAWN[0], "the image box of a view is imported without rounding"
     assert empty == ()
     frame = FrameSource(people).read(people.frames.of()[2])
     labels = [label for label in people.labels.of_frame(ids[2]) if label.state is not ReviewState.REJECTED]
@@ -128,8 +128,8 @@ def test_all_pictures_come_back_into_another_project(
         assert_same(two.boxes, one.boxes)
 
 
-def test_a_loose_copy_of_a_view_does_not_leave_beside_it(people: Project, tmp_path: Path) -> None:
-    """Else one picture could be in both train and val."""
+def test_a_copy_of_a_view_without_a_frame_is_not_exported_again(people: Project, tmp_path: Path) -> None:
+    """Otherwise the same picture could be in both train and val."""
     labelled(people)
     people.boxes.set_on_view(people.views.store(picture(1)), (ON_VIEW,), BoxKind.SILHOUETTE, WriteContext(0, "me"))
     assert len([view for view in people.boxes.on_views() if view.frame_id is None]) == 2
@@ -138,7 +138,7 @@ def test_a_loose_copy_of_a_view_does_not_leave_beside_it(people: Project, tmp_pa
     assert {loss.kind: loss.count for loss in report.losses} == {Lost.SAME: 1}
 
 
-def test_a_thin_outline_leaves_as_a_thin_drawn_box_does(people: Project, tmp_path: Path) -> None:
+def test_a_thin_outline_is_exported_like_a_thin_drawn_box(people: Project, tmp_path: Path) -> None:
     frame = FrameSource(people).read(people.frames.of()[4])
     solid = np.array([0.5, 1.5 / frame.camera.fx * 3.0, 1e-3])
     # axes of the camera: x to the right is the width in pixels
@@ -149,7 +149,7 @@ def test_a_thin_outline_leaves_as_a_thin_drawn_box_does(people: Project, tmp_pat
     assert report.objects == 1 and {loss.kind for loss in report.losses} == {Lost.SOLID, Lost.KIND}
 
 
-def test_half_reviewed_frames_are_told_of_in_formats_of_truth(people: Project, tmp_path: Path) -> None:
+def test_half_reviewed_frames_give_a_note_in_ground_truth_formats(people: Project, tmp_path: Path) -> None:
     labelled(people)
     report = exported(people, tmp_path / "kitti", ExportFormat.KITTI)
     (note,) = report.notes
@@ -161,7 +161,7 @@ def test_half_reviewed_frames_are_told_of_in_formats_of_truth(people: Project, t
 
 
 def test_ten_round_trips_do_not_drift(people: Project, tmp_path: Path) -> None:
-    """YOLO rounds; COCO's numbers are written as they are."""
+    """Only YOLO rounds coordinates; COCO stores them exactly."""
     labelled(people)
     first: dict[int, tuple[Box2D, ...]] = {}
     for turn in range(10):
@@ -172,7 +172,7 @@ def test_ten_round_trips_do_not_drift(people: Project, tmp_path: Path) -> None:
     assert len(first) == 3
 
 
-def test_parts_as_coco_and_yolo_have_them(people: Project, tmp_path: Path) -> None:
+def test_coco_and_yolo_have_the_same_splits(people: Project, tmp_path: Path) -> None:
     labelled(people)
     split = Split({"train": 0.6, "val": 0.4}, SplitBy.FRAMES, 1)
     coco = exported(people, tmp_path / "coco", ExportFormat.COCO, split=split, options=BOTH)
@@ -185,7 +185,7 @@ def test_parts_as_coco_and_yolo_have_them(people: Project, tmp_path: Path) -> No
             for file in (tmp_path / "coco" / part, tmp_path / "yolo/images" / part):
                 shown = cv2.imread(str(file / image.file_name))
                 assert shown.shape[:2] == (image.height_px, image.width_px)
-    # an image and the views that were cut out of it share a part
+    # an image and its views are in the same split
     rows = (tmp_path / "coco/frames.csv").read_text().splitlines()
     part_of = dict(row.split(",")[2::1] for row in rows[1:])
     for part in coco.splits:
@@ -198,7 +198,7 @@ def test_parts_as_coco_and_yolo_have_them(people: Project, tmp_path: Path) -> No
     assert not (tmp_path / "bad").exists()
 
 
-def test_what_leaves_is_chosen(people: Project, tmp_path: Path) -> None:
+def test_the_exported_pictures_depend_on_the_options(people: Project, tmp_path: Path) -> None:
     ids = labelled(people)
     coco = ExportFormat.COCO
 
@@ -217,15 +217,15 @@ def test_what_leaves_is_chosen(people: Project, tmp_path: Path) -> None:
     people.configure(classes=["person", "dog"])
     with pytest.raises(ConfigError, match="has no class cat"):
         stems("cat", choose=ExportFilter(classes=("cat",)))
-    # of another class there is nothing but the pictures that are said to be empty
+    # for another class, only the pictures labelled as empty are exported
     assert stems("dogs", choose=ExportFilter(classes=("dog",))) == ["people-000001.png", "people-000004.png"]
-    # frame 2 has accepted boxes: it shows something, whichever states are asked for
+    # frame 2 has accepted boxes, so it is not empty for any selection of states
     people.frames.finalise(ids[2], WriteContext(people.frames.get(ids[2]).revision, "me"))
     edited = ExportFilter(states=(ReviewState.EDITED,))
     assert stems("edited", choose=edited) == [f"people-00000{number}.png" for number in (0, 1, 4)]
 
 
-def test_nothing_to_export_is_said(hands: Project, tmp_path: Path) -> None:
+def test_an_export_without_views_is_an_error(hands: Project, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="has no labelled views to export"):
         exported(hands, tmp_path / "out", ExportFormat.YOLO, options=ExportOptions(pictures="views"))
     assert list(tmp_path.glob("out*")) == []
@@ -240,13 +240,13 @@ def test_only_an_older_dataset_of_the_format_is_replaced(people: Project, tmp_pa
         exported(people, tmp_path / "out", ExportFormat.YOLO, overwrite=True)
     report = exported(people, tmp_path / "out", ExportFormat.COCO, overwrite=True, options=BOTH)
     assert report.frames == 6 and len(list((tmp_path / "out/all").glob("*.png"))) == 6
-    # somebody else's COCO dataset has no frames.csv
+    # without frames.csv it could be another tool's COCO dataset
     (tmp_path / "out/frames.csv").unlink()
     with pytest.raises(FormatError, match="is not empty"):
         exported(people, tmp_path / "out", ExportFormat.COCO, overwrite=True)
 
 
-def test_names_that_lead_out_of_the_folder_are_refused(people: Project, tmp_path: Path) -> None:
+def test_file_names_outside_the_folder_are_refused(people: Project, tmp_path: Path) -> None:
     labelled(people)
     exported(people, tmp_path / "out", ExportFormat.COCO, options=ExportOptions(pictures="views"))
     file = tmp_path / "out/annotations/instances_all.json"
@@ -267,7 +267,7 @@ def yolo_of(folder: Path, **rows: str) -> Path:
     return folder
 
 
-def test_yolo_labels_of_another_tool_find_frames_by_their_stem(people: Project, tmp_path: Path) -> None:
+def test_yolo_labels_of_other_tools_are_matched_by_file_stem(people: Project, tmp_path: Path) -> None:
     folder = yolo_of(tmp_path / "labels", K000001="0 0.5 0.5 0.25 0.5\n", K000003="", K9="0 0.5 0.5 1 1")
     done = import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
     assert (done.pictures, done.boxes, done.unmatched) == (2, 1, ("9.txt",))
@@ -275,8 +275,8 @@ def test_yolo_labels_of_another_tool_find_frames_by_their_stem(people: Project, 
     assert one.boxes == (Box2D("person", 119.5, 59.5, 199.5, 179.5),) and two.boxes == ()
 
 
-def test_yolo_boxes_on_a_copy_of_the_image(people: Project, tmp_path: Path) -> None:
-    """A scaled copy has the same shares; one that was cut or filled up has not."""
+def test_yolo_boxes_are_valid_for_scaled_but_not_for_cropped_copies(people: Project, tmp_path: Path) -> None:
+    """A scaled copy has the same relative coordinates; a cropped or padded copy does not."""
     folder = yolo_of(tmp_path / "labels", K000001="0 0.5 0.5 0.25 0.5\n")
     for size in ((120, 160), (160, 160)):
         cv2.imwrite(str(folder / "000001.png"), np.zeros((*size, 3), np.uint8))
@@ -287,7 +287,7 @@ def test_yolo_boxes_on_a_copy_of_the_image(people: Project, tmp_path: Path) -> N
             assert import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO).boxes == 1
 
 
-def test_yolo_boxes_on_views(people: Project, tmp_path: Path) -> None:
+def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> None:
     folder = yolo_of(tmp_path / "labels", front="0 0.5 0.5 0.25 0.5\n")
     (tmp_path / "pictures").mkdir()
     cv2.imwrite(str(tmp_path / "pictures/front.png"), picture(5))
@@ -297,7 +297,7 @@ def test_yolo_boxes_on_views(people: Project, tmp_path: Path) -> None:
     assert view.boxes == (Box2D("person", 23.5, 11.5, 39.5, 35.5),) and view.frame_id is None
 
 
-def test_a_frame_that_cannot_be_read_does_not_say_the_size(
+def test_yolo_boxes_of_unreadable_frames_are_skipped_and_reported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
     recording = own_copy("people")

@@ -1,4 +1,4 @@
-"""KITTI the whole way: out of a project, into another one, and opened as a recording of its own."""
+"""KITTI: export from a project, import into another one, and opening the export as a recording."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def assert_same(found: OrientedBox, expected: OrientedBox, atol: float) -> None:
     np.testing.assert_allclose(found.size_m, expected.size_m, atol=atol)
 
 
-def test_out_and_into_another_project(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
+def test_a_kitti_export_can_be_imported_and_opened_as_a_recording(
+    make_project: MakeProject, generated: Path, tmp_path: Path
+) -> None:
     people = make_project(generated / "people")
     import_own_labels(people, people.recordings.all()[0].id)
     out = tmp_path / "out"
@@ -58,7 +60,7 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
     for file in (out / "training" / "label_2").iterdir():
         assert (tmp_path / "again" / "training" / "label_2" / file.name).read_text() == file.read_text()
 
-    # the folder is a recording of KITTI's form with labels of its own, seen by the same camera
+    # the folder is a KITTI recording with labels and the same camera
     opened, known = open_recording(out), open_recording(generated / "people")
     assert (opened.format, opened.keys) == ("kitti_object", known.keys)
     frame, original = opened.frame(0), known.frame(0)
@@ -69,7 +71,7 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
     for truth, (label, box) in zip(load_truth(opened, 0, frame), boxes(other)[opened.keys[0]], strict=True):
         assert truth.label == label
         assert_same(truth.box, box, 1e-9)
-    # people walk before each other: what is hidden counts as such, in KITTI's evaluation of other recordings, too
+    # people occlude each other; the evaluation computes the same occlusion as the export
     hidden = [row.occluded for i in range(5) for row in true_kitti_rows(known, i, known.frame(i)) if is_in_image(row)]
     files = sorted((out / "training" / "label_2").iterdir())
     assert [int(line.split()[2]) for file in files for line in file.read_text().splitlines()] == hidden
@@ -81,7 +83,7 @@ AREA = "DontCare -1 -1 -10 12.25 20.50 44.75 60.00 -1 -1 -1 -1000 -1000 -1000 -1
 
 @pytest.fixture
 def folder(make_project: MakeProject, generated: Path, tmp_path: Path) -> Path:
-    """A KITTI object folder of 5 frames, all labelled; the second has an area where nobody labelled."""
+    """A KITTI object folder of 5 labelled frames; the second one has a DontCare area."""
     people = make_project(generated / "people")
     import_own_labels(people, people.recordings.all()[0].id)
     export_project(people, tmp_path / "folder", ExportFormat.KITTI, choose=ALL)
@@ -96,7 +98,7 @@ def labels_of_export(project: Project, out: Path) -> list[list[str]]:
     return [file.read_text().splitlines() for file in sorted((out / "training" / "label_2").iterdir())]
 
 
-def test_a_partly_labelled_folder_leaves(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
+def test_a_partly_labelled_folder_can_be_exported(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
     (folder / "label_2" / "000003.txt").unlink()
     before = [file.read_text().splitlines() for file in sorted((folder / "label_2").iterdir())]
     project = make_project(folder)
@@ -104,7 +106,7 @@ def test_a_partly_labelled_folder_leaves(make_project: MakeProject, folder: Path
     assert labels_of_export(project, tmp_path / "out") == [*before[:3], [], before[3]]
 
 
-def test_dont_care_areas_of_a_drive_leave(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
+def test_dontcare_areas_of_a_drive_are_exported(make_project: MakeProject, folder: Path, tmp_path: Path) -> None:
     """KITTI's tracking folders have one file of labels for all frames."""
     labels = [file.read_text().splitlines() for file in sorted((folder / "label_2").iterdir())]
     (folder / "image_2").rename(folder / "image_02")
@@ -122,11 +124,13 @@ def test_dont_care_areas_of_a_drive_leave(make_project: MakeProject, folder: Pat
     assert recording.format == "kitti_tracking"
     import_own_labels(project, project.recordings.all()[0].id)
     assert labels_of_export(project, tmp_path / "out") == labels
-    # what is found there is no false alarm
+    # detections there are not false positives
     assert [row.label for row in true_kitti_rows(recording, 1, recording.frame(1))][-2:] == ["person", "DontCare"]
 
 
-def test_the_calibration_beside_labels_says_where_they_are(make_project: MakeProject, generated: Path, tmp_path: Path):
+def test_imported_labels_are_shifted_by_the_calibration_beside_them(
+    make_project: MakeProject, generated: Path, tmp_path: Path
+):
     folder = tmp_path / "training"
     for name in ("label_2", "calib"):
         (folder / name).mkdir(parents=True)
@@ -180,8 +184,8 @@ def derived(row: list[str], P2: np.ndarray, size_px: Sequence[int]) -> np.ndarra
 
 
 @pytest.mark.shared
-def test_kitti_own_labels_leave_as_they_came(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
-    """2D boxes as derived, 3D numbers to the letter; and ten times around nothing moves."""
+def test_kittis_labels_are_exported_unchanged(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
+    """2D boxes are derived, 3D numbers are identical, and ten round trips do not drift."""
     for entry in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
         expected = derived(entry["label"].split(), np.array(entry["P2"]).reshape(3, 4), entry["image_size"])
         if not np.isnan(expected).any():
@@ -196,7 +200,7 @@ def test_kitti_own_labels_leave_as_they_came(make_project: MakeProject, shared: 
         project.close()
         for file in sorted((root / "training").glob("label_2/*")):
             assert texts.setdefault(file.name, file.read_text()) == file.read_text()
-        # once around with all, then with one
+        # the first round trip uses all frames, the others one
         for file in (root / "training").glob("*/*"):
             if file.stem != "000008":
                 file.unlink()
@@ -222,6 +226,6 @@ def test_kitti_own_labels_leave_as_they_came(make_project: MakeProject, shared: 
                 compared += 1
     assert compared >= 70
     known = [(theirs, ours) for theirs, ours in levels if theirs != 3]
-    # a person's word against a measurement; on these and on 20 frames of a drive 91 % (docs/formats.md)
+    # KITTI's levels are judged by people, ours are measured; they agree for 91 % of the objects (docs/formats.md)
     assert np.mean([theirs == ours for theirs, ours in known]) > 0.8
     assert max(abs(theirs - ours) for theirs, ours in known) == 1

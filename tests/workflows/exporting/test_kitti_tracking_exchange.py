@@ -1,4 +1,4 @@
-"""KITTI tracking folders: out of a project with track ids, and back."""
+"""KITTI tracking folders: export with track ids, and import."""
 
 from __future__ import annotations
 
@@ -26,11 +26,13 @@ def rows(folder: Path, sequence: str) -> list[list[str]]:
     return [line.split() for line in file.read_text().splitlines()]
 
 
-def test_out_and_into_another_project(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
+def test_a_tracking_export_can_be_imported_with_its_track_ids(
+    make_project: MakeProject, generated: Path, tmp_path: Path
+) -> None:
     project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
     for recording in project.recordings.all():
         import_own_labels(project, recording.id)
-    # one person has lost the track, another one has the id of the first
+    # one box has lost its track id, another one has the id of a third
     frame = project.frames.of()[2]
     first, second, _ = project.labels.of_frame(frame.id)
     for label, number in ((first, None), (second, 3)):
@@ -49,7 +51,7 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
     found = rows(out, "0000")
     assert all(len(row) == 17 for row in found)
     per_frame = [[int(row[1]) for row in found if row[0] == str(number)] for number in range(5)]
-    assert all(len(set(ids)) == len(ids) for ids in per_frame), "an id stands once in a frame"
+    assert all(len(set(ids)) == len(ids) for ids in per_frame), "track ids are unique in a frame"
     known = {1, 2, 3}
     assert per_frame[0] == [1, 2, 3]
     assert sorted(set(per_frame[2]) - known) == [4, 5]
@@ -73,13 +75,13 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
         read_labels(BoxFormat.KITTI_TRACKING, out)
 
 
-def test_sequences_have_the_numbers_of_their_frames() -> None:
+def test_sequences_keep_frame_numbers() -> None:
     places = [("b", "000007", 0), ("b", "000009", 1), ("a", "x", 0), ("a", "y", 4)]
     assert list(sequence_ids(places).values()) == [("0000", 7), ("0000", 9), ("0001", 0), ("0001", 4)]
 
 
 def some_frames(drive: Path, folder: Path, numbers: tuple[int, ...]) -> Path:
-    """A part of a drive, by links to its files; the labels of the other frames left out."""
+    """A part of a drive, with links to its files, and without the labels of other frames."""
     for place, suffix in (("image_02", "png"), ("velodyne", "bin")):
         (folder / place).mkdir(parents=True)
         for number in numbers:
@@ -91,7 +93,7 @@ def some_frames(drive: Path, folder: Path, numbers: tuple[int, ...]) -> Path:
 
 
 @pytest.mark.shared
-def test_kittis_own_labels_come_out_as_they_are(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
+def test_kittis_tracking_labels_are_exported_unchanged(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
     drive = some_frames(shared / "data" / "kitti_drive_0005", tmp_path / "drive", (2, 3, 9))
     project = make_project(drive, classes=("Van", "Cyclist", "Pedestrian"))
     import_own_labels(project, project.recordings.all()[0].id)
@@ -108,7 +110,7 @@ def test_kittis_own_labels_come_out_as_they_are(make_project: MakeProject, share
     np.testing.assert_allclose(
         np.array([a for a, _ in solid], float), np.array([b for _, b in solid], float), atol=0.00501
     )
-    # the drive itself, read as a sequence folder, has them, too
+    # the drive's labels, read as a sequence folder, are the same
     folder = tmp_path / "official" / "label_02"
     folder.mkdir(parents=True)
     (folder / "0000.txt").write_bytes((drive / "label_02.txt").read_bytes())

@@ -1,4 +1,4 @@
-"""Formats that hold a full rotation: what leaves a project comes into another one with the same boxes."""
+"""Formats with full rotations: boxes are unchanged after export and import into another project."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CASES = [
 
 
 def label_freely(project: Project) -> None:
-    """Boxes in any rotation on all frames but the last; of each frame the third is then rejected."""
+    """Creates boxes of any rotation on all frames except the last, and rejects the third one of each frame."""
     rng = np.random.default_rng(0)
     for number, stored in enumerate(project.frames.of()[:-1]):
         boxes = [
@@ -50,7 +50,7 @@ def label_freely(project: Project) -> None:
 
 
 @pytest.mark.parametrize(("format", "options", "precision"), CASES)
-def test_what_leaves_comes_back(
+def test_exported_boxes_are_imported_unchanged(
     people: Project,
     make_project: Callable[..., Project],
     generated: Path,
@@ -82,10 +82,10 @@ def assert_same(before: Project, after: Project, precision: float, tracks: bool)
             np.testing.assert_allclose(have.box.rotation, want.box.rotation, atol=precision)
 
 
-def test_boxes_that_nobody_accepted_stay_behind(
+def test_unaccepted_boxes_are_not_imported(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
-    """OpenLABEL says the state of each box, and its score."""
+    """OpenLABEL stores the state and score of each box."""
     label_freely(people)
     choose = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED))
     report = export_project(people, tmp_path / "out", ExportFormat.OPENLABEL, choose=choose)
@@ -103,8 +103,8 @@ def test_boxes_that_nobody_accepted_stay_behind(
 
 
 @pytest.mark.shared
-def test_real_frames_leave_and_come_back(shared: Path, tmp_path: Path) -> None:
-    """A LiDAR's, a tilted RGB-D camera's, and freely turned hands: corners within 2e-8 m."""
+def test_boxes_of_real_frames_are_exported_and_read_unchanged(shared: Path, tmp_path: Path) -> None:
+    """Frames of a LiDAR, of a tilted RGB-D camera, and of freely rotated hands: corners within 2e-8 m."""
     frames, truths, items = {}, {}, []
     for number, folder in enumerate(("kitti", "sunrgbd/sunrgbd_trainval", "hand_gesture")):
         recording = open_recording(shared / "data" / folder)

@@ -1,4 +1,4 @@
-"""SUN RGB-D the whole way: out of a project, into another one, and opened as a recording of its own."""
+"""SUN RGB-D: export from a project, import into another one, and opening the export as a recording."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ def assert_same(found: list[tuple[str, OrientedBox]], expected: list[tuple[str, 
         np.testing.assert_allclose(box.size_m, other.size_m, atol=atol)
 
 
-def test_out_and_into_another_project(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
-    """Boxes that lean stand in the labels, and lean in the table; keys have six digits and stay."""
+def test_a_sunrgbd_export_can_be_imported_and_opened_as_a_recording(
+    make_project: MakeProject, generated: Path, tmp_path: Path
+) -> None:
+    """Tilted boxes are upright in the labels but tilted in the table; keys of six digits are kept."""
     people = make_project(generated / "people")
     import_own_labels(people, people.recordings.all()[0].id)
     first = people.frames.of()[0]
@@ -80,8 +82,8 @@ def test_out_and_into_another_project(make_project: MakeProject, generated: Path
 
 
 @pytest.mark.shared
-def test_real_labels_leave_as_they_came(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
-    """VoteNet's own numbers of a real frame: what is written in 3D stays as it was, to the last digit."""
+def test_real_labels_are_exported_unchanged(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
+    """VoteNet's numbers of a real frame: the 3D values are unchanged up to the last digit."""
     root = shared / "data" / "sunrgbd" / "sunrgbd_trainval"
     original = (root / "label" / "000001.txt").read_text().splitlines()
     classes = sorted({line.split()[0] for line in original})

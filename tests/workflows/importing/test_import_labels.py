@@ -1,4 +1,4 @@
-"""3D boxes from elsewhere come onto the right frames, or nothing does."""
+"""3D boxes are imported for the matching frames, or an error changes nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5
 
 @dataclass(frozen=True)
 class Given:
-    """Labels as a test gives them."""
+    """Labels given by a test."""
 
     boxes: dict[str, list[Truth]]
     path: Path = Path("given")
@@ -44,7 +44,7 @@ def people(make_project: Callable[..., Project], generated: Path) -> Project:
     return make_project(generated / "people")
 
 
-def test_what_leaves_as_rcv_comes_back(
+def test_an_rcv_export_can_be_imported(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
     frames = people.frames.of()
@@ -75,7 +75,7 @@ def test_what_leaves_as_rcv_comes_back(
             np.testing.assert_allclose(a.box.size_m, b.box.size_m)
 
 
-def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) -> None:
+def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: Project) -> None:
     first, second = people.frames.of()[:2]
     people.labels.create(first.id, [NewLabel("person", BOX)], WriteContext(0, "me", Source.MANUAL))
     given = Given(
@@ -96,15 +96,15 @@ def test_labelled_frames_are_left_alone_and_other_classes_told(people: Project) 
     ("written", "kept", "lost"),
     [
         ((0.25, 1.0, None), [0.25, 1.0, None], 0),
-        # one raw figure says what the others are
+        # one score outside 0..1 shows that all are raw scores
         ((0.25, 7.5, None), [None, None, None], 2),
         ((-0.5, 0.0, None), [None, None, None], 2),
     ],
 )
-def test_scores_of_kitti_results(
+def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
     people: Project, tmp_path: Path, written: tuple[float | None, ...], kept: list[float | None], lost: int
 ) -> None:
-    """Those that are confidences come along, raw figures are counted."""
+    """Confidences are imported; raw scores are dropped and counted."""
     files = [f"{stored.key}.txt" for stored in people.frames.of()[:2]]
     rows = [f"person 0 0 0 9 9 50 80 1.8 0.4 0.5 {x} 1 3 0" for x in range(3)]
     scored = [row if score is None else f"{row} {score}" for row, score in zip(rows, written, strict=True)]
@@ -115,8 +115,8 @@ def test_scores_of_kitti_results(
     assert [x.score for stored in people.frames.of() for x in people.labels.of_frame(stored.id)] == kept
 
 
-def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
-    """Somebody has said that nothing is there."""
+def test_finalised_frames_are_not_changed(people: Project) -> None:
+    """An operator has finalised a frame without objects."""
     first, second = people.frames.of()[:2]
     people.frames.finalise(first.id, WriteContext(0, "me"))
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
@@ -126,7 +126,7 @@ def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
     assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
 
 
-def test_a_key_that_two_recordings_have(make_project: Callable[..., Project], generated: Path) -> None:
+def test_a_key_of_several_recordings_needs_the_recording(make_project: Callable[..., Project], generated: Path) -> None:
     project = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
     key = project.frames.of()[0].key
     given = Given({key: [Truth("hand", BOX)]})
@@ -135,8 +135,8 @@ def test_a_key_that_two_recordings_have(make_project: Callable[..., Project], ge
     assert import_labels(project, given, "hands").labels == {"hand": 1}
 
 
-def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> None:
-    """Another recording has frames of the same names; a single one that is not known is the project's own, renamed."""
+def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
+    """Other recordings may have the same keys. If only one recording name is unknown, it is taken as renamed."""
     first, second = (frame.key for frame in people.frames.of()[:2])
     both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)
@@ -155,7 +155,7 @@ def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> 
         ([], "it has none"),
     ],
 )
-def test_frames_that_do_not_fit_change_nothing(people: Project, names: list[str], problem: str) -> None:
+def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: list[str], problem: str) -> None:
     with pytest.raises(FormatError, match=problem):
         import_labels(people, Given({name: [Truth("person", BOX)] for name in names}))
     assert not any(people.labels.of_frame(frame.id) for frame in people.frames.of())

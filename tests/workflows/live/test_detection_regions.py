@@ -1,4 +1,4 @@
-"""Where the image detector looks while objects are being followed."""
+"""The image regions in which the detector runs while objects are tracked."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def outline(of: WarmStart) -> Box2D:
     return found
 
 
-class Sees:
-    """Knows where objects are on the image; remembers what it was asked about."""
+class KnownBoxes:
+    """A detector with given boxes that records its images."""
 
-    labels, fingerprint = ("hand",), "sees"
+    labels, fingerprint = ("hand",), "known"
 
     def __init__(self, *boxes: Box2D) -> None:
         self.boxes = list(boxes)
@@ -53,13 +53,13 @@ class Sees:
 
     @property
     def regions(self) -> list[bool]:
-        """Of each look, whether it was at a part of the image; forgets them."""
+        """For each image since the last call: whether it was a region."""
         asked, self.asked = self.asked, []
         return [isinstance(image, Region) for image in asked]
 
 
 def on_part(image: Image, box: Box2D) -> Box2D | None:
-    """A box as it is on a region: cut off at its border."""
+    """A box on a region, clipped to its border."""
     x, y = (image.x_px, image.y_px) if isinstance(image, Region) else (0, 0)
     height, width = image.rgb.shape[:2]
     edges = np.array(box.xyxy) - (x, y, x, y)
@@ -72,122 +72,122 @@ def shifted(box: Box2D, x_px: float, **other: object) -> Box2D:
     return Box2D(x_min=box.x_min + x_px, y_min=box.y_min, x_max=box.x_max + x_px, y_max=box.y_max, **values)
 
 
-def test_a_followed_object_is_looked_for_where_it_was() -> None:
-    sees = Sees(shifted(outline(seed(0.0)), 12.0))
-    image_detection = RegionDetection(sees)
+def test_a_tracked_object_is_searched_in_a_region_around_its_last_position() -> None:
+    known = KnownBoxes(shifted(outline(seed(0.0)), 12.0))
+    image_detection = RegionDetection(known)
     whole = image_detection.boxes(frame(), (), CONFIG)
     followed = image_detection.boxes(frame(), (seed(0.0),), CONFIG)
-    assert sees.regions == [False, True]
-    assert whole == sees.boxes
+    assert known.regions == [False, True]
+    assert whole == known.boxes
     assert followed[0].xyxy == pytest.approx(whole[0].xyxy)
     assert (followed[0].label, followed[0].score) == ("hand", 0.9)
 
 
-def test_new_objects_are_seen_after_some_frames() -> None:
-    sees = Sees(outline(seed(0.0)), outline(seed(0.4)))
-    image_detection = RegionDetection(sees)
+def test_new_objects_are_found_when_the_whole_image_is_searched_again() -> None:
+    known = KnownBoxes(outline(seed(0.0)), outline(seed(0.4)))
+    image_detection = RegionDetection(known)
     found = [len(image_detection.boxes(frame(), (seed(0.0),), CONFIG)) for _ in range(2 * WHOLE_EVERY)]
     assert found == ([2] + [1] * (WHOLE_EVERY - 1)) * 2
-    assert sees.regions == ([False] + [True] * (WHOLE_EVERY - 1)) * 2
+    assert known.regions == ([False] + [True] * (WHOLE_EVERY - 1)) * 2
 
 
-def test_nothing_to_follow_is_looked_for_everywhere() -> None:
-    sees = Sees()
-    image_detection = RegionDetection(sees)
+def test_without_tracked_objects_the_whole_image_is_searched() -> None:
+    known = KnownBoxes()
+    image_detection = RegionDetection(known)
     for _ in range(3):
         assert image_detection.boxes(frame(), (), CONFIG) == []
-    assert sees.regions == [False] * 3
+    assert known.regions == [False] * 3
 
 
-def test_when_one_is_gone_the_whole_image_is_looked_at() -> None:
-    sees = Sees(outline(seed(0.0)))
-    image_detection = RegionDetection(sees)
+def test_after_a_lost_object_the_whole_image_is_searched() -> None:
+    known = KnownBoxes(outline(seed(0.0)))
+    image_detection = RegionDetection(known)
     image_detection.boxes(frame(), (), CONFIG)
     image_detection.lost()
     image_detection.boxes(frame(), (seed(0.0),), CONFIG)
-    assert sees.regions == [False, False]
+    assert known.regions == [False, False]
 
 
 @pytest.mark.parametrize(
     "seen",
     [
-        pytest.param([], id="not found there"),
+        pytest.param([], id="not found"),
         pytest.param([shifted(outline(seed(0.0)), 40.0)], id="too far away"),
-        pytest.param([shifted(outline(seed(0.0)), 0.0, score=0.1)], id="not sure"),
+        pytest.param([shifted(outline(seed(0.0)), 0.0, score=0.1)], id="low score"),
         pytest.param([shifted(outline(seed(0.0)), 0.0, label="foot")], id="another class"),
     ],
 )
-def test_an_object_not_found_where_it_was_is_looked_for_everywhere(seen: list[Box2D]) -> None:
-    sees = Sees(*seen)
-    image_detection = RegionDetection(sees)
+def test_an_object_not_found_in_its_region_is_searched_in_the_whole_image(seen: list[Box2D]) -> None:
+    known = KnownBoxes(*seen)
+    image_detection = RegionDetection(known)
     image_detection.boxes(frame(), (), CONFIG)
-    sees.boxes = seen
+    known.boxes = seen
     for _ in range(WHOLE_EVERY):
         assert image_detection.boxes(frame(), (seed(0.0),), CONFIG) == seen
-    assert sees.regions == [False, True, *[False] * WHOLE_EVERY], "regions are not tried again at once"
-    sees.boxes = [outline(seed(0.0))]
+    assert known.regions == [False, True, *[False] * WHOLE_EVERY], "regions are not used again at once"
+    known.boxes = [outline(seed(0.0))]
     image_detection.boxes(frame(), (seed(0.0),), CONFIG)
-    assert sees.regions == [True]
+    assert known.regions == [True]
 
 
-def test_an_object_that_its_region_cuts_off_is_looked_for_everywhere() -> None:
+def test_an_object_cut_off_by_its_region_is_searched_in_the_whole_image() -> None:
     near = seed(0.0, size_m=0.36)
     for x_px, regions in ((40.0, [True]), (50.0, [True, False])):
         moved = shifted(outline(near), x_px)
         assert box_iou(moved, outline(near)) > 0.5
-        sees = Sees(moved)
-        image_detection = RegionDetection(sees)
+        known = KnownBoxes(moved)
+        image_detection = RegionDetection(known)
         image_detection.boxes(frame(), (), CONFIG)
         (found,) = image_detection.boxes(frame(), (near,), CONFIG)
         assert found.xyxy == pytest.approx(moved.xyxy)
-        assert sees.regions == [False, *regions]
+        assert known.regions == [False, *regions]
 
 
-def test_two_that_find_the_same_object_are_looked_for_everywhere() -> None:
-    sees = Sees(outline(seed(0.0)))
-    image_detection = RegionDetection(sees)
+def test_if_two_regions_find_the_same_object_the_whole_image_is_searched() -> None:
+    known = KnownBoxes(outline(seed(0.0)))
+    image_detection = RegionDetection(known)
     image_detection.boxes(frame(), (), CONFIG)
-    assert image_detection.boxes(frame(), (seed(0.0), seed(0.02)), CONFIG) == sees.boxes
-    assert sees.regions == [False, True, True, False]
+    assert image_detection.boxes(frame(), (seed(0.0), seed(0.02)), CONFIG) == known.boxes
+    assert known.regions == [False, True, True, False]
 
 
-def test_objects_of_two_classes_may_be_at_the_same_place() -> None:
+def test_objects_of_two_classes_may_be_at_the_same_position() -> None:
     both = [outline(seed(0.0)), outline(seed(0.02, label="foot"))]
-    sees = Sees(*both)
-    image_detection = RegionDetection(sees)
+    known = KnownBoxes(*both)
+    image_detection = RegionDetection(known)
     image_detection.boxes(frame(), (), CONFIG)
     found = image_detection.boxes(frame(), (seed(0.0), seed(0.02, label="foot")), CONFIG)
     assert [box.label for box in found] == ["hand", "foot"]
-    assert sees.regions == [False, True, True]
+    assert known.regions == [False, True, True]
 
 
 @given(st.lists(st.tuples(*[st.floats(-0.4, 0.4)] * 2, st.floats(0.01, 0.6)), min_size=1, max_size=4))
-def test_networks_are_ready_for_each_region_that_is_looked_at(places: list[tuple[float, float, float]]) -> None:
-    """On two cores: one picture is computed by both, of several each by one."""
+def test_networks_are_prepared_for_the_sizes_of_all_regions(places: list[tuple[float, float, float]]) -> None:
+    """With two cores, a single image uses both cores, and several images use one core each."""
     seeds = [seed(x, y, size_m=size) for x, y, size in places]
-    sees = Sees()
-    image_detection = RegionDetection(sees)
+    known = KnownBoxes()
+    image_detection = RegionDetection(known)
     image_detection.prepare(frame())
-    ready = {(call > 1, *image.rgb.shape) for image, call in sees.calls}
-    sees.calls.clear()
+    ready = {(call > 1, *image.rgb.shape) for image, call in known.calls}
+    known.calls.clear()
     image_detection.boxes(frame(), (), CONFIG)
     image_detection.boxes(frame(), seeds, CONFIG)
-    assert {(call > 1, *image.rgb.shape) for image, call in sees.calls if isinstance(image, Region)} <= ready
+    assert {(call > 1, *image.rgb.shape) for image, call in known.calls if isinstance(image, Region)} <= ready
 
 
 @pytest.mark.parametrize(
     "seeds",
     [
-        pytest.param([seed(0.0), seed(2.0)], id="one is out of the picture"),
+        pytest.param([seed(0.0), seed(2.0)], id="one is outside the image"),
         pytest.param([seed(x, y) for x in (-0.4, 0.0, 0.4) for y in (-0.3, 0.3)], id="too many"),
     ],
 )
-def test_regions_that_would_not_do_are_not_looked_at(seeds: list[WarmStart]) -> None:
-    sees = Sees(outline(seed(0.0)))
-    image_detection = RegionDetection(sees)
+def test_unsuitable_regions_are_not_used(seeds: list[WarmStart]) -> None:
+    known = KnownBoxes(outline(seed(0.0)))
+    image_detection = RegionDetection(known)
     image_detection.boxes(frame(), (), CONFIG)
     image_detection.boxes(frame(), seeds, CONFIG)
-    assert sees.regions == [False, False]
+    assert known.regions == [False, False]
 
 
 @pytest.mark.parametrize(
@@ -199,17 +199,17 @@ def test_regions_that_would_not_do_are_not_looked_at(seeds: list[WarmStart]) -> 
         (Box2D("a", 0.0, 0.0, 600.0, 470.0), (0, 0, 640, 480)),
     ],
 )
-def test_regions_are_around_their_box_and_within_the_image(box: Box2D, place: tuple[int, ...]) -> None:
+def test_regions_contain_their_box_and_are_within_the_image(box: Box2D, place: tuple[int, ...]) -> None:
     (region,) = regions_around(frame(), [box])
     assert (region.x_px, region.y_px, region.width_px, region.height_px) == place
     assert region.rgb.shape == (place[3], place[2], 3)
     assert region.share == max(place[2:]) / 640
 
 
-def test_objects_at_the_images_border_are_followed() -> None:
+def test_objects_at_the_border_of_the_image_are_tracked() -> None:
     at_edge = Box2D("hand", -0.5, 200.0, 40.0, 250.0, 0.9)
-    sees = Sees(at_edge)
-    image_detection = RegionDetection(sees)
+    known = KnownBoxes(at_edge)
+    image_detection = RegionDetection(known)
     image_detection.boxes(frame(), (), CONFIG)
     assert image_detection.boxes(frame(), (seed(-0.6),), CONFIG) == [at_edge]
-    assert sees.regions == [False, True]
+    assert known.regions == [False, True]

@@ -1,4 +1,4 @@
-"""Frames are asked for when detection will want them; the clock stands where the test puts it."""
+"""Frames are requested shortly before the detection needs them; the test sets the clock."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-def test_the_first_frame_is_wanted_at_once_and_the_next_when_detection_is_about_to_end(clock: list[float]) -> None:
+def test_the_next_frame_is_requested_shortly_before_the_detection_ends(clock: list[float]) -> None:
     wanted = Demand()
     assert wanted._left_s() <= 0
     for _ in range(3):
         wanted.given(read_s=0.01)
-        assert wanted._left_s() == float("inf"), "one waits to be taken"
+        assert wanted._left_s() == float("inf"), "a frame is already available"
         wanted.begins()
         clock[0] += 0.06
         wanted.ends()
-        assert wanted._left_s() <= 0, "nothing is worked on"
+        assert wanted._left_s() <= 0, "the detection is idle"
     wanted.given(read_s=0.01)
     wanted.begins()
     assert wanted._left_s() == pytest.approx(0.06 - 0.01 - SPARE_S)
@@ -34,7 +34,7 @@ def test_the_first_frame_is_wanted_at_once_and_the_next_when_detection_is_about_
     assert wanted._left_s() < 0
 
 
-def test_nothing_is_guessed_before_a_detection_has_ended(clock: list[float]) -> None:
+def test_before_the_first_detection_has_ended_frames_are_requested_at_once(clock: list[float]) -> None:
     wanted = Demand()
     wanted.given(read_s=0.01)
     wanted.begins()
@@ -42,7 +42,7 @@ def test_nothing_is_guessed_before_a_detection_has_ended(clock: list[float]) -> 
 
 
 @pytest.mark.parametrize("wake", ["begins", "close"])
-def test_who_waits_is_woken(wake: str) -> None:
+def test_a_waiting_thread_is_woken(wake: str) -> None:
     wanted = Demand()
     wanted.given(read_s=0.01)
     waits = threading.Thread(target=wanted.wait)

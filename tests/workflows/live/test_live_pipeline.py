@@ -1,4 +1,4 @@
-"""Live: slots, a recording played at its own pace, and the stages side by side."""
+"""Live: slots, playback of recordings, and the concurrent stages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from annotator.workflows.live.rates import Drops, Meter, summary_line
 from annotator.workflows.live.source import Taken
 
 NEVER = threading.Event()
-# Nothing takes as long: who waits so long waits in vain.
+# A limit for waits, which only a failure should reach.
 PATIENCE_S = 240.0
 SHORT = RcvConfig(max_steps=2)
 
@@ -47,7 +47,7 @@ def frame(hands: Recording) -> Frame:
     return hands.frame(0)
 
 
-def test_the_newest_wins_in_a_slot() -> None:
+def test_a_slot_keeps_only_the_newest_item() -> None:
     slot: Slot[int] = Slot()
     for number in range(3):
         slot.put(number)
@@ -62,7 +62,7 @@ def test_the_newest_wins_in_a_slot() -> None:
     assert emptied.take() is None
 
 
-def test_who_waits_at_a_slot_gets_what_comes_and_is_woken_at_its_end() -> None:
+def test_a_thread_waiting_at_a_slot_gets_the_next_item_and_is_woken_when_it_closes() -> None:
     slot: Slot[int] = Slot()
     got: list[int | None] = []
     thread = threading.Thread(target=lambda: got.extend([slot.take(), slot.take()]))
@@ -75,12 +75,12 @@ def test_who_waits_at_a_slot_gets_what_comes_and_is_woken_at_its_end() -> None:
     assert got == [7, None]
 
 
-# --- a recording that is played ---------------------------------------------------------------------------------------
+# --- playback of a recording ------------------------------------------------------------------------------------------
 
 
 @dataclass
-class Told:
-    """A recording that knows when its frames were taken, and gives any frame at once."""
+class FakeRecording:
+    """A recording with given times, whose frames are all copies of one."""
 
     any_frame: Frame
     times_ns: tuple[int | None, ...]
@@ -115,17 +115,17 @@ def played(playback: Playback, most: int = 100) -> Iterator[Taken]:
         yield taken
 
 
-def test_a_recording_keeps_its_own_times(frame: Frame) -> None:
-    told_times = Told(frame, tuple(int(1e9 + 1e6 * ms) for ms in (0, 30, 130, 190)))
-    taken = list(played(Playback(told_times)))
+def test_playback_keeps_the_recordings_times(frame: Frame) -> None:
+    recording = FakeRecording(frame, tuple(int(1e9 + 1e6 * ms) for ms in (0, 30, 130, 190)))
+    taken = list(played(Playback(recording)))
     at_s = [each.taken_s - taken[0].taken_s for each in taken]
     assert [each.frame.key for each in taken] == ["0", "1", "2", "3"]
     assert at_s == pytest.approx([0, 0.03, 0.13, 0.19], abs=1e-6)
     assert all(each.read_s >= 0 for each in taken)
 
 
-def test_a_rate_and_the_default_of_a_format(frame: Frame) -> None:
-    unknown = Told(frame, (None,) * 3)
+def test_the_playback_rate_is_given_or_the_formats_default(frame: Frame) -> None:
+    unknown = FakeRecording(frame, (None,) * 3)
     assert Playback(unknown).rate == pytest.approx(30)
     unknown.format = "kitti_raw"
     assert Playback(unknown).rate == pytest.approx(10)
@@ -136,10 +136,10 @@ def test_a_rate_and_the_default_of_a_format(frame: Frame) -> None:
             Playback(unknown, rate=rate)
 
 
-def test_who_comes_late_misses_frames_as_with_a_camera(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_late_reader_misses_frames_as_with_a_camera(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
-    playback = Playback(Told(frame, (None,) * 60), rate=100.0)
+    playback = Playback(FakeRecording(frame, (None,) * 60), rate=100.0)
     first = playback.read(clock)
     clock.now_s += 0.1
     second = playback.read(clock)
@@ -149,7 +149,7 @@ def test_who_comes_late_misses_frames_as_with_a_camera(frame: Frame, monkeypatch
     assert missed >= 8
     assert playback.skipped == missed
     assert second.taken_s - first.taken_s == pytest.approx(0.01 * (missed + 1))
-    # after a pause nothing has been missed
+    # after a pause no frames are skipped
     clock.now_s += 0.1
     playback.resume()
     third = playback.read(clock)
@@ -158,7 +158,7 @@ def test_who_comes_late_misses_frames_as_with_a_camera(frame: Frame, monkeypatch
 
 
 class Clock(threading.Event):
-    """Time that passes only when somebody waits; stands for the module `time` and for the event that ends a wait."""
+    """Time that passes only during waits; replaces the module `time` and the event that ends a wait."""
 
     now_s = 0.0
 
@@ -173,20 +173,20 @@ class Clock(threading.Event):
 @pytest.mark.parametrize(
     ("rate", "asked_s", "index", "waited_s"),
     [
-        (25.0, 0.029, 0, 0.0),  # the next one is due in 11 ms
+        (25.0, 0.029, 0, 0.0),  # the next frame is due in 11 ms
         (25.0, 0.031, 1, 0.009),
-        (100.0, 0.007, 0, 0.0),  # of 10 ms between two frames, 3 are much
+        (100.0, 0.007, 0, 0.0),  # 3 of 10 ms between frames are too long to wait
         (100.0, 0.008, 1, 0.002),
         (100.0, 0.018, 2, 0.002),
         (math.inf, 0.018, 0, 0.0),
     ],
 )
-def test_who_comes_just_before_a_frame_waits_for_it(
+def test_a_reader_waits_for_a_frame_that_is_due_soon(
     frame: Frame, monkeypatch: pytest.MonkeyPatch, rate: float, asked_s: float, index: int, waited_s: float
 ) -> None:
     clock = Clock()
     monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
-    playback = Playback(Told(frame, (None,) * 9), rate=rate)
+    playback = Playback(FakeRecording(frame, (None,) * 9), rate=rate)
     first = playback.read(clock)
     assert first is not None
     clock.now_s = asked_s + (0.0 if math.isinf(rate) else 1 / rate)
@@ -200,24 +200,24 @@ def test_who_comes_just_before_a_frame_waits_for_it(
     ("repeat", "order"),
     [(Repeat.NO, [0, 1, 2]), (Repeat.AGAIN, [0, 1, 2, 0, 1, 2, 0]), (Repeat.BACK, [0, 1, 2, 1, 0, 1, 2])],
 )
-def test_what_comes_after_the_last_frame(frame: Frame, repeat: Repeat, order: list[int]) -> None:
-    told_times = Told(frame, (None,) * 3)
-    assert [taken.frame.index for taken in played(Playback(told_times, rate=math.inf, repeat=repeat), 7)] == order
-    one = Told(frame, (None,))
+def test_playback_ends_repeats_or_reverses_after_the_last_frame(frame: Frame, repeat: Repeat, order: list[int]) -> None:
+    recording = FakeRecording(frame, (None,) * 3)
+    assert [taken.frame.index for taken in played(Playback(recording, rate=math.inf, repeat=repeat), 7)] == order
+    one = FakeRecording(frame, (None,))
     assert len(list(played(Playback(one, rate=math.inf, repeat=repeat), 3))) == (1 if repeat is Repeat.NO else 3)
 
 
-def test_nobody_waits_for_a_frame_that_is_not_wanted_any_more(frame: Frame) -> None:
+def test_a_stopped_reader_does_not_wait_for_the_next_frame(frame: Frame) -> None:
     an_hour_ns = 3_600_000_000_000
-    playback = Playback(Told(frame, (0, an_hour_ns)))
+    playback = Playback(FakeRecording(frame, (0, an_hour_ns)))
     stop = threading.Event()
     assert playback.read(stop) is not None
     stop.set()
     assert playback.read(stop) is None
 
 
-def test_a_recording_that_cannot_be_read_at_all_ends(frame: Frame) -> None:
-    playback = Playback(Told(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, repeat=Repeat.AGAIN)
+def test_playback_of_an_unreadable_recording_ends_with_an_error(frame: Frame) -> None:
+    playback = Playback(FakeRecording(frame, (None,) * 2, broken=(0, 1)), rate=math.inf, repeat=Repeat.AGAIN)
     with pytest.raises(FrameError):
         playback.read(NEVER)
     with pytest.raises(RecordingError, match="none of its 2 frames"):
@@ -227,8 +227,8 @@ def test_a_recording_that_cannot_be_read_at_all_ends(frame: Frame) -> None:
 # --- the stages -------------------------------------------------------------------------------------------------------
 
 
-class Slow:
-    """A detection that takes a while and finds nothing."""
+class FakeDetection:
+    """A detection that takes the given time and finds nothing."""
 
     def __init__(self, seconds: float = 0.0) -> None:
         self.seconds = seconds
@@ -239,7 +239,7 @@ class Slow:
 
 
 class Shown(list[str]):
-    """The keys of the frames that were shown, and when the last one was."""
+    """A display that records the keys of the shown frames."""
 
     def __call__(self, detected: Detected) -> None:
         self.append(detected.frame.key)
@@ -253,7 +253,7 @@ def run(made: Pipeline) -> None:
         assert not thread.is_alive()
 
 
-def test_frames_come_through_and_the_end_of_the_source_ends_all(hands: Recording, knowing: Any) -> None:
+def test_all_stages_process_frames_and_end_with_the_source(hands: Recording, knowing: Any) -> None:
     shown: list[Detected] = []
     detectors: Detectors = knowing("hands")
     detection = LiveDetection(detectors, SHORT, BoxRotation.AUTO, warm_start=False)
@@ -274,19 +274,19 @@ def test_frames_come_through_and_the_end_of_the_source_ends_all(hands: Recording
     assert ends == ["end", "later"]
 
 
-def test_frames_of_a_recording_are_read_for_a_slow_detection_and_not_to_be_dropped(frame: Frame) -> None:
+def test_few_frames_are_read_in_vain_for_a_slow_detection(frame: Frame) -> None:
     shown = Shown()
-    made = Pipeline(Playback(Told(frame, (None,) * 40), rate=100.0), Slow(0.05), shown)
+    made = Pipeline(Playback(FakeRecording(frame, (None,) * 40), rate=100.0), FakeDetection(0.05), shown)
     run(made)
     figures = made.figures()
     assert figures.read + figures.drops.source == 40
-    # when the next one is wanted is guessed: too early now and then, as a busy machine has it
+    # the time of the next request is an estimate, which may be too early on a busy machine
     assert figures.drops.detect < figures.drops.source
-    assert shown[-1] == "39", "the last one is never dropped"
+    assert shown[-1] == "39", "the last frame is never dropped"
 
 
-class Piling(Playback):
-    """A recording as a camera whose driver queues what nobody takes; never more than three frames ahead."""
+class QueueingPlayback(Playback):
+    """A recording that behaves like a camera whose driver queues unread frames, at most three ahead."""
 
     gives_newest = False
     given = 0
@@ -299,14 +299,14 @@ class Piling(Playback):
         return super().read(stop)
 
 
-def test_a_slow_detection_and_a_slow_display_drop_frames_and_no_stage_waits(frame: Frame) -> None:
-    """Each is slower than what comes before it by counting frames, not by the clock."""
-    shown, source = Shown(), Piling(Told(frame, (None,) * 40), rate=math.inf)
+def test_slow_stages_drop_frames_instead_of_delaying_others(frame: Frame) -> None:
+    """Each stage is slower than the one before it, by counting frames instead of by time."""
+    shown, source = Shown(), QueueingPlayback(FakeRecording(frame, (None,) * 40), rate=math.inf)
 
-    class Waiting(Slow):
+    class Waiting(FakeDetection):
         def detect(self, taken: Taken) -> Detected:
             source.begun = taken.frame.index
-            # the first one is waited for before others are read
+            # other frames are read only after the first one
             while taken.frame.index > 0 and source.given < source.begun + 3 and capture.is_alive():
                 time.sleep(0.001)
             return super().detect(taken)
@@ -326,12 +326,14 @@ def test_a_slow_detection_and_a_slow_display_drop_frames_and_no_stage_waits(fram
     assert figures.detected + drops.detect == figures.read
     assert figures.shown + drops.show == figures.detected
     assert 2 <= figures.shown < figures.detected < figures.read
-    assert shown[-1] == "39", "the last one is never dropped"
+    assert shown[-1] == "39", "the last frame is never dropped"
 
 
-def test_a_frame_that_cannot_be_read_is_told_and_the_others_come(frame: Frame) -> None:
+def test_an_unreadable_frame_is_reported_and_the_others_are_shown(frame: Frame) -> None:
     shown, lines = Shown(), list[str]()
-    made = Pipeline(Playback(Told(frame, (None,) * 4, broken=(1,)), rate=20.0), Slow(), shown, report=lines.append)
+    made = Pipeline(
+        Playback(FakeRecording(frame, (None,) * 4, broken=(1,)), rate=20.0), FakeDetection(), shown, report=lines.append
+    )
     run(made)
     assert (made.figures().broken, made.figures().read) == (1, 3)
     assert "frame 1 is broken" in lines[0]
@@ -339,15 +341,15 @@ def test_a_frame_that_cannot_be_read_is_told_and_the_others_come(frame: Frame) -
     assert shown[-1] == "3"
 
 
-def test_a_pause_in_the_instant_of_a_stop_holds_nobody(frame: Frame) -> None:
-    made = Pipeline(Playback(Told(frame, (None,) * 40), rate=100.0), Slow(), Shown())
+def test_a_pause_at_the_moment_of_a_stop_does_not_block(frame: Frame) -> None:
+    made = Pipeline(Playback(FakeRecording(frame, (None,) * 40), rate=100.0), FakeDetection(), Shown())
     clear = made._running.clear
 
-    def stopped_meanwhile() -> None:
+    def stop_and_clear() -> None:
         made.stop()
         clear()
 
-    made._running.clear = stopped_meanwhile  # type: ignore[method-assign]
+    made._running.clear = stop_and_clear  # type: ignore[method-assign]
     made.start()
     made.pause(True)
     assert not made.is_paused
@@ -355,7 +357,7 @@ def test_a_pause_in_the_instant_of_a_stop_holds_nobody(frame: Frame) -> None:
 
 
 class Unplugged:
-    """A camera that gives two frames and is gone."""
+    """A camera that is unplugged after two frames."""
 
     name, skipped, gives_newest = "camera", 0, False
 
@@ -378,15 +380,15 @@ def fails(detected: Detected) -> None:
     raise ValueError("no display")
 
 
-def test_an_error_of_any_stage_ends_all_and_is_raised(frame: Frame) -> None:
+def test_an_error_of_any_stage_ends_all_stages_and_is_raised(frame: Frame) -> None:
     gone = Unplugged(frame)
-    made = Pipeline(gone, Slow(), Shown())
+    made = Pipeline(gone, FakeDetection(), Shown())
     made.start()
     with pytest.raises(DeviceError, match="unplugged"):
         made.wait(PATIENCE_S)
     assert gone.closed == 1
-    endless = Playback(Told(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN)
-    made = Pipeline(endless, Slow(), fails)
+    endless = Playback(FakeRecording(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN)
+    made = Pipeline(endless, FakeDetection(), fails)
     made.start()
     with pytest.raises(ValueError, match="no display"):
         made.wait(PATIENCE_S)
@@ -394,16 +396,16 @@ def test_an_error_of_any_stage_ends_all_and_is_raised(frame: Frame) -> None:
         made.end()
 
 
-def test_it_ends_when_it_is_told_to_also_while_it_pauses(frame: Frame) -> None:
+def test_the_pipeline_can_be_ended_while_paused(frame: Frame) -> None:
     shown = Shown()
-    made = Pipeline(Playback(Told(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN), Slow(), shown)
+    made = Pipeline(Playback(FakeRecording(frame, (None,) * 2), rate=50.0, repeat=Repeat.AGAIN), FakeDetection(), shown)
     made.start()
     while len(shown) < 2:
         time.sleep(0.001)
     made.pause(True)
     assert made.is_paused
     seen = -1
-    while seen != len(shown):  # what was under way still comes
+    while seen != len(shown):  # frames in progress are still shown
         seen = len(shown)
         time.sleep(0.3)
     time.sleep(0.2)
@@ -415,13 +417,13 @@ def test_it_ends_when_it_is_told_to_also_while_it_pauses(frame: Frame) -> None:
     made.end()
     assert made.ended.is_set()
     with pytest.raises(ConfigError, match="0 frames"):
-        Pipeline(Playback(Told(frame, (None,)), rate=1.0), Slow(), shown, max_frames=0)
+        Pipeline(Playback(FakeRecording(frame, (None,)), rate=1.0), FakeDetection(), shown, max_frames=0)
 
 
-# --- the boxes of the moment before -----------------------------------------------------------------------------------
+# --- warm starts from the previous boxes ------------------------------------------------------------------------------
 
 
-def test_the_last_boxes_are_seeds_as_long_as_they_are_new(hands: Recording, knowing: Any) -> None:
+def test_the_last_boxes_are_seeds_while_they_are_recent(hands: Recording, knowing: Any) -> None:
     detection = LiveDetection(knowing("hands"), SHORT, BoxRotation.AUTO, warm_start=True)
     frames = [hands.frame(index) for index in range(3)]
     moments = (10.0, 10.1, 10.1 + 2 * MAX_SEED_AGE_S)
@@ -435,7 +437,7 @@ def test_the_last_boxes_are_seeds_as_long_as_they_are_new(hands: Recording, know
 
 @dataclass
 class Recorded:
-    """A detector, and for each call whether it was asked about regions."""
+    """A detector that records for each call whether it was on regions."""
 
     detector: Detector
     calls: list[bool] = field(default_factory=list)
@@ -454,10 +456,10 @@ class Recorded:
 
 
 @pytest.mark.parametrize("warm_start", [False, True])
-def test_followed_objects_are_looked_for_where_they_were(
+def test_tracked_objects_are_searched_in_regions_only_with_warm_starts(
     hands: Recording, knowing: Any, warm_start: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)  # two hands fill this image
+    monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)  # two hands cover most of this image
     known = knowing("hands")
     image = Recorded(known.image)
     detectors = replace(known, image=image)
@@ -467,13 +469,13 @@ def test_followed_objects_are_looked_for_where_they_were(
     for number in range(WHOLE_EVERY + 1):
         found = live.detect(Taken(frame, 10 + 0.05 * number, 0.01)).found
         assert len(found.proposals) == 2
-        asked.append(image.calls[:] if number else image.calls[-1:])  # it gets ready on the first one
+        asked.append(image.calls[:] if number else image.calls[-1:])  # the first call also prepares the networks
         image.calls.clear()
     followed = [[warm_start]] * (WHOLE_EVERY - 1)
     assert asked == [[False], *followed, [False]]
 
 
-def test_when_an_object_gets_lost_the_next_look_is_at_the_whole_image(
+def test_after_a_lost_object_the_next_detection_uses_the_whole_image(
     hands: Recording, knowing: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)
@@ -495,7 +497,7 @@ def losing_one(*args: Any) -> list[FrameProposals]:
     return [replace(found, proposals=found.proposals[1:]) for found in propose_from_boxes(*args)]
 
 
-def test_figures_look_back_over_their_window_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_are_computed_over_their_window_only(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     monkeypatch.setattr("annotator.workflows.live.rates.time", clock)
     clock.now_s = 100.0

@@ -1,4 +1,4 @@
-"""Live: what was seen becomes a recording with proposals, also when the process is killed."""
+"""Live: frames and detections are recorded with proposals, even if the process is killed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def seen(frame: Frame, at_s: float = 0.0) -> Detected:
 # --- frames in a folder -----------------------------------------------------------------------------------------------
 
 
-def test_frames_with_depth_come_back_as_they_were(frames: list[Frame], tmp_path: Path) -> None:
+def test_frames_with_depth_are_read_back_unchanged(frames: list[Frame], tmp_path: Path) -> None:
     writer = FrameWriter(tmp_path)
     assert [writer.add(frame, 10**18 + n) for n, frame in enumerate(frames)] == ["000000", "000001", "000002"]
     recording = open_recording(tmp_path)
@@ -61,14 +61,14 @@ def test_frames_with_depth_come_back_as_they_were(frames: list[Frame], tmp_path:
         assert read.up == pytest.approx(frame.up)
 
 
-def test_all_others_come_back_as_clouds(frames: list[Frame], tmp_path: Path) -> None:
-    """As of a LiDAR or a Kinect: no registered depth, a distorted camera, reflectances."""
+def test_frames_without_depth_are_read_back_as_clouds(frames: list[Frame], tmp_path: Path) -> None:
+    """As from a LiDAR or a Kinect: no registered depth, a distorted camera, reflectance."""
     plain = frames[0].camera
     bent = Camera(
         plain.width_px, plain.height_px, plain.fx, plain.fy, plain.cx, plain.cy, (0.1, -0.02, 0.001, 0.0, 0.003)
     )
     cloud = frames[0].cloud
-    middle = np.abs(cloud.xyz_m[:, :2] / cloud.xyz_m[:, 2:]).max(axis=1) < 0.4  # in the bent picture, too
+    middle = np.abs(cloud.xyz_m[:, :2] / cloud.xyz_m[:, 2:]).max(axis=1) < 0.4  # also inside the distorted image
     xyz_m = cloud.xyz_m[middle]
     share = np.linspace(0, 1, len(xyz_m), dtype=np.float32)
     assert cloud.rgb is not None
@@ -88,11 +88,11 @@ def test_all_others_come_back_as_clouds(frames: list[Frame], tmp_path: Path) -> 
             assert read.cloud.reflectance == pytest.approx(reflectance)
 
 
-def test_a_folder_has_one_camera_and_one_gravity(frames: list[Frame], tmp_path: Path) -> None:
+def test_a_folder_has_one_camera_and_one_up_direction(frames: list[Frame], tmp_path: Path) -> None:
     writer = FrameWriter(tmp_path)
     writer.add(frames[0], 0)
     writer.add(replace(frames[1], up=np.array([1.0, 0.0, 0.0])), 1)
-    assert open_recording(tmp_path).frame(0).up is None, "the frames have none in common"
+    assert open_recording(tmp_path).frame(0).up is None, "the frames have different up directions"
     with pytest.raises(RecordingError, match="frame 000002 has a different camera"):
         writer.add(replace(frames[2], camera=replace(frames[2].camera, fx=300.0)), 2)
 
@@ -108,7 +108,7 @@ def test_a_folder_has_one_camera_and_one_gravity(frames: list[Frame], tmp_path: 
         ("key,timestamp_ns\n000000,5\n000000,6\n", ":3: frame 000000 already has a line"),
     ],
 )
-def test_times_that_mean_nothing(frames: list[Frame], tmp_path: Path, text: str, said: str) -> None:
+def test_invalid_timestamps_are_errors(frames: list[Frame], tmp_path: Path, text: str, said: str) -> None:
     FrameWriter(tmp_path).add(frames[0], 5)
     (tmp_path / "timestamps.csv").write_text(text)
     with pytest.raises(RecordingError, match=said):
@@ -117,10 +117,10 @@ def test_times_that_mean_nothing(frames: list[Frame], tmp_path: Path, text: str,
     assert open_recording(tmp_path).frame(0).timestamp_ns is None
 
 
-# --- what a session keeps ---------------------------------------------------------------------------------------------
+# --- recording a session ----------------------------------------------------------------------------------------------
 
 
-def test_what_was_seen_is_in_the_project_and_ready_for_review(
+def test_recorded_frames_are_in_the_project_with_proposals(
     frames: list[Frame], tmp_path: Path, hands: Project, knowing: Any
 ) -> None:
     recorder = Recorder(tmp_path / "seen")
@@ -146,7 +146,7 @@ def test_what_was_seen_is_in_the_project_and_ready_for_review(
     assert {result.seconds for result in hands.jobs.results(run_id=run.id)} == {0.02}
 
 
-def test_a_slow_disk_drops_frames_and_nobody_waits(
+def test_a_slow_disk_drops_frames_instead_of_blocking(
     frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     add = FrameWriter.add
@@ -165,7 +165,7 @@ def test_a_slow_disk_drops_frames_and_nobody_waits(
     recorder.close()
 
 
-def test_what_cannot_be_written_any_more_is_told_and_the_rest_stays(
+def test_write_errors_are_raised_and_earlier_frames_are_kept(
     frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorder = Recorder(tmp_path / "full")
@@ -183,14 +183,14 @@ def test_what_cannot_be_written_any_more_is_told_and_the_rest_stays(
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
 
-def test_a_disk_that_is_full_for_what_was_found_keeps_what_was_there_before(
+def test_a_full_disk_keeps_the_proposals_written_before(
     frames: list[Frame], tmp_path: Path, hands: Project, knowing: Any
 ) -> None:
     recorder = Recorder(tmp_path / "full disk")
     written = recorder._results
 
     class Full:
-        """A file with room for one frame's proposals and a little more."""
+        """A file with space for one frame's proposals and a few bytes."""
 
         left = 1
 
@@ -212,7 +212,7 @@ def test_a_disk_that_is_full_for_what_was_found_keeps_what_was_there_before(
     recorder.close()
 
 
-def test_places_that_cannot_be_recorded_to(tmp_path: Path) -> None:
+def test_unusable_recording_paths_are_errors(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="exists already"):
         Recorder(tmp_path)
     (tmp_path / "file").touch()
@@ -227,12 +227,12 @@ def test_places_that_cannot_be_recorded_to(tmp_path: Path) -> None:
         ({"format": "cloud_folder", "images": None}, "has no camera images"),
     ],
 )
-def test_what_is_refused_before_anything_starts(change: dict[str, object], said: str, generated: Path) -> None:
+def test_unsuitable_sources_are_refused_before_the_start(change: dict[str, object], said: str, generated: Path) -> None:
     recording = open_recording(generated / "hands")
     require_recordable(recording)
 
     class Other:
-        """The same but for what is changed."""
+        """The same recording with changed attributes."""
 
         is_sequence = True
 
@@ -270,7 +270,7 @@ def wait_for(happened: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def test_what_a_killed_process_recorded_is_put_in_order(generated: Path, tmp_path: Path) -> None:
+def test_the_recording_of_a_killed_process_is_rescued(generated: Path, tmp_path: Path) -> None:
     out, lines = tmp_path / "cut [off]", list[str]()
     process = subprocess.Popen([sys.executable, "-c", KILLED, str(generated / "hands"), str(out)])
     try:
@@ -281,7 +281,7 @@ def test_what_a_killed_process_recorded_is_put_in_order(generated: Path, tmp_pat
         process.send_signal(signal.SIGKILL)
         process.wait(30)
     (part,) = tmp_path.glob(".cut [[]off].recording-*")
-    # as if it had been in the middle of a frame
+    # as if it had been killed while it wrote a frame
     (part / "depth" / "999999.png").write_bytes(b"half")
     with (part / "timestamps.csv").open("a") as file:
         file.write("999999,12")
@@ -299,7 +299,9 @@ def test_what_a_killed_process_recorded_is_put_in_order(generated: Path, tmp_pat
     assert any("interrupted recording without frames; it is removed" in line for line in lines)
 
 
-def test_nothing_is_left_where_the_place_is_taken_at_the_end(frames: list[Frame], tmp_path: Path) -> None:
+def test_if_the_path_is_taken_at_the_end_the_error_names_the_recorded_frames(
+    frames: list[Frame], tmp_path: Path
+) -> None:
     recorder = Recorder(tmp_path / "taken")
     recorder.put(seen(frames[0]))
     (tmp_path / "taken").mkdir()

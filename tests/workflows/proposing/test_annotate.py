@@ -1,4 +1,4 @@
-"""The batch: what is found is stored, a bad frame costs only itself, and a second start goes on where the first was."""
+"""The batch: proposals are stored, a bad frame affects only itself, and a second run continues the first."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from annotator.workflows.proposing.engines.sources import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 
 CONFIG = RcvConfig()
-# Where it matters that something is proposed, and not how good it is.
+# For tests in which the quality of proposals does not matter.
 FAST = RcvConfig(max_steps=1)
 Knowing = Callable[..., Detectors]
 
 
 class Wrapped:
-    """Passes on what another detector says; subclasses come in between."""
+    """Forwards to another detector, with hooks for subclasses."""
 
     def __init__(self, inner: Detectors, fingerprint: str = "") -> None:
         self.inner = inner.image
@@ -58,7 +58,7 @@ class Wrapped:
 
 
 class Raising(Wrapped):
-    """Raises on one frame, as a bug in a library would."""
+    """Raises on one frame, like a bug in a library."""
 
     def before(self, frame: Frame) -> None:
         if frame.key == "000001":
@@ -66,7 +66,7 @@ class Raising(Wrapped):
 
 
 class Interfering(Wrapped):
-    """While a frame is looked at, somebody does something to the project."""
+    """Calls a function while a frame is being processed."""
 
     def __init__(self, inner: Detectors, key: str, act: Callable[[], None]) -> None:
         super().__init__(inner)
@@ -78,7 +78,7 @@ class Interfering(Wrapped):
 
 
 class Killed(BaseException):
-    """As a signal: no handler of ordinary errors may catch it."""
+    """Like a signal: not caught by handlers of ordinary errors."""
 
 
 def keys(project: Project, status: Status) -> list[str]:
@@ -97,7 +97,7 @@ def bump(project: Project, index: int) -> None:
     project.boxes.set_on_image(stored.id, [], BoxKind.BOX, WriteContext(project.frames.get(stored.id).revision, "me"))
 
 
-def test_proposals_are_stored_and_right(people: Project, knowing: Knowing) -> None:
+def test_stored_proposals_match_the_true_boxes(people: Project, knowing: Knowing) -> None:
     told: list[tuple[int, int]] = []
     done = annotate(people, knowing("people"), CONFIG, progress=lambda k, n: told.append((k, n)))
     assert (done.frames, done.done, done.skipped, done.failed, done.without) == (5, 5, 0, [], 0)
@@ -138,7 +138,7 @@ def test_a_second_run_has_nothing_to_do(people: Project, knowing: Knowing) -> No
     ],
     ids=["steps", "axes", "rotation", "detector"],
 )
-def test_other_settings_or_detectors_do_all_frames_anew(
+def test_other_settings_or_detectors_process_all_frames_again(
     people: Project, knowing: Knowing, change: dict[str, object]
 ) -> None:
     annotate(people, knowing("people"), FAST, limit=2)
@@ -150,21 +150,23 @@ def test_other_settings_or_detectors_do_all_frames_anew(
     assert len(people.labels.of_frame(first.id)) == 3, "new proposals in place of the old ones"
 
 
-def test_orientation_is_no_setting_of_its_own(people: Project, knowing: Knowing) -> None:
-    """It is set frame by frame, so a config that happens to carry another one does the same."""
+def test_the_orientation_in_the_config_has_no_effect(people: Project, knowing: Knowing) -> None:
+    """It is set for each frame, so another value in the config gives the same run."""
     annotate(people, knowing("people"), FAST)
     upright = RcvConfig(max_steps=1, orientation="upright")
     assert annotate(people, knowing("people"), upright).frames == 0
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
-def test_the_settings_say_what_the_detectors_boxes_measure(people: Project, knowing: Knowing, kind: BoxKind) -> None:
+def test_the_runs_settings_contain_the_detectors_kind_of_boxes(
+    people: Project, knowing: Knowing, kind: BoxKind
+) -> None:
     annotate(people, knowing("people", kind), FAST, limit=1)
     (run,) = people.jobs.all()
     assert json.loads(run.config)["box_kind"] == kind.value
 
 
-def test_upright_and_free_as_the_project_and_the_call_say(hands: Project, knowing: Knowing) -> None:
+def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Knowing) -> None:
     up = open_recording(hands.recordings.all()[0].path).frame(0).up
     level = {}
     for rotation in (None, BoxRotation.UPRIGHT):  # the project's own setting is free
@@ -175,7 +177,7 @@ def test_upright_and_free_as_the_project_and_the_call_say(hands: Project, knowin
     assert level == {None: False, BoxRotation.UPRIGHT: True}
 
 
-def test_a_broken_frame_is_stored_with_its_reason_and_the_others_go_on(
+def test_a_broken_frame_is_stored_with_its_reason_and_the_others_are_processed(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
 ) -> None:
     folder = own_copy("people")
@@ -190,14 +192,14 @@ def test_a_broken_frame_is_stored_with_its_reason_and_the_others_go_on(
     assert "depth/000001.png" in reason
     assert only_reason(project) == reason
     assert project.statistics().frames_failed == 1
-    # repaired, it alone is done
+    # after the repair, only this frame is processed
     depth.write_bytes(whole)
     again = annotate(project, knowing("people"), FAST)
     assert (again.frames, again.done, again.skipped, again.failed) == (1, 1, 4, [])
     assert project.statistics().frames_failed == 0
 
 
-def test_an_unexpected_error_costs_only_its_own_frame(people: Project, knowing: Knowing) -> None:
+def test_an_unexpected_error_affects_only_its_frame(people: Project, knowing: Knowing) -> None:
     done = annotate(people, Raising(knowing("people")).pair(knowing("people")), FAST)
     assert keys(people, Status.DONE) == ["000000", "000002", "000003", "000004"]
     ((key, reason),) = done.failed
@@ -206,8 +208,8 @@ def test_an_unexpected_error_costs_only_its_own_frame(people: Project, knowing: 
     assert only_reason(people) == reason
 
 
-def test_a_proposal_that_cannot_be_stored_costs_only_its_own_frame(people: Project, knowing: Knowing) -> None:
-    """As where a class was taken out of the project after the training."""
+def test_a_proposal_that_cannot_be_stored_affects_only_its_frame(people: Project, knowing: Knowing) -> None:
+    """As after removing a class from the project after the training."""
 
     class Renaming(Wrapped):
         def change(self, image: Image, box: Box2D) -> Box2D:
@@ -228,7 +230,7 @@ def test_a_proposal_that_cannot_be_stored_costs_only_its_own_frame(people: Proje
     assert "'robot' is not a class of the project" in reason
 
 
-def test_a_recording_that_was_moved_fails_frame_by_frame_and_the_other_is_done(
+def test_frames_of_a_moved_recording_fail_and_others_are_processed(
     make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], knowing: Knowing
 ) -> None:
     folder = own_copy("people")
@@ -239,7 +241,7 @@ def test_a_recording_that_was_moved_fails_frame_by_frame_and_the_other_is_done(
     assert all("no such file or folder" in reason for _, reason in done.failed)
 
 
-def test_only_some_recordings_and_not_too_many_frames(
+def test_annotate_can_be_limited_to_recordings_and_a_number_of_frames(
     make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], knowing: Knowing
 ) -> None:
     project = make_project(own_copy("people"), generated / "people")
@@ -254,14 +256,14 @@ def test_only_some_recordings_and_not_too_many_frames(
 
 
 @pytest.mark.parametrize("limit", [0, -1])
-def test_a_limit_that_leaves_nothing_is_refused(people: Project, knowing: Knowing, limit: int) -> None:
-    """-1 once meant all frames but the last."""
+def test_a_limit_below_1_is_refused(people: Project, knowing: Knowing, limit: int) -> None:
+    """-1 once meant all frames except the last."""
     with pytest.raises(ConfigError, match="give 1 or more"):
         annotate(people, knowing("people"), FAST, limit=limit)
     assert people.jobs.all() == ()
 
 
-def test_frames_that_are_gone_are_neither_done_nor_counted(
+def test_missing_frames_are_neither_processed_nor_counted(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
 ) -> None:
     folder = own_copy("people")
@@ -273,7 +275,7 @@ def test_frames_that_are_gone_are_neither_done_nor_counted(
     assert (done.frames, done.done, done.skipped, done.failed) == (4, 4, 0, [])
 
 
-def test_frames_without_anything_are_counted_and_pages_leave_none_out(
+def test_frames_without_proposals_are_counted_also_over_several_pages(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(batch_book, "PAGE_FRAMES", 2)
@@ -287,7 +289,7 @@ def test_frames_without_anything_are_counted_and_pages_leave_none_out(
     assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
-def test_a_finalised_frame_is_not_touched(people: Project, knowing: Knowing) -> None:
+def test_a_finalised_frame_is_not_changed(people: Project, knowing: Knowing) -> None:
     stored = people.frames.of()[2]
     people.frames.finalise(stored.id, WriteContext(0, "me"))
     done = annotate(people, knowing("people"), FAST)
@@ -307,9 +309,7 @@ def test_reviewed_labels_stay_and_are_not_proposed_again(people: Project, knowin
     assert list(states.values()) == [ReviewState.PROPOSED] * 2
 
 
-def test_a_frame_starts_from_what_was_reviewed_before_it_where_that_is_asked_for(
-    people: Project, knowing: Knowing
-) -> None:
+def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people: Project, knowing: Knowing) -> None:
     recording = open_recording(people.recordings.all()[0].path)
     truths = load_truth(recording, 0, recording.frame(0))
     first, second = people.frames.of()[:2]
@@ -322,16 +322,14 @@ def test_a_frame_starts_from_what_was_reviewed_before_it_where_that_is_asked_for
             sum("warm start" in repr(o.proposal.trace) for o in people.proposals.latest(frame.id).objects)
             for frame in (first, second)
         ]
-        assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "done anew once, and then kept"
+        assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "processed again once, and then skipped"
     assert told[False] == [0, 0]
     assert told[True][0] == 0 and told[True][1] > 0
     assert ["from_reviewed" in run.config for run in people.jobs.all()] == [False, True, True]
 
 
-def test_an_operator_who_is_faster_is_no_reason_to_fail(
-    people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The revision is read, then somebody writes, then the proposals come: they are written on top."""
+def test_a_concurrent_write_is_retried(people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An operator writes between reading the revision and storing the proposals, which are then stored on top."""
     _interrupt(people, monkeypatch, times=WRITE_ATTEMPTS - 1)
     done = annotate(people, knowing("people"), FAST, limit=1)
     assert (done.done, done.failed) == (1, [])
@@ -339,7 +337,7 @@ def test_an_operator_who_is_faster_is_no_reason_to_fail(
     assert len(people.labels.of_frame(people.frames.of()[0].id)) == 3
 
 
-def test_somebody_who_never_stops_writing_costs_only_that_frame(
+def test_permanent_concurrent_writes_fail_only_that_frame(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _interrupt(people, monkeypatch, times=WRITE_ATTEMPTS)
@@ -349,7 +347,7 @@ def test_somebody_who_never_stops_writing_costs_only_that_frame(
 
 
 def _interrupt(project: Project, monkeypatch: pytest.MonkeyPatch, times: int) -> None:
-    """Lets another writer in between the reading of a revision and the write, so many times."""
+    """Inserts another write between reading the revision and the write, `times` times."""
     replace, left = type(project.proposals).replace, [times]
 
     def interrupted(self, frame_id, *rest, **named):
@@ -361,7 +359,7 @@ def _interrupt(project: Project, monkeypatch: pytest.MonkeyPatch, times: int) ->
     monkeypatch.setattr(type(project.proposals), "replace", interrupted)
 
 
-def test_a_frame_that_is_finalised_meanwhile_is_left_alone(people: Project, knowing: Knowing) -> None:
+def test_a_frame_finalised_during_processing_is_not_changed(people: Project, knowing: Knowing) -> None:
     stored = people.frames.of()[1]
     image = Interfering(knowing("people"), stored.key, lambda: people.frames.finalise(stored.id, WriteContext(0, "me")))
     done = annotate(people, image.pair(knowing("people")), FAST)
@@ -369,10 +367,10 @@ def test_a_frame_that_is_finalised_meanwhile_is_left_alone(people: Project, know
     assert people.labels.of_frame(stored.id) == ()
 
 
-def test_finalised_between_two_attempts_to_write(
+def test_a_frame_finalised_between_two_write_attempts_is_skipped(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error came from within the handling of the first one, and ended the whole batch."""
+    """Regression test: the second error, raised in the handler of the first, once ended the batch."""
     stored = people.frames.of()[0]
     replace, first = type(people.proposals).replace, [True]
 
@@ -390,7 +388,7 @@ def test_finalised_between_two_attempts_to_write(
     assert (done.frames, done.done, done.skipped, done.failed) == (1, 1, 1, [])
 
 
-def test_killed_in_the_middle_it_goes_on(people: Project, knowing: Knowing) -> None:
+def test_a_killed_batch_can_be_continued(people: Project, knowing: Knowing) -> None:
     def kill() -> None:
         raise Killed
 
@@ -407,7 +405,7 @@ def test_killed_in_the_middle_it_goes_on(people: Project, knowing: Knowing) -> N
         assert again.problems() == []
 
 
-def test_a_store_that_refuses_everything_ends_the_batch(
+def test_a_store_that_cannot_be_written_ends_the_batch(
     people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
@@ -419,7 +417,7 @@ def test_a_store_that_refuses_everything_ends_the_batch(
         annotate(people, knowing("people"), FAST, limit=1)
 
 
-def test_up_that_the_project_was_told_holds_boxes_upright(
+def test_boxes_are_upright_along_the_projects_up_direction(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], knowing: Knowing
 ) -> None:
     folder = own_copy("people")

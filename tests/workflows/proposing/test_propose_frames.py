@@ -1,4 +1,4 @@
-"""Frames that are already read: which settings each one is proposed with."""
+"""Proposals for frames in memory: the settings used for each frame."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
     assert [result.key for result in results] == keys
 
 
-def test_no_frames_no_proposals(knowing: Callable[..., Detectors]) -> None:
+def test_without_frames_there_are_no_proposals(knowing: Callable[..., Detectors]) -> None:
     assert propose_frames([], knowing("people"), RcvConfig(), BoxRotation.AUTO) == []

@@ -1,4 +1,4 @@
-"""2D boxes from 3D ones: kept like drawn ones, without a 3D label; and the share of the frames that is chosen."""
+"""2D boxes from 3D boxes: stored like drawn ones, without 3D labels; and the selection of a fraction of the frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def no_skip(stored: StoredFrame, error: FrameError) -> None:
     raise error
 
 
-def test_2d_boxes_alone_are_kept_and_teach(people: Project) -> None:
+def test_only_2d_boxes_are_stored_and_they_are_training_data(people: Project) -> None:
     done = boxes_from_3d(people, labels_beside(people), fraction=0.4)
     assert (done.chosen, done.frames, done.drawn, done.unreadable) == (2, 2, 0, [])
     assert people.statistics().labels.total == 0
@@ -40,7 +40,7 @@ def test_2d_boxes_alone_are_kept_and_teach(people: Project) -> None:
     assert done.image_boxes == Counter(person=sum(len(x.boxes) for x in on_images))
     assert Counter(view.step for view in views) == {0: 2 * done.objects["person"], 1: 2 * done.objects["person"]}
     assert done.view_boxes == sum(len(x.boxes) for x in views) > len(views) == done.views
-    # three people walk before each other: nobody is out of the picture
+    # the three people occlude each other, but all are in the image
     assert done.objects["person"] + done.without_views["person"] + done.hidden["person"] == 6
 
     material = gather(people, tuple(DetectorKind))
@@ -52,8 +52,8 @@ def test_2d_boxes_alone_are_kept_and_teach(people: Project) -> None:
     assert [len(sample.boxes) for sample in taught] == [len(view.boxes) for view in views]
 
 
-def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
-    """In metres it is what the true box spans along the view's axes, where the picture does not cut it."""
+def test_the_first_box_of_a_view_belongs_to_its_object(people: Project) -> None:
+    """In metres, it is the extent of the true box along the view's axes, unless the picture clips it."""
     boxes_from_3d(people, labels_beside(people), fraction=0.2)
     (on_image,) = people.boxes.on_images()
     stored = people.frames.get(on_image.frame_id)
@@ -64,7 +64,7 @@ def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
         assert view.geometry is not None
         assert view.geometry.image_box in on_image.boxes
         if view.step == 0:
-            continue  # the picture ends with the points, before the box
+            continue  # the picture ends at the outermost points, inside the box
         number = on_image.boxes.index(view.geometry.image_box)
         along = box_corners(truths[number].box) @ np.array(view.geometry.axes)[:2].T
         expected = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
@@ -73,8 +73,8 @@ def test_the_first_box_of_a_view_is_that_of_its_object(people: Project) -> None:
     assert checked >= 4
 
 
-def test_views_that_objects_share_count_once(people: Project) -> None:
-    """A box that stands in the labels twice has one set of views."""
+def test_views_shared_by_objects_are_counted_once(people: Project) -> None:
+    """A box that is in the labels twice has one set of views."""
     beside = labels_beside(people)
     twice = replace(beside, truths=lambda stored, frame: list(beside.truths(stored, frame)[:1]) * 2)
     done = boxes_from_3d(people, twice, fraction=0.2)
@@ -94,7 +94,7 @@ def moved(labels: KnownLabels, by_m: float) -> KnownLabels:
     return replace(labels, truths=truths)
 
 
-def test_doing_it_again_changes_nothing_and_other_boxes_replace(people: Project) -> None:
+def test_repeating_changes_nothing_and_other_boxes_replace_the_old_ones(people: Project) -> None:
     labels = labels_beside(people)
     first = boxes_from_3d(people, labels, fraction=0.2)
     last = people.log.last()
@@ -108,13 +108,13 @@ def test_doing_it_again_changes_nothing_and_other_boxes_replace(people: Project)
     assert not before & {view.view_id for view in now}
 
 
-def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
+def test_drawn_boxes_and_finalised_frames_are_not_changed(people: Project) -> None:
     first, second, *_ = people.frames.of()
     mine = (Box2D("person", 10.0, 10.0, 50.0, 50.0),)
     people.boxes.set_on_image(first.id, mine, BoxKind.SILHOUETTE, WriteContext(first.revision, "me"))
 
     def meanwhile(stored: StoredFrame, frame: Frame) -> list[Truth]:
-        """Somebody draws on the second frame while its pictures are made."""
+        """An operator draws on the second frame while its views are rendered."""
         if stored.id == second.id:
             people.boxes.set_on_image(second.id, mine, BoxKind.SILHOUETTE, WriteContext(second.revision, "me"))
         return list(beside.truths(stored, frame))
@@ -131,7 +131,7 @@ def test_what_somebody_has_drawn_is_left_alone(people: Project) -> None:
         assert people.boxes.on_views_of(stored.id) == ()
 
 
-def test_views_that_somebody_has_corrected_elsewhere_stay(people: Project) -> None:
+def test_corrected_views_are_kept(people: Project) -> None:
     labels = labels_beside(people)
     first = boxes_from_3d(people, labels, fraction=0.2)
     before = {view.view_id: view for view in people.boxes.on_views()}
@@ -152,7 +152,7 @@ def test_views_that_somebody_has_corrected_elsewhere_stay(people: Project) -> No
     }
 
 
-def test_another_seed_adds_frames_and_all_are_counted(people: Project) -> None:
+def test_another_seed_adds_frames_to_the_total(people: Project) -> None:
     labels = labels_beside(people)
     names = [("people", stored.key) for stored in labels.frames]
     other = next(seed for seed in range(1, 9) if share_of(names, 0.2, seed) != share_of(names, 0.2, 0))
@@ -178,7 +178,7 @@ class Elsewhere:
         return LeftBehind(not_reviewed=2)
 
 
-def test_frames_that_nobody_labelled_teach_nothing(people: Project) -> None:
+def test_frames_without_labels_are_not_used(people: Project) -> None:
     labels = labels_from(people, Elsewhere(labels_beside(people)))
     assert labels.unmatched == ("people/000099",)
     done = boxes_from_3d(people, labels)
@@ -187,7 +187,7 @@ def test_frames_that_nobody_labelled_teach_nothing(people: Project) -> None:
 
 
 @pytest.mark.shared
-def test_kittis_labels_are_the_same_from_a_path_and_beside_and_a_broken_file_costs_its_frame(
+def test_kittis_labels_are_the_same_from_a_path_and_beside_the_recording(
     shared: Path, tmp_path: Path, make_project
 ) -> None:
     root, folder = shared / "data" / "kitti", tmp_path / "kitti"
@@ -225,7 +225,7 @@ def test_boxes_of_other_classes_are_an_error_that_names_them(people: Project) ->
 
 
 @pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, float("nan")])
-def test_a_fraction_is_a_share(fraction: float) -> None:
+def test_an_invalid_fraction_is_an_error(fraction: float) -> None:
     with pytest.raises(ConfigError, match="cannot take a fraction of"):
         share_of([("a", "0")], fraction, 0)
 
@@ -234,7 +234,9 @@ NAMES = st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 60).map(str)),
 
 
 @given(NAMES, st.floats(0.01, 1), st.floats(0.01, 1), st.integers(0, 9), st.randoms(use_true_random=False))
-def test_a_share_is_the_same_in_any_order_and_of_each_recording(names, one, other, seed, random) -> None:
+def test_the_selection_does_not_depend_on_the_order_and_is_even_over_recordings(
+    names, one, other, seed, random
+) -> None:
     taken = share_of(names, one, seed)
     assert len(taken) == max(1, round(one * len(names)))
     shuffled = list(names)
@@ -247,12 +249,12 @@ def test_a_share_is_the_same_in_any_order_and_of_each_recording(names, one, othe
         assert abs(got - one * length) <= 2
 
 
-def test_seeds_choose_differently_and_no_recording_goes_first() -> None:
+def test_seeds_select_different_frames_from_all_recordings() -> None:
     names = [("drive", f"{number:06d}") for number in range(200)]
     shares = {share_of(names, 0.25, seed) for seed in range(5)}
     assert len(shares) == 5
     assert {len(share) for share in shares} == {50}
-    # a hundred recordings of two frames each: a quarter of all frames, and the recordings are drawn, too
+    # 100 recordings of two frames: a quarter of all frames, from randomly selected recordings
     pairs = [(f"{number:03d}", key) for number in range(100) for key in "01"]
     numbers = sorted(int(recording) for recording, _ in share_of(pairs, 0.25, 0))
     assert len(numbers) == 50

@@ -1,4 +1,4 @@
-"""True boxes and masks: each format's labels land on the points of their objects, and what is broken says so."""
+"""True boxes and masks: each format's labels contain their objects' points, and broken labels are errors."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def put(path: Path, content: Any) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("folder", ["kitti", "kitti_drive_0005", "human_turn", "hand_gesture"])
-def test_true_boxes_hold_points(shared: Path, folder: str) -> None:
-    """A wrong frame of reference, size order or frame number would leave boxes in empty space."""
+def test_true_boxes_contain_points(shared: Path, folder: str) -> None:
+    """A wrong coordinate frame, size order or frame number would give boxes in empty space."""
     recording = open_recording(shared / "data" / folder)
     found = held = 0
     for index in range(0, len(recording), 5):
@@ -59,7 +59,7 @@ def test_true_boxes_hold_points(shared: Path, folder: str) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("folder", ["human_turn", "hand_gesture"])
-def test_true_boxes_hold_the_masks_points(shared: Path, folder: str) -> None:
+def test_true_boxes_contain_the_masks_points(shared: Path, folder: str) -> None:
     recording = open_recording(shared / "data" / folder)
     frame = recording.frame(3)
     mask = load_mask(recording, frame)
@@ -71,12 +71,12 @@ def test_true_boxes_hold_the_masks_points(shared: Path, folder: str) -> None:
 
 
 @pytest.mark.shared
-def test_a_recording_without_masks_has_none(shared: Path) -> None:
+def test_the_mask_of_a_recording_without_masks_is_none(shared: Path) -> None:
     recording = open_recording(shared / "data" / "kitti_drive_0005")
     assert load_mask(recording, recording.frame(0)) is None
 
 
-def test_no_labels_is_an_error_but_a_frame_without_objects_is_not(wall: Path) -> None:
+def test_missing_labels_are_an_error_but_a_frame_without_objects_is_not(wall: Path) -> None:
     recording = open_recording(wall)
     frame = recording.frame(0)
     assert not has_truth(recording)
@@ -88,7 +88,7 @@ def test_no_labels_is_an_error_but_a_frame_without_objects_is_not(wall: Path) ->
     assert load_truth(recording, 1, recording.frame(1)) == []
 
 
-def test_truth_apart_goes_first_and_a_changed_file_is_read_again(wall: Path) -> None:
+def test_the_truth_folder_has_precedence_and_a_changed_file_is_read_again(wall: Path) -> None:
     recording = open_recording(wall)
     frame = recording.frame(0)
     put(wall / "boxes.json", {"a": {**BOX, "label": "beside"}})
@@ -98,8 +98,8 @@ def test_truth_apart_goes_first_and_a_changed_file_is_read_again(wall: Path) -> 
     assert len(load_truth(recording, 0, frame)) == 2
 
 
-def test_tracking_labels_are_parsed_once_and_moved_frame_by_frame(wall: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each frame has its own transform; a file that has changed is parsed anew."""
+def test_tracking_labels_are_parsed_once_and_transformed_per_frame(wall: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame has its own transform; a changed file is parsed again."""
     parsed: list[Path] = []
 
     def counted(path: Path, T: RigidTransform | None) -> dict[int, list[Any]]:
@@ -126,7 +126,7 @@ def test_tracking_labels_are_parsed_once_and_moved_frame_by_frame(wall: Path, mo
     assert len(parsed) == 2
 
 
-def test_broken_labels_name_the_file(wall: Path) -> None:
+def test_errors_of_broken_labels_name_the_frame(wall: Path) -> None:
     recording = open_recording(wall)
     put(wall / "boxes.json", {"a": {**BOX, "size": [1, 1, 0]}})
     with pytest.raises(FormatError, match="frame a, wall"):
@@ -134,7 +134,7 @@ def test_broken_labels_name_the_file(wall: Path) -> None:
 
 
 @pytest.mark.parametrize("folder", ["mask", "truth/mask"])
-def test_masks(wall: Path, folder: str) -> None:
+def test_masks_are_read_and_their_size_is_checked(wall: Path, folder: str) -> None:
     recording = open_recording(wall)
     frame = recording.frame(0)
     assert load_mask(recording, frame) is None

@@ -1,4 +1,4 @@
-"""Objects over a recording: linked, carried on, and filled in between key frames."""
+"""Tracks of objects: linking, continuing into the next frame, and filling between key frames."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def proposal(box: OrientedBox, label: str = "person") -> Proposal:
 
 
 def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
-    """As a detector finds it: 5 % off in size, two degrees in rotation, and at times with its front behind."""
+    """The box as detected: errors of 5 % in size and two degrees in rotation, and sometimes a flipped heading."""
     turn = Rotation.from_rotvec([0.0, 0.0, 0.03 * rng.standard_normal()]).as_matrix()
     size = box.size_m * (1 + 0.05 * rng.standard_normal(3))
     found = OrientedBox.from_parts(box.center_m, box.rotation @ turn, size)
@@ -63,10 +63,10 @@ def put_off(box: OrientedBox, rng: np.random.Generator) -> OrientedBox:
 
 @pytest.fixture
 def proposed(people: Project, truths: list[list[Truth]]) -> tuple[Project, dict[str, Truth]]:
-    """Proposals in every frame, in another order each time; and what is true of each label."""
+    """Proposals in each frame in random order, and the true object of each label."""
     rng, owner = np.random.default_rng(5), {}
     for frame, objects in zip(people.frames.of(), truths, strict=True):
-        # rigid: what changes in time by itself has no one size
+        # rigid objects: sizes that change over time cannot be smoothed
         rigid = [
             replace(o, box=OrientedBox(o.box.T_camera_box, r.box.size_m))
             for o, r in zip(objects, truths[0], strict=True)
@@ -78,11 +78,11 @@ def proposed(people: Project, truths: list[list[Truth]]) -> tuple[Project, dict[
     return people, owner
 
 
-def test_boxes_are_linked_and_smoothed_once_and_for_all(proposed: tuple[Project, dict[str, Truth]]) -> None:
+def test_linking_and_smoothing_improve_boxes_and_are_idempotent(proposed: tuple[Project, dict[str, Truth]]) -> None:
     project, owner = proposed
     frames = project.frames.of()
     before = {label.uid: label.box for frame in frames for label in project.labels.of_frame(frame.id)}
-    # one box is right as it stands, one was given a track, one is none
+    # one box is corrected, another one is also given a track
     accepted, named = (project.labels.of_frame(frames[n].id)[0] for n in (1, 3))
     for frame, label, number in ((frames[1], accepted, None), (frames[3], named, 40)):
         before[label.uid] = owner[label.uid].box
@@ -92,7 +92,7 @@ def test_boxes_are_linked_and_smoothed_once_and_for_all(proposed: tuple[Project,
     assert (done.recordings, done.boxes, done.tracks, done.left, done.busy) == (1, 15, 3, 0, ())
     labels = project.labels.select()
     ids = {(stored.label.track_id, owner[stored.label.uid].track_id) for stored in labels}
-    assert len(ids) == 3, "one track a person"
+    assert len(ids) == 3, "one track per person"
     assert {stored.label.track_id for stored in labels} == {40, 41, 42}
     after = {stored.label.uid: stored.label.box for stored in labels}
     untouched = (accepted.uid, named.uid)
@@ -101,18 +101,18 @@ def test_boxes_are_linked_and_smoothed_once_and_for_all(proposed: tuple[Project,
     gain = [iou_3d(after[uid], owner[uid].box) - iou_3d(before[uid], owner[uid].box) for uid in others]
     assert np.mean(gain) > 0.02
     assert {project.labels.get(uid).label.state for uid in others} == {ReviewState.PROPOSED}
-    # the same again: nothing is written
+    # linking again writes nothing
     last = project.log.last()
     assert link_tracks(project).changed == 0
     assert project.log.last() == last
-    # the proposals come back as they were
+    # without smoothing, the original proposals are restored
     link_tracks(project, smooth=False)
     assert all(iou_3d(project.labels.get(uid).label.box, before[uid]) == pytest.approx(1) for uid in others)
     assert project.labels.get(named.uid).label.track_id == 40
     kept = [(s.label.uid, s.label.track_id, s.track_linked, s.label.author) for s in project.labels.select()]
     project.log.rebuild()
     assert kept == [(s.label.uid, s.label.track_id, s.track_linked, s.label.author) for s in project.labels.select()]
-    # a person who says otherwise is followed by all boxes of the object
+    # a track id set by an operator applies to all boxes of the object
     uid = others[0]
     stored = project.labels.get(uid)
     frame = project.frames.get(stored.frame_id)
@@ -124,7 +124,7 @@ def test_boxes_are_linked_and_smoothed_once_and_for_all(proposed: tuple[Project,
     assert {label.track_id for label in mine} == given
 
 
-def test_finalised_frames_stay_and_say_how_their_objects_are_called(
+def test_finalised_frames_are_linked_but_not_changed(
     proposed: tuple[Project, dict[str, Truth]],
 ) -> None:
     project = proposed[0]
@@ -139,12 +139,12 @@ def test_finalised_frames_stay_and_say_how_their_objects_are_called(
 
 
 def accept_truth(project: Project, frame: StoredFrame, truths: list[Truth], track_id: int | None = 3) -> list[str]:
-    """Accepted labels of true boxes; the first one in a track."""
+    """Creates accepted labels of true boxes, the first one with a track id."""
     new = [NewLabel("person", truth.box, track_id=None if place else track_id) for place, truth in enumerate(truths)]
     return list(project.labels.create(frame.id, new, by_hand(project, frame)).uids)
 
 
-def test_seeds_are_the_reviewed_boxes_of_the_frame_before(people: Project, truths: list[list[Truth]]) -> None:
+def test_seeds_are_the_reviewed_boxes_of_the_previous_frame(people: Project, truths: list[list[Truth]]) -> None:
     frames = people.frames.of()
     uids = accept_truth(people, frames[1], truths[1])
     people.labels.reject(frames[1].id, uids[1], by_hand(people, frames[1]))
@@ -156,12 +156,14 @@ def test_seeds_are_the_reviewed_boxes_of_the_frame_before(people: Project, truth
 def test_frames_between_key_frames_are_filled_as_one_action(people: Project, truths: list[list[Truth]]) -> None:
     frames = people.frames.of()
     first, last = (accept_truth(people, frames[n], truths[n][:1])[0] for n in (0, 4))
-    # frame 1 has an open proposal of the person and one of another; in frame 2 somebody says there is nobody
+    # frame 1 has open proposals of this person and of another one; in frame 2 the person's box is rejected
     there, other = (proposal(truth.box) for truth in truths[1][:2])
     old = people.proposals.replace(frames[1].id, [there, other], by_machine(people, frames[1])).uids
-    (nobody,) = people.proposals.replace(frames[2].id, [proposal(truths[2][0].box)], by_machine(people, frames[2])).uids
-    assert nobody is not None
-    people.labels.reject(frames[2].id, nobody, by_hand(people, frames[2]))
+    (rejected,) = people.proposals.replace(
+        frames[2].id, [proposal(truths[2][0].box)], by_machine(people, frames[2])
+    ).uids
+    assert rejected is not None
+    people.labels.reject(frames[2].id, rejected, by_hand(people, frames[2]))
     recording = people.recordings.all()[0].id
     done = interpolate(people, recording, 3, ANN)
     assert ([frame for frame, _ in done.filled], done.covered) == ([frames[1].id, frames[3].id], 1)
@@ -178,7 +180,7 @@ def test_frames_between_key_frames_are_filled_as_one_action(people: Project, tru
     people.history.undo(ANN)
     assert {label.uid for label in people.labels.of_frame(frames[1].id)} == set(old)
     assert people.labels.of_frame(frames[3].id) == ()
-    # the same from the page, up to the box at hand
+    # as requested by the page, back from the current box
     back = interpolate_back(people, frames[4].id, last, people.frames.get(frames[4].id).revision, ANN)
     assert back.filled and back.track_id == 3
     with pytest.raises(StaleRevisionError):
@@ -197,7 +199,7 @@ def test_frames_between_key_frames_are_filled_as_one_action(people: Project, tru
         interpolate(people, recording, 3, ANN, first="000001")
 
 
-def test_the_next_frame_starts_from_this_one(
+def test_proposals_for_the_next_frame_start_from_reviewed_boxes(
     people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
 ) -> None:
     frames = people.frames.of()
@@ -209,7 +211,7 @@ def test_the_next_frame_starts_from_this_one(
     done = propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
     assert (done.frame_id, done.proposed, done.lost) == (frames[1].id, 3, 0)
     ids = [people.labels.get(uid).label.track_id for uid in uids]
-    assert ids[0] == 3 and len(set(ids)) == 3, "an object that is followed has a track"
+    assert ids[0] == 3 and len(set(ids)) == 3, "every tracked object has a track id"
     payloads = [event.payload for event in people.log.of_frame(frames[1].id)]
     proposals = {entry.uid: entry.proposal for entry in payloads if isinstance(entry, LabelProposed)}
     for label in people.labels.of_frame(frames[1].id):
@@ -225,7 +227,7 @@ def test_the_next_frame_starts_from_this_one(
         propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
 
 
-def test_a_batch_gives_proposals_the_tracks_of_the_reviewed_boxes_before(
+def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(
     people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
 ) -> None:
     frames = people.frames.of()
@@ -237,7 +239,7 @@ def test_a_batch_gives_proposals_the_tracks_of_the_reviewed_boxes_before(
     assert people.labels.get(found[3].uid).track_linked
 
 
-def test_boxes_are_copied_to_where_their_motion_leads(
+def test_boxes_are_copied_to_their_predicted_positions(
     people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
 ) -> None:
     frames = people.frames.of()
@@ -249,7 +251,7 @@ def test_boxes_are_copied_to_where_their_motion_leads(
     assert (label.track_id, label.state) == (3, ReviewState.PROPOSED)
     assert np.allclose(label.box.center_m, 2 * truths[1][0].box.center_m - truths[0][0].box.center_m)
     people.history.undo(ANN)
-    # fitted to the points that are there
+    # with a fit to the points of the frame
     detectors, source = knowing("people"), FrameSource(people)
     fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), detectors.view, detectors.box_kind)
     copy_next(people, frames[1].id, people.frames.get(frames[1].id).revision, ANN, fit=fit)
@@ -259,7 +261,7 @@ def test_boxes_are_copied_to_where_their_motion_leads(
         copy_next(people, frames[4].id, 0, ANN)
 
 
-def test_frames_without_an_order_in_time_are_followed_by_none(people: Project, truths: list[list[Truth]]) -> None:
+def test_recordings_without_a_time_order_have_no_next_frame(people: Project, truths: list[list[Truth]]) -> None:
     frames = people.frames.of()
     accept_truth(people, frames[0], truths[0][:1], track_id=None)
     with people.store.write() as connection:

@@ -1,4 +1,4 @@
-"""What the detectors learn from: which pictures, with which boxes, said to come from where."""
+"""Training samples of the detectors: their pictures, boxes and origins."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def views(
 
 
 def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
-    """Puts the first true boxes of a frame into the project as accepted labels; their uids."""
+    """Creates accepted labels of the first true boxes of a frame; returns their uids."""
     recording = open_recording(project.recordings.all()[0].path)
     truths = load_truth(recording, index, recording.frame(index))[:count]
     stored = project.frames.of()[index]
@@ -67,14 +67,14 @@ def accept(project: Project, index: int, count: int = 3) -> tuple[str, ...]:
 # --- gather ----------------------------------------------------------------------------------------------------------
 
 
-def test_nothing_to_learn_from(people: Project) -> None:
+def test_without_boxes_there_are_no_samples(people: Project) -> None:
     with pytest.raises(
         DetectionError, match=r"no boxes on camera images or pseudo-views to learn from; draw some.*import.*simulate"
     ):
         gather(people)
 
 
-def test_what_one_detector_lacks_does_not_matter_to_the_other(people: Project) -> None:
+def test_each_detector_needs_only_its_own_boxes(people: Project) -> None:
     stored = people.frames.of()[0]
     people.boxes.set_on_image(stored.id, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
     with pytest.raises(DetectionError, match="no boxes on pseudo-views to learn from"):
@@ -85,7 +85,7 @@ def test_what_one_detector_lacks_does_not_matter_to_the_other(people: Project) -
     assert len(gather(people).views) == 1
 
 
-def test_views_alone_do_for_the_view_detector(people: Project) -> None:
+def test_views_are_enough_for_the_view_detector(people: Project) -> None:
     view = people.views.store(np.zeros((40, 40, 3), np.uint8))
     people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
     with pytest.raises(DetectionError, match="no boxes on camera images to learn from"):
@@ -94,14 +94,14 @@ def test_views_alone_do_for_the_view_detector(people: Project) -> None:
     assert (len(material.views), material.kind, material.left_out) == (1, BoxKind.SILHOUETTE, 0)
 
 
-def test_3d_labels_do_for_both(people: Project) -> None:
+def test_3d_labels_are_enough_for_both_detectors(people: Project) -> None:
     accept(people, 0)
     material = gather(people)
     assert (material.kind, material.image_kind) == (BoxKind.BOX, BoxKind.BOX)
     assert [len(labels) for labels in material.labels.values()] == [3]
 
 
-def test_proposed_and_rejected_boxes_teach_nothing(people: Project) -> None:
+def test_proposed_and_rejected_boxes_are_not_samples(people: Project) -> None:
     uids = accept(people, 0)
     stored = people.frames.of()[0]
     for uid in uids:
@@ -111,7 +111,7 @@ def test_proposed_and_rejected_boxes_teach_nothing(people: Project) -> None:
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
-def test_the_kind_that_most_boxes_have_wins_and_the_others_are_left_out(people: Project, kind: BoxKind) -> None:
+def test_the_majority_kind_of_boxes_is_used_and_others_are_left_out(people: Project, kind: BoxKind) -> None:
     other = BoxKind.SILHOUETTE if kind is BoxKind.BOX else BoxKind.BOX
     rng = np.random.default_rng(0)
     for number, (of, boxes) in enumerate([(kind, 2), (other, 1), (kind, 0), (other, 0)]):
@@ -120,11 +120,11 @@ def test_the_kind_that_most_boxes_have_wins_and_the_others_are_left_out(people: 
         people.boxes.set_on_view(view, drawn, of, WriteContext(0, f"author {number}"))
     material = gather(people, [DetectorKind.VIEW])
     assert material.kind is kind
-    assert material.left_out == 1, "pictures that show nothing are of either kind"
+    assert material.left_out == 1, "pictures without boxes fit either kind"
     assert len(material.views) == 3
 
 
-def test_a_few_accepted_boxes_do_not_turn_a_project_of_silhouettes(people: Project) -> None:
+def test_a_few_accepted_boxes_do_not_change_the_majority_kind(people: Project) -> None:
     simulate(people, BoxKind.SILHOUETTE, every=3)  # 2 frames of 3 objects: 24 drawn views
     accept(people, 1)
     assert gather(people).kind is BoxKind.SILHOUETTE
@@ -136,8 +136,8 @@ def test_a_few_accepted_boxes_do_not_turn_a_project_of_silhouettes(people: Proje
 # --- camera images ---------------------------------------------------------------------------------------------------
 
 
-def test_drawn_boxes_go_before_the_outlines_of_their_objects(people: Project) -> None:
-    """Of three accepted boxes one has a drawn one, which is a bit smaller; the others were accepted in Review."""
+def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> None:
+    """One of three accepted boxes has a drawn image box, which is smaller; the others were accepted in Review."""
     uids = accept(people, 1)
     known = accept(people, 0)
     stored = people.frames.of()[0]
@@ -159,7 +159,7 @@ def test_drawn_boxes_go_before_the_outlines_of_their_objects(people: Project) ->
     np.testing.assert_array_equal(second.load(), frame.rgb)
 
 
-def test_projected_boxes_are_those_of_the_visible_part(people: Project) -> None:
+def test_projected_boxes_contain_only_the_visible_part(people: Project) -> None:
     accept(people, 0)
     (sample,) = image_samples(people, gather(people), never)
     camera = FrameSource(people).read(people.frames.of()[0]).camera
@@ -168,7 +168,7 @@ def test_projected_boxes_are_those_of_the_visible_part(people: Project) -> None:
 
 
 def propose_true(project: Project, index: int, place: int) -> str:
-    """One object of a frame, the `place`-th, as a proposal that nobody has reviewed; its uid."""
+    """Creates an unreviewed proposal of the `place`-th object of a frame; returns its uid."""
     recording = open_recording(project.recordings.all()[0].path)
     truth = load_truth(recording, index, recording.frame(index))[place]
     stored = project.frames.of()[index]
@@ -179,12 +179,12 @@ def propose_true(project: Project, index: int, place: int) -> str:
     return uid
 
 
-def test_a_frame_reviewed_in_part_does_not_teach_its_other_objects_as_background(people: Project) -> None:
+def test_partly_reviewed_frames_are_not_image_samples(people: Project) -> None:
     accept(people, 0, count=2)
     uid = propose_true(people, 0, 2)
     with pytest.raises(DetectionError, match="every frame with reviewed boxes also has unreviewed proposals"):
         gather(people)
-    assert gather(people, [DetectorKind.VIEW]).labels, "its pseudo-views can still teach"
+    assert gather(people, [DetectorKind.VIEW]).labels, "its pseudo-views can still be used"
     accept(people, 1)
     material = gather(people)
     assert material.unreviewed_images == 1
@@ -196,7 +196,7 @@ def test_a_frame_reviewed_in_part_does_not_teach_its_other_objects_as_background
     assert len(list(image_samples(people, material, never))) == 2
 
 
-def test_boxes_drawn_on_the_image_teach_whatever_is_proposed(people: Project) -> None:
+def test_frames_with_drawn_boxes_are_samples_despite_open_proposals(people: Project) -> None:
     stored = people.frames.of()[0]
     people.boxes.set_on_image(stored.id, [SOME], BoxKind.BOX, WriteContext(0, "me"))
     reviewed = accept(people, 0, count=2)
@@ -208,11 +208,11 @@ def test_boxes_drawn_on_the_image_teach_whatever_is_proposed(people: Project) ->
     assert (sample.origin, sample.label_uids) == (DRAWN, (f"event {event}, box 0", *reviewed))
 
 
-def test_no_taught_view_shows_an_object_that_nobody_has_reviewed(people: Project) -> None:
+def test_views_that_show_unreviewed_objects_are_left_out(people: Project) -> None:
     accept(people, 0, count=1)
     before = views(people, gather(people), 40)
     propose_true(people, 0, 1)
-    propose_true(people, 0, 2)  # a pass replaces the one before: only this one is open
+    propose_true(people, 0, 2)  # replaces the earlier proposal, so only this one is open
     after = views(people, gather(people, [DetectorKind.VIEW]), 40)
     assert 0 < len(after) < len(before)
 
@@ -220,7 +220,7 @@ def test_no_taught_view_shows_an_object_that_nobody_has_reviewed(people: Project
 # --- pseudo-views ----------------------------------------------------------------------------------------------------
 
 
-def test_3d_labels_teach_views_and_the_manifest_learns_which(people: Project) -> None:
+def test_views_are_rendered_from_3d_labels_and_list_their_uids(people: Project) -> None:
     uids = {*accept(people, 0), *accept(people, 2)}
     samples = views(people, gather(people), 24)
     assert {sample.origin for sample in samples} == {TAUGHT}
@@ -231,12 +231,12 @@ def test_3d_labels_teach_views_and_the_manifest_learns_which(people: Project) ->
         assert len(sample.label_uids) == len(sample.boxes)
 
 
-def test_drawn_views_come_as_they_were_drawn(people: Project) -> None:
+def test_drawn_views_are_used_unchanged(people: Project) -> None:
     material = simulate(people, BoxKind.BOX)
     samples = views(people, material, 18)
     origins = Counter(sample.origin for sample in samples)
     assert origins[DRAWN] == 36
-    assert origins[TAUGHT] == 18, "one pair for each of nine objects"
+    assert origins[TAUGHT] == 18, "one pair per object, nine objects"
     for sample, view in zip(samples, material.views, strict=False):
         assert sample.origin == DRAWN
         assert len(sample.label_uids) == len(sample.boxes)
@@ -246,7 +246,7 @@ def test_drawn_views_come_as_they_were_drawn(people: Project) -> None:
         assert sample.group == f"1/{people.frames.get(view.frame_id).key}"
 
 
-def test_views_of_deep_frustums_are_taught_as_they_are_looked_at(people: Project) -> None:
+def test_views_of_deep_frustums_have_the_size_used_in_detection(people: Project) -> None:
     deep = CONFIG.model_copy(update={"view": CONFIG.view.model_copy(update={"deep": 0.1})})
     (recording,) = people.recordings.all()
     simulate_recording(people, recording.id, BoxKind.BOX, deep, 2)
@@ -258,7 +258,7 @@ def test_views_of_deep_frustums_are_taught_as_they_are_looked_at(people: Project
         assert sizes == {0: CONFIG.view.size_px, CONFIG.view.deep_size_px: CONFIG.view.deep_size_px}
 
 
-def test_views_from_elsewhere_are_groups_of_their_own(people: Project) -> None:
+def test_views_without_a_frame_are_separate_groups(people: Project) -> None:
     rng = np.random.default_rng(0)
     for _ in range(2):
         view = people.views.store(rng.integers(0, 255, (40, 40, 3), np.uint8))
@@ -268,7 +268,7 @@ def test_views_from_elsewhere_are_groups_of_their_own(people: Project) -> None:
 
 
 @pytest.mark.parametrize(("asked", "draws"), [(1, 1), (6, 1), (24, 4), (10**6, 20)])
-def test_few_objects_are_seen_more_often_but_not_without_end(people: Project, asked: int, draws: int) -> None:
+def test_few_objects_are_drawn_more_often_up_to_a_limit(people: Project, asked: int, draws: int) -> None:
     accept(people, 0)
     samples = views(people, gather(people), asked)
     assert 0.8 * 2 * 3 * draws <= len(samples) <= 2 * 3 * draws
@@ -283,7 +283,7 @@ def test_the_same_project_gives_the_same_pictures(people: Project) -> None:
     assert [sample.boxes for sample in first] != [sample.boxes for sample in other]
 
 
-def test_drags_cut_out_the_object_and_teach_its_silhouette(people: Project) -> None:
+def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Project) -> None:
     material = simulate(people, BoxKind.SILHOUETTE, every=5)
     frame = FrameSource(people).read(people.frames.of()[0])
     recording = open_recording(people.recordings.all()[0].path)
@@ -302,12 +302,12 @@ def test_drags_cut_out_the_object_and_teach_its_silhouette(people: Project) -> N
     assert all(sample.boxes for sample in samples)
 
 
-def test_boxes_of_the_other_kind_are_cut_out_of_nothing(people: Project) -> None:
+def test_boxes_of_the_kind_box_give_no_drawn_objects(people: Project) -> None:
     assert drawn_objects(simulate(people, BoxKind.BOX, every=5)) == {}
 
 
-def test_an_object_that_was_drawn_and_then_accepted_is_one_object(people: Project) -> None:
-    """Known twice, it would have two boxes on each of its pictures."""
+def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project) -> None:
+    """If it counted twice, it would have two boxes on each of its pictures."""
     simulate(people, BoxKind.SILHOUETTE, every=3)
     accept(people, 0)
     material = gather(people)
@@ -320,7 +320,7 @@ def test_an_object_that_was_drawn_and_then_accepted_is_one_object(people: Projec
         assert apart.min() > 3, "two boxes around one object"
 
 
-def test_an_object_whose_drags_leave_nothing_is_not_taught(people: Project) -> None:
+def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project) -> None:
     material = simulate(people, BoxKind.SILHOUETTE, every=5)
     frame = FrameSource(people).read(people.frames.of()[0])
     ((_, objects),) = drawn_objects(material).items()
@@ -331,9 +331,7 @@ def test_an_object_whose_drags_leave_nothing_is_not_taught(people: Project) -> N
 # --- frames that cannot be read --------------------------------------------------------------------------------------
 
 
-def test_an_unreadable_frame_costs_only_itself(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
+def test_unreadable_frames_are_skipped(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
     folder = own_copy("people")
     project = make_project(folder)
     for index in range(3):

@@ -1,4 +1,4 @@
-"""Training as a use case: what is learnt from, what is kept, what is registered. (No network is trained here.)"""
+"""The training workflow: samples, stored files and registered models. The training itself is replaced."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Blind:
 
 @pytest.fixture
 def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
-    """In place of YOLO: writes "weights" at once, and remembers (role, data set, folder) of each call."""
+    """Replaces the YOLO training by one that writes fake weights; returns (role, dataset, folder) of each call."""
     calls: list[tuple[str, Path, Path]] = []
 
     def train_detector(dataset: Path, out: Path, config: TrainingConfig, progress, role, stop) -> TrainedModel:
@@ -98,23 +98,23 @@ def test_both_detectors_are_trained_registered_and_active(
     images, views = (result.manifest for result in trained)
     assert sum(images.images.values()) == 3
     assert {"drawn", "taught"} == {name for counts in views.images_by_origin.values() for name in counts}
-    # what is measured on comes from other frames than what is learnt from
+    # validation and training samples come from different frames
     by_split = {split: {e.group for e in views.entries if e.split == split} for split in ("train", "val")}
     assert by_split["val"]
     assert not by_split["train"] & by_split["val"]
 
 
-def test_the_same_labels_and_settings_find_their_run_again(
+def test_the_same_labels_and_settings_give_the_same_run(
     people: Project, trainings: list[tuple[str, Path, Path]]
 ) -> None:
     simulate(people)
     first, second = (train(people, PLAN) for _ in range(2))
     assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
     assert [result.model.id for result in first] == [result.model.id for result in second]
-    assert len(people.models.all()) == 2, "trained again it is the same model, not a second one"
+    assert len(people.models.all()) == 2, "no second model is registered"
 
 
-def test_a_finished_training_needs_its_starting_weights_no_more(
+def test_a_finished_training_does_not_need_its_initial_weights(
     people: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     simulate(people)
@@ -131,7 +131,7 @@ def test_a_finished_training_needs_its_starting_weights_no_more(
     assert again.model.id == first.model.id
 
 
-def test_other_labels_or_settings_are_another_run(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+def test_other_labels_or_settings_give_another_run(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     simulate(people)
     train(people, PLAN, roles=(DetectorKind.IMAGE,))
     train(people, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
@@ -146,9 +146,7 @@ def test_other_labels_or_settings_are_another_run(people: Project, trainings: li
     assert back.model.id == last.model.id
 
 
-def test_pictures_of_deep_frustums_are_taught_as_tiles(
-    people: Project, trainings: list[tuple[str, Path, Path]]
-) -> None:
+def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
     simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
     (trained,) = train(people, replace(PLAN, rcv=deep), roles=(DetectorKind.VIEW,))
@@ -157,9 +155,7 @@ def test_pictures_of_deep_frustums_are_taught_as_tiles(
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
-def test_run_names_depend_on_labels_and_settings_alone(
-    people: Project, trainings: list[tuple[str, Path, Path]]
-) -> None:
+def test_run_names_depend_only_on_labels_and_settings(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     simulate(people)
     (trained,) = train(people, PLAN, roles=(DetectorKind.VIEW,))
     name = run_name(trained.manifest, SMALL)
@@ -167,7 +163,7 @@ def test_run_names_depend_on_labels_and_settings_alone(
     assert run_name(trained.manifest, SMALL.model_copy(update={"seed": 1})) != name
 
 
-def test_what_could_not_teach_is_told(
+def test_left_out_samples_are_reported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], trainings: list[tuple[str, Path, Path]]
 ) -> None:
     folder = own_copy("people")
@@ -187,13 +183,13 @@ def test_what_could_not_teach_is_told(
     assert sum(image.manifest.images.values()) == 2
 
 
-def test_nothing_to_learn_from_leaves_nothing_behind(people: Project) -> None:
+def test_a_training_without_samples_leaves_no_files(people: Project) -> None:
     with pytest.raises(DetectionError, match="to learn from"):
         train(people, PLAN)
     assert list(people.models_folder.iterdir()) == []
 
 
-def test_pictures_without_any_box(people: Project) -> None:
+def test_pictures_without_any_box_are_an_error(people: Project) -> None:
     people.boxes.set_on_image(people.frames.of()[0].id, [], BoxKind.BOX, WriteContext(0, "me"))
     with pytest.raises(DetectionError, match="at least one labelled box"):
         train(people, PLAN, roles=(DetectorKind.IMAGE,))

@@ -1,4 +1,4 @@
-"""Pictures of what a detector finds, and what is known of a model beside its weights."""
+"""Validation pictures with a detector's boxes, and the stored curves of a training."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from annotator.workflows.training.model_report import _curves
 from annotator.workflows.training.validation_pictures import PICTURES, validation_pictures, write_validation_pictures
 
 
-class Knowing:
-    """Finds the same box on every picture, and one that it does not believe in."""
+class FixedBoxes:
+    """Finds the same box on every picture, and a second one with a low score."""
 
     labels = ("person",)
     fingerprint = "x"
@@ -27,7 +27,7 @@ class Knowing:
 
 
 @pytest.mark.parametrize("groups", [1, 4, 30])
-def test_pictures_are_drawn_beside_the_model(tmp_path: Path, groups: int) -> None:
+def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups: int) -> None:
     grey = np.full((80, 100, 3), 100, np.uint8)
     samples = [
         TrainingSample(grey, (Box2D("person", 10.0, 20.0, 40.0, 60.0),), str(number), "drawn")
@@ -36,8 +36,8 @@ def test_pictures_are_drawn_beside_the_model(tmp_path: Path, groups: int) -> Non
     manifest = write_dataset(tmp_path / "set", samples, ("person",), 0.5, 0, BoxKind.BOX)
     model = tmp_path / "model"
     model.mkdir()
-    for _ in range(2):  # a second time in the place of the first
-        paths = write_validation_pictures(tmp_path / "set", manifest, Knowing(), model)
+    for _ in range(2):  # the second call replaces the first pictures
+        paths = write_validation_pictures(tmp_path / "set", manifest, FixedBoxes(), model)
     assert len(paths) == min(manifest.images[manifest.measured_on], PICTURES)
     assert paths == validation_pictures(model)
     assert [path.name for path in model.iterdir()] == ["validation"]
@@ -47,19 +47,19 @@ def test_pictures_are_drawn_beside_the_model(tmp_path: Path, groups: int) -> Non
     at = lambda x, y: picture[round((y + 0.5) * scale - 0.5), round((x + 0.5) * scale - 0.5)]  # noqa: E731
     assert np.ptp(at(10, 40)) > 60, "the box's edge is coloured"
     assert np.ptp(at(25, 40)) < 30
-    assert np.ptp(at(60, 10)) < 30, "what the detector hardly believes in is not shown"
+    assert np.ptp(at(60, 10)) < 30, "boxes with low scores are not drawn"
 
 
-def test_a_picture_that_is_gone(tmp_path: Path) -> None:
+def test_a_missing_picture_is_an_error(tmp_path: Path) -> None:
     sample = TrainingSample(np.zeros((80, 100, 3), np.uint8), (Box2D("person", 10.0, 20.0, 40.0, 60.0),), "a", "drawn")
     manifest = write_dataset(tmp_path / "set", [sample], ("person",), 0.5, 0, BoxKind.BOX)
     for path in (tmp_path / "set" / "images").rglob("*.*"):
         path.unlink()
     with pytest.raises(DetectionError, match="cannot be read"):
-        write_validation_pictures(tmp_path / "set", manifest, Knowing(), tmp_path)
+        write_validation_pictures(tmp_path / "set", manifest, FixedBoxes(), tmp_path)
 
 
-def test_curves(tmp_path: Path) -> None:
+def test_curves_are_read_without_nan_values(tmp_path: Path) -> None:
     assert _curves(tmp_path / "none.csv") == ()
     head = "epoch,time,train/box_loss,metrics/mAP50(B),lr/pg0"
     (tmp_path / "curves.csv").write_text(f"{head}\n1,2.5,0.5,nan,0.1\n2,5,0.25,0.75,0.1\n")

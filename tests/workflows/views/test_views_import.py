@@ -1,4 +1,4 @@
-"""Pseudo-views labelled elsewhere, in two rounds; COCO boxes on camera images; and all that can be wrong with them."""
+"""Importing pseudo-views labelled with other tools in two rounds, and COCO boxes on camera images; and errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SIZE = (320, 240)
 
 
 def true_image_boxes(project: Project, index: int) -> list[Box2D]:
-    """What a person would draw on the camera image of a frame."""
+    """The boxes that an operator would draw on the camera image of a frame."""
     recording, frame = first_recording(project), read(project, index)
     objects = visible_objects(recording, index, frame, project.config.classes)
     return draw_frame(frame, objects, BoxKind.SILHOUETTE, CONFIG)[0]
@@ -62,7 +62,7 @@ def coco_of_frames(path: Path, project: Project, indices: list[int], label: str 
 
 
 def draw_on(pictures: Path, project: Project, backwards: bool = False) -> Path:
-    """What an annotation tool would bring back: each picture with the box of its object."""
+    """Writes the result of an annotation tool: each picture with the box of its object."""
     places = read_places(pictures)
     recording = first_recording(project)
     keys = {frame.key: index for index, frame in enumerate(project.frames.of())}
@@ -90,7 +90,7 @@ def draw_on(pictures: Path, project: Project, backwards: bool = False) -> Path:
 
 
 @pytest.mark.parametrize("backwards", [False, True], ids=["in order", "side before front"])
-def test_two_rounds_of_pictures_teach_silhouettes(hands: Project, tmp_path: Path, backwards: bool) -> None:
+def test_two_rounds_of_labelled_views_give_silhouettes(hands: Project, tmp_path: Path, backwards: bool) -> None:
     on_images = import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0, 3]), BoxKind.SILHOUETTE)
     assert (on_images.pictures, on_images.boxes) == (2, 4)
     for step in (1, 2):
@@ -114,17 +114,17 @@ def test_two_rounds_of_pictures_teach_silhouettes(hands: Project, tmp_path: Path
             truth = max(truths, key=lambda known: (known.points & taught.points).sum())
             both = (taught.points & truth.points).sum()
             assert both > 0.97 * truth.points.sum()
-            assert both > 0.9 * taught.points.sum(), "the drags leave the hand and little else"
+            assert both > 0.9 * taught.points.sum(), "the boxes select the hand and few other points"
 
 
-def test_boxes_on_images_that_come_again_take_their_views_along(hands: Project, tmp_path: Path) -> None:
+def test_reimported_image_boxes_keep_the_views_of_unchanged_boxes(hands: Project, tmp_path: Path) -> None:
     file = coco_of_frames(tmp_path / "c.json", hands, [0])
     import_image_boxes(hands, file, BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "one", 1, CONFIG)
     import_view_boxes(hands, draw_on(tmp_path / "one", hands), tmp_path / "one", BoxKind.SILHOUETTE)
     (first,) = hands.boxes.on_images()
     import_image_boxes(hands, file, BoxKind.BOX)
-    assert hands.boxes.on_images()[0].boxes == first.boxes, "a file only rounds them"
+    assert hands.boxes.on_images()[0].boxes == first.boxes, "rounding in the file is not a change"
     assert [view.box_kind for view in hands.boxes.on_views()] == [BoxKind.BOX] * 4
     (image,) = read_coco(file)
     moved = replace(image.boxes[0], x_max=image.boxes[0].x_max + 3)
@@ -134,7 +134,7 @@ def test_boxes_on_images_that_come_again_take_their_views_along(hands: Project, 
     assert (left, len(hands.boxes.on_views())) == ({first.boxes[1]}, 2)
 
 
-def test_pictures_hold_what_the_sidecar_says(hands: Project, tmp_path: Path) -> None:
+def test_written_pictures_agree_with_their_metadata(hands: Project, tmp_path: Path) -> None:
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [1]), BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "out", 1, CONFIG)
     images = read_coco(tmp_path / "out" / "coco.json")
@@ -150,8 +150,8 @@ def test_pictures_hold_what_the_sidecar_says(hands: Project, tmp_path: Path) -> 
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*places, "coco.json", "views.json"])
 
 
-def test_relabelling_a_view_keeps_front_and_side_apart(hands: Project, tmp_path: Path) -> None:
-    """The store lists what was labelled last at the end: the front view then comes after the side view."""
+def test_relabelling_a_view_does_not_swap_front_and_side(hands: Project, tmp_path: Path) -> None:
+    """The store lists the last labelled view at the end, so the front view is then after the side view."""
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "one", 1, CONFIG)
     import_view_boxes(hands, draw_on(tmp_path / "one", hands), tmp_path / "one", BoxKind.SILHOUETTE)
@@ -169,7 +169,7 @@ def test_relabelling_a_view_keeps_front_and_side_apart(hands: Project, tmp_path:
 
 
 @pytest.mark.parametrize("step", [1, 2])
-def test_no_object_is_ready(hands: Project, tmp_path: Path, step: int) -> None:
+def test_without_labelled_objects_no_views_are_written(hands: Project, tmp_path: Path, step: int) -> None:
     needed = {1: "boxes on camera images", 2: "boxes on both views of the first step"}[step]
     with pytest.raises(ConfigError, match=f"no object with {needed} yet"):
         write_views(hands, tmp_path / "out", step, CONFIG)
@@ -183,7 +183,7 @@ def test_a_view_without_its_partner_is_not_ready(hands: Project, tmp_path: Path)
     only_fronts = [replace(i, boxes=() if "side" in i.file_name else i.boxes) for i in read_coco(file)]
     write_coco(file, only_fronts)
     done = import_view_boxes(hands, file, tmp_path / "one", BoxKind.SILHOUETTE)
-    assert (done.pictures, done.boxes) == (2, 2), "a picture that nobody labelled is not an empty one"
+    assert (done.pictures, done.boxes) == (2, 2), "an unlabelled picture is not imported as empty"
     with pytest.raises(ConfigError, match="both views of the first step"):
         write_views(hands, tmp_path / "two", 2, CONFIG)
 
@@ -199,7 +199,7 @@ def test_the_folder_of_pictures_must_be_new(hands: Project, tmp_path: Path) -> N
         write_views(hands, tmp_path / "new", 3, CONFIG)
 
 
-def test_an_unreadable_frame_is_told_and_the_others_get_their_pictures(
+def test_an_unreadable_frame_is_reported_and_the_others_get_their_pictures(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
     folder = own_copy("hands")
@@ -213,7 +213,7 @@ def test_an_unreadable_frame_is_told_and_the_others_get_their_pictures(
     assert "depth/000000.png" in line
 
 
-def test_pictures_from_elsewhere_teach_and_no_more(hands: Project, tmp_path: Path) -> None:
+def test_pictures_without_metadata_are_imported_without_a_frame(hands: Project, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for name in ("a.png", "b.png"):
         cv2.imwrite(str(tmp_path / name), rng.integers(0, 255, (40, 60, 3), np.uint8))
@@ -228,8 +228,8 @@ def test_pictures_from_elsewhere_teach_and_no_more(hands: Project, tmp_path: Pat
     np.testing.assert_array_equal(hands.views.load(a.view_id)[:, :, ::-1], cv2.imread(str(tmp_path / "a.png")))
 
 
-def test_a_view_of_a_frame_may_come_again_without_its_place(hands: Project, tmp_path: Path) -> None:
-    """Without `views.json` beside it, the same picture is one from elsewhere, with a revision of its own."""
+def test_a_view_can_be_imported_again_without_its_metadata(hands: Project, tmp_path: Path) -> None:
+    """Without `views.json`, the same picture is stored without a frame and has its own revision."""
     import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0]), BoxKind.SILHOUETTE)
     write_views(hands, tmp_path / "out", 1, CONFIG)
     file = draw_on(tmp_path / "out", hands)
@@ -264,16 +264,16 @@ def empty_last(file: Path, pictures: Path) -> None:
     (pictures / read_coco(file)[-1].file_name).write_bytes(b"")
 
 
-def promising_png(side_px: int) -> bytes:
-    """A whole PNG file whose header promises a square picture."""
+def png_of_declared_size(side_px: int) -> bytes:
+    """A complete PNG file whose header declares a square picture of this size."""
     header = struct.pack(">IIBBBBB", side_px, side_px, 8, 2, 0, 0, 0)
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(b"")), (b"IEND", b""))
     chunks = [struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in parts]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
-def promise_much_last(file: Path, pictures: Path) -> None:
-    (pictures / read_coco(file)[-1].file_name).write_bytes(promising_png(100_000))
+def declare_huge_last(file: Path, pictures: Path) -> None:
+    (pictures / read_coco(file)[-1].file_name).write_bytes(png_of_declared_size(100_000))
 
 
 def jpeg_last(file: Path, pictures: Path) -> None:
@@ -308,7 +308,7 @@ def break_json(file: Path, pictures: Path) -> None:
         (scale_last, "label the image itself, not a scaled copy"),
         (cut_last, "step1_side.png: is not a readable image: the PNG image is truncated"),
         (empty_last, "step1_side.png: is not a readable image: the file is empty"),
-        (promise_much_last, "step1_side.png: is not a readable image: .* 100000 x 100000 pixels"),
+        (declare_huge_last, "step1_side.png: is not a readable image: .* 100000 x 100000 pixels"),
         (jpeg_last, "step1_side.png: is not a PNG image"),
         (repeat_last, "are the same image"),
         (rename_class, "the project has none of its classes: they are Hand"),
@@ -316,7 +316,7 @@ def break_json(file: Path, pictures: Path) -> None:
         (break_json, "drawn.json"),
     ],
 )
-def test_pictures_that_do_not_fit_change_nothing(
+def test_unusable_pictures_are_errors_and_change_nothing(
     hands: Project, tmp_path: Path, damage: Callable[[Path, Path], None], problem: str
 ) -> None:
     file, pictures = good_views(hands, tmp_path)
@@ -326,7 +326,7 @@ def test_pictures_that_do_not_fit_change_nothing(
     assert hands.boxes.on_views() == ()
 
 
-def test_a_view_of_a_recording_that_the_project_does_not_have(hands: Project, people: Project, tmp_path: Path) -> None:
+def test_views_of_an_unknown_recording_are_an_error(hands: Project, people: Project, tmp_path: Path) -> None:
     file, pictures = good_views(hands, tmp_path)
     people.configure(classes=["person", "hand"])
     with pytest.raises(ProjectError, match="no recording 'hands'"):
@@ -349,7 +349,7 @@ def imported(project: Project, tmp_path: Path, *images: CocoImage, **options: st
     return import_image_boxes(project, tmp_path / "boxes.json", BoxKind.SILHOUETTE, **options)
 
 
-def test_boxes_on_camera_images(people: Project, tmp_path: Path) -> None:
+def test_boxes_on_camera_images_replace_earlier_ones(people: Project, tmp_path: Path) -> None:
     done = imported(
         people,
         tmp_path,
@@ -367,12 +367,12 @@ def test_boxes_on_camera_images(people: Project, tmp_path: Path) -> None:
         Source.IMPORTED,
     )
     assert two.boxes == ()
-    # again, with another box: what was there is replaced
+    # importing again replaces the earlier box
     imported(people, tmp_path, image("000001.jpg", replace(BOX, x_max=70.5)))
     assert people.boxes.on_images()[0].boxes == (replace(BOX, x_max=70.5),)
 
 
-def test_what_people_drew_is_told_and_finalised_frames_stay(
+def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
     people: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, second, third = people.frames.of()[:3]
@@ -393,7 +393,7 @@ def test_what_people_drew_is_told_and_finalised_frames_stay(
     assert done == Imported(2, 2, {}, replaced=2, finalised=1)
     assert changed
     assert [found.boxes for found in people.boxes.on_images()] == [(BOX,), (mine,), (BOX,)]
-    # nothing is replaced by the same, and nothing of ours is somebody's
+    # equal and imported boxes do not count as replaced
     assert imported(people, tmp_path, image(f"{first.key}.jpg", BOX)).replaced == 0
 
 
@@ -413,7 +413,7 @@ def test_what_people_drew_is_told_and_finalised_frames_stay(
     ],
     ids=["only other classes", "no frame", "one frame twice", "another size"],
 )
-def test_a_file_that_does_not_fit_changes_nothing(
+def test_an_unusable_file_is_an_error_and_changes_nothing(
     people: Project, tmp_path: Path, images: list[CocoImage], problem: str
 ) -> None:
     with pytest.raises(FormatError, match=problem):
@@ -421,7 +421,9 @@ def test_a_file_that_does_not_fit_changes_nothing(
     assert people.boxes.on_images() == ()
 
 
-def test_frames_of_one_name_in_two_recordings(people: Project, own_copy: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_key_in_two_recordings_needs_the_recording(
+    people: Project, own_copy: Callable[[str], Path], tmp_path: Path
+) -> None:
     second = register_recording(people, open_recording(own_copy("people")), name="second")
     load = partial(imported, people, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX))
     with pytest.raises(FormatError, match=r"000000\.jpg: 2 recordings have a frame 000000; choose one"):
@@ -433,7 +435,7 @@ def test_frames_of_one_name_in_two_recordings(people: Project, own_copy: Callabl
         load(recording="third")
 
 
-def test_boxes_on_a_frame_that_cannot_be_read_now_are_taken(
+def test_boxes_on_an_unreadable_frame_are_imported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], tmp_path: Path
 ) -> None:
     folder = own_copy("people")

@@ -1,4 +1,4 @@
-"""Five drags, step by step, without anything being kept between them; and keeping them."""
+"""The five drags of an object: computing views and boxes without state, and storing them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
 
 
 class Desk:
-    """The first frame of a project, its true objects, and a hand that draws them."""
+    """The first frame of a project, its true objects, and a simulated operator."""
 
     def __init__(self, project: Project, folder: Path, kind: BoxKind = BoxKind.SILHOUETTE) -> None:
         recording = open_recording(folder)
@@ -89,13 +89,13 @@ def test_the_steps_are_those_of_the_labelling_procedure(desk: Desk) -> None:
         assert (view.axes == drawn.view.axes).all()
 
 
-def test_each_drag_leads_on(desk: Desk) -> None:
+def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     four = desk.four()
     begun = desk.steps([])
     assert (len(begun.steps), begun.box, begun.stop) == (1, None, None)
     assert begun.points > 100
     assert len(desk.steps(four[:1]).steps) == 1
-    assert len(desk.steps([None, four[1]]).steps) == 1, "both boxes of a step lead to the next"
+    assert len(desk.steps([None, four[1]]).steps) == 1, "the next step needs both boxes"
     second = desk.steps(four[:2])
     assert len(second.steps) == 2
     assert second.box is not None
@@ -109,14 +109,14 @@ def test_each_drag_leads_on(desk: Desk) -> None:
     assert done.points > 50
 
 
-def test_a_later_look_at_the_same_boxes_draws_nothing_anew(desk: Desk) -> None:
+def test_views_of_the_same_boxes_are_cached(desk: Desk) -> None:
     four = desk.four()
     assert all(a is b for a, b in zip(desk.steps(four).views, desk.steps(four).views, strict=True))
     moved = [Box2D("person", four[0].x_min + 9, *four[0].xyxy[1:]), *four[1:]]
     assert desk.steps(moved).views[2] is not desk.steps(four).views[2]
 
 
-def test_boxes_that_mean_the_whole_object_are_fitted_together(people: Project, generated: Path) -> None:
+def test_boxes_of_the_kind_box_are_fitted_together(people: Project, generated: Path) -> None:
     desk = Desk(people, generated / "people", BoxKind.BOX)
     ious = []
     for number in range(len(desk.objects)):
@@ -126,14 +126,14 @@ def test_boxes_that_mean_the_whole_object_are_fitted_together(people: Project, g
     assert np.mean(ious) > 0.9
 
 
-def test_a_frustum_without_points_says_why(desk: Desk) -> None:
+def test_a_frustum_without_points_gives_a_reason(desk: Desk) -> None:
     far = Box2D("person", -900.0, -900.0, -800.0, -800.0)
     found = label_steps(desk.opened, far, [], desk.config)
     assert (found.steps, found.points) == ((), 0)
     assert found.stop is not None and "points lie in this box's frustum" in found.stop
 
 
-def test_boxes_that_miss_each_other_say_why(desk: Desk) -> None:
+def test_boxes_without_common_points_give_a_reason(desk: Desk) -> None:
     views = desk.steps([]).views
     height, width = views[0].rgb.shape[:2]
     corner = Box2D("person", -0.5, -0.5, 0.4, 0.4)
@@ -148,7 +148,7 @@ def test_more_than_four_boxes_are_refused(desk: Desk) -> None:
         desk.steps([None] * 5)
 
 
-def test_a_detector_suggests_what_would_be_drawn(desk: Desk, knowing: Callable[..., Detectors]) -> None:
+def test_suggestions_are_close_to_the_drawn_boxes(desk: Desk, knowing: Callable[..., Detectors]) -> None:
     detector = knowing("people", BoxKind.SILHOUETTE).view
     boxes: list[Box2D | None] = []
     for place in range(4):
@@ -156,12 +156,12 @@ def test_a_detector_suggests_what_would_be_drawn(desk: Desk, knowing: Callable[.
         suggested = found.steps[place // 2].suggested[place % 2]
         assert suggested is not None
         drawn = desk.draw(found.views[place])
-        # it takes all points in the true box for the object's, also those of the floor
+        # the detector counts all points in the true box, including those of the floor
         assert box_iou(suggested, drawn) > 0.6
         boxes.append(drawn)
 
 
-def test_an_object_is_kept_drag_by_drag_and_becomes_a_label(desk: Desk) -> None:
+def test_each_drag_is_stored_and_the_fifth_creates_the_label(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     for count in range(5):
         uid = desk.save([image_box], ObjectDrawn(image_box, four[:count]))
@@ -181,7 +181,7 @@ def test_an_object_is_kept_drag_by_drag_and_becomes_a_label(desk: Desk) -> None:
     assert numbers.by_origin["from nothing"].boxes == 1
 
 
-def test_the_same_again_writes_nothing(desk: Desk) -> None:
+def test_saving_the_same_boxes_again_writes_nothing(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], ObjectDrawn(image_box, four))
     before = desk.revision
@@ -190,8 +190,8 @@ def test_the_same_again_writes_nothing(desk: Desk) -> None:
     assert desk.revision == before
 
 
-def test_boxes_of_other_objects_on_a_view_stay(desk: Desk) -> None:
-    """Views that came from 3D boxes show whatever else is there."""
+def test_boxes_of_other_objects_on_a_view_are_kept(desk: Desk) -> None:
+    """Views from 3D boxes also have boxes of other objects."""
     image_box, four = desk.image_box(), desk.four()
     desk.save([image_box], ObjectDrawn(image_box, four[:2]))
     view = next(view for view in desk.project.boxes.on_views_of(desk.frame_id) if view.boxes == (four[1],))
@@ -207,7 +207,7 @@ def test_boxes_of_other_objects_on_a_view_stay(desk: Desk) -> None:
     assert {view.boxes for view in desk.project.boxes.on_views_of(desk.frame_id)} == {(four[0],), (wider, other)}
 
 
-def test_another_box_on_the_first_step_replaces_what_followed_from_it(desk: Desk) -> None:
+def test_changing_a_box_of_the_first_step_removes_the_second_step(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], ObjectDrawn(image_box, four))
     wider = Box2D("person", four[0].x_min - 8, four[0].y_min, four[0].x_max + 8, four[0].y_max)
@@ -215,22 +215,24 @@ def test_another_box_on_the_first_step_replaces_what_followed_from_it(desk: Desk
     views = desk.project.boxes.on_views_of(desk.frame_id)
     assert sorted(view.step or 0 for view in views) == [0, 0]
     assert {view.boxes for view in views} == {(wider,), (four[1],)}
-    assert desk.project.labels.get(uid or "").label.state is ReviewState.ACCEPTED, "the label waits for the new boxes"
+    assert desk.project.labels.get(uid or "").label.state is ReviewState.ACCEPTED, (
+        "the label is kept until the new boxes are complete"
+    )
     again = desk.steps([wider, four[1]])
     last = [desk.draw(view) for view in again.views[2:]]
     assert desk.save([image_box], ObjectDrawn(image_box, [wider, four[1], *last], uid)) == uid
     assert desk.project.labels.get(uid or "").label.state is ReviewState.EDITED
 
 
-def test_a_moved_image_box_takes_its_object_along(desk: Desk) -> None:
+def test_an_object_keeps_its_label_when_its_image_box_moves(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], ObjectDrawn(image_box, four))
     x_min, y_min, x_max, y_max = image_box.xyxy
     moved = Box2D("person", x_min - 30, y_min - 2, x_max + 30, y_max + 2)
     assert desk.save([moved], ObjectDrawn(moved, [], uid)) == uid
     (shown,) = show_frame(desk.project, desk.frame_id, desk.opened).objects
-    assert (shown.image_box, shown.uid) == (moved, uid), "it is still the same object, also after a reload"
-    assert desk.project.boxes.on_views_of(desk.frame_id) == (), "views of a frustum that is gone teach nothing"
+    assert (shown.image_box, shown.uid) == (moved, uid), "it is the same object, also after a reload"
+    assert desk.project.boxes.on_views_of(desk.frame_id) == (), "views of the old frustum are removed"
     boxes: list[Box2D] = []
     for place in range(4):
         views = label_steps(desk.opened, moved, boxes, desk.config).views
@@ -241,7 +243,7 @@ def test_a_moved_image_box_takes_its_object_along(desk: Desk) -> None:
     assert stored.label.state is ReviewState.EDITED
 
 
-def test_another_class_leaves_a_corrected_box_as_it_is(desk: Desk) -> None:
+def test_changing_the_class_keeps_a_corrected_box(desk: Desk) -> None:
     desk.project.configure(classes=["person", "robot"])
     image_box, four = desk.image_box(), desk.four()
     uid = desk.save([image_box], ObjectDrawn(image_box, four)) or ""
@@ -257,7 +259,7 @@ def test_another_class_leaves_a_corrected_box_as_it_is(desk: Desk) -> None:
 
     before = desk.revision
     assert desk.save([image_box], ObjectDrawn(image_box, four, uid)) == uid
-    assert desk.revision == before, "the same again writes nothing over it, either"
+    assert desk.revision == before, "saving the same boxes does not overwrite it"
     renamed, boxes = replace(image_box, label="robot"), [replace(box, label="robot") for box in four]
     assert desk.save([renamed], ObjectDrawn(renamed, boxes, uid)) == uid
     assert present() == ("robot", True, 7, renamed)
@@ -266,10 +268,10 @@ def test_another_class_leaves_a_corrected_box_as_it_is(desk: Desk) -> None:
     desk.project.history.redo("ann")
     wider = replace(boxes[3], x_max=boxes[3].x_max + 2)
     desk.save([renamed], ObjectDrawn(renamed, [*boxes[:3], wider], uid))
-    assert present()[1] is False, "another drag leads to another box"
+    assert present()[1] is False, "another drag changes the box"
 
 
-def test_effort_follows_a_begun_object_whose_image_box_is_changed(desk: Desk) -> None:
+def test_effort_is_kept_when_the_image_box_of_a_draft_changes(desk: Desk) -> None:
     image_box = desk.image_box()
     x_min, y_min, x_max, y_max = image_box.xyxy
     sloppy = Box2D("person", x_min - 20, y_min - 20, x_max + 20, y_max)
@@ -280,7 +282,7 @@ def test_effort_follows_a_begun_object_whose_image_box_is_changed(desk: Desk) ->
     assert (numbers.boxes, numbers.actions_a_box) == (1, 3.0)
 
 
-def test_boxes_that_measure_something_else_do_so_on_the_views_of_all_objects(desk: Desk) -> None:
+def test_changing_the_kind_of_boxes_applies_to_the_views_of_all_objects(desk: Desk) -> None:
     objects = [ObjectDrawn(desk.image_box(number), desk.four(number)) for number in range(2)]
     image_boxes = [drawn.image_box for drawn in objects]
     for drawn in objects:
@@ -293,7 +295,7 @@ def test_boxes_that_measure_something_else_do_so_on_the_views_of_all_objects(des
     assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.SILHOUETTE] * 8
 
 
-def test_one_undo_takes_one_drag_back(desk: Desk) -> None:
+def test_one_undo_reverts_one_drag(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     for count in range(5):
         desk.save([image_box], ObjectDrawn(image_box, four[:count]))
@@ -306,7 +308,7 @@ def test_one_undo_takes_one_drag_back(desk: Desk) -> None:
     assert desk.project.boxes.on_views_of(desk.frame_id) == ()
 
 
-def test_what_cannot_be_kept_is_said_and_changes_nothing(desk: Desk) -> None:
+def test_invalid_saves_are_errors_and_change_nothing(desk: Desk) -> None:
     image_box = desk.image_box()
     with pytest.raises(ConfigError, match="is not among image_boxes"):
         desk.save([], ObjectDrawn(image_box, []))
@@ -317,7 +319,7 @@ def test_what_cannot_be_kept_is_said_and_changes_nothing(desk: Desk) -> None:
     assert desk.revision == 0
 
 
-def test_views_to_draw_on_are_large_however_small_the_detectors_are(desk: Desk) -> None:
+def test_views_to_draw_on_are_large_regardless_of_the_detector(desk: Desk) -> None:
     assert frame_config(desk.project, desk.frame).view.size_px < LABEL_VIEW_PX
     views = label_steps(desk.opened, desk.image_box(), [], desk.config).views
     assert {max(view.rgb.shape) for view in views} == {LABEL_VIEW_PX}

@@ -1,4 +1,4 @@
-"""The frames that are looked at are read once, and the next one ahead."""
+"""Opened frames are read once, and the next one is read ahead."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_frame_is_read_once_and_the_next_ahead(project: Project, reads: list[s
     assert cache.read(project, 5).key == "000004", "after the end frames are still read, but not ahead"
 
 
-def test_only_a_few_are_kept(project: Project, reads: list[str]) -> None:
+def test_only_the_latest_frames_are_cached(project: Project, reads: list[str]) -> None:
     cache = FrameCache(max_frames=2)
     cache.close()
     for frame in (1, 2, 3, 1):
@@ -68,7 +68,7 @@ def test_only_a_few_are_kept(project: Project, reads: list[str]) -> None:
     assert reads == ["000000", "000001", "000002", "000000"]
 
 
-def test_reading_ahead_follows_an_operator_at_once_and_keeps_no_frame(
+def test_reading_ahead_waits_for_a_pause_and_keeps_no_frame(
     project: Project, reads: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = [0.0]
@@ -77,7 +77,7 @@ def test_reading_ahead_follows_an_operator_at_once_and_keeps_no_frame(
     left = weakref.ref(cache.open(project, 1, "Ada"))
     for frame in (2, 3, 4, 5, 2, 3, 4, 5, 2, 3, 4, 5, 2, 3):
         cache.open(project, frame, "Ada")
-    assert left() is None, "a frame that was left waits for nothing"
+    assert left() is None, "a frame that was left is released"
     last = len(reads)
     now_s[0] = PAUSE_S
     _wait(reads, last + 1)
@@ -85,7 +85,7 @@ def test_reading_ahead_follows_an_operator_at_once_and_keeps_no_frame(
     cache.close()
 
 
-def test_reading_ahead_is_each_operators_own(project: Project, reads: list[str]) -> None:
+def test_frames_are_read_ahead_for_each_operator(project: Project, reads: list[str]) -> None:
     cache = FrameCache()
     cache.open(project, 1, "Ada")
     cache.open(project, 5, "Bob")
@@ -137,7 +137,7 @@ def test_a_thread_that_waited_finds_the_frame_in_the_cache(
     assert reads == ["000002"]
 
 
-def test_what_cannot_be_read_is_told_each_time(project: Project, reads: list[str]) -> None:
+def test_an_unreadable_frame_is_an_error_each_time(project: Project, reads: list[str]) -> None:
     cache = FrameCache()
     cache.close()
     project.recordings.rescan(1, ["000000", "gone"])
@@ -149,7 +149,7 @@ def test_what_cannot_be_read_is_told_each_time(project: Project, reads: list[str
         cache.read(project, 99)
 
 
-def test_forgotten_frames_are_read_anew(project: Project, reads: list[str]) -> None:
+def test_forgotten_frames_are_read_again(project: Project, reads: list[str]) -> None:
     cache = FrameCache()
     cache.close()
     cache.read(project, 1)

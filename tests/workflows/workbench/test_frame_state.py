@@ -1,4 +1,4 @@
-"""What a page shows of a frame: read anew where something has changed, and only there."""
+"""The frame state shown by a page: only changed parts are read again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from annotator.workflows.workbench.frame_state import show_frame
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 
-def test_what_no_event_has_changed_is_not_read_again(
+def test_labels_without_new_events_are_not_read_again(
     make_project: Callable[..., Project], generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = make_project(generated / "people")
@@ -31,7 +31,7 @@ def test_what_no_event_has_changed_is_not_read_again(
     again = show_frame(project, frame, opened)
     assert reads.call_count == 1 and again.labels is first.labels
 
-    # no event of the frame: its neighbours are others, and so is its place
+    # without an event of the frame, its index and neighbours have changed
     (recording,) = project.recordings.all()
     keys = [stored.key for stored in project.frames.of()]
     project.recordings.rescan(recording.id, ["before", *keys])
@@ -39,7 +39,7 @@ def test_what_no_event_has_changed_is_not_read_again(
     assert (moved.page.frame.index, moved.page.previous) == (1, project.frames.find(recording.id, "before").id)
     assert reads.call_count == 1 and moved.labels is first.labels
 
-    # any event of it
+    # any event of the frame
     project.boxes.set_on_image(frame, [Box2D("person", 1.0, 2.0, 30.0, 40.0)], BoxKind.BOX, WriteContext(1, "Bob"))
     drawn = show_frame(project, frame, opened)
     assert [item.image_box.xyxy for item in drawn.objects] == [(1.0, 2.0, 30.0, 40.0)]

@@ -1,4 +1,4 @@
-"""Detectors are loaded in the background, once, and anew when another model becomes the active one."""
+"""Detectors are loaded once in the background, and again when another model becomes active."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return found
 
 
-def test_loaded_once_and_anew_for_another_model(people: Project, loads: list[Path]) -> None:
+def test_a_detector_is_loaded_once_and_again_for_another_model(people: Project, loads: list[Path]) -> None:
     ready = ReadyDetectors()
     assert ready.get(people, DetectorKind.VIEW) is None
     register(people, DetectorKind.VIEW, "a")
@@ -71,7 +71,7 @@ def test_loaded_once_and_anew_for_another_model(people: Project, loads: list[Pat
     ready.close()
 
 
-def test_nobody_waits_longer_than_they_say(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waiting_for_a_detector_ends_after_the_given_time(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 
     def load(weights: Path) -> Blank:
@@ -88,7 +88,7 @@ def test_nobody_waits_longer_than_they_say(people: Project, monkeypatch: pytest.
     ready.close()
 
 
-def test_one_that_cannot_be_loaded_is_as_if_it_were_not_there(
+def test_a_detector_that_cannot_be_loaded_is_treated_as_missing(
     people: Project, loads: list[Path], caplog: pytest.LogCaptureFixture
 ) -> None:
     register(people, DetectorKind.VIEW, "bad")
@@ -98,7 +98,7 @@ def test_one_that_cannot_be_loaded_is_as_if_it_were_not_there(
     ready.close()
 
 
-def test_how_far_it_is_and_why_it_failed(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_state_of_loading_and_its_problem_are_reported(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 
     def load(weights: Path) -> Blank:
@@ -125,7 +125,9 @@ def test_how_far_it_is_and_why_it_failed(people: Project, monkeypatch: pytest.Mo
     ready.close()
 
 
-def test_calls_wait_for_each_other(people: Project, loads: list[Path], knowing: Callable[..., Detectors]) -> None:
+def test_calls_of_a_detector_do_not_run_concurrently(
+    people: Project, loads: list[Path], knowing: Callable[..., Detectors]
+) -> None:
     register(people, DetectorKind.VIEW, "a")
     ready = ReadyDetectors()
     detector = ready.get(people, DetectorKind.VIEW)

@@ -1,4 +1,4 @@
-"""What to look at next, and what looks wrong."""
+"""The review queue, and checks for suspicious labels."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ def propose(project: Project, frame: StoredFrame, *proposals: Proposal) -> None:
         (Quality(float("nan"), 1.0, float("nan"), None), 0.5, 0.3, 0.4),
     ],
 )
-def test_doubt(quality: Quality | None, score: float, low: float | None, high: float | None) -> None:
+def test_doubt_is_computed_from_quality_and_score(
+    quality: Quality | None, score: float, low: float | None, high: float | None
+) -> None:
     found = doubt(quality, score)
     if low is None or high is None:
         assert found is None
@@ -66,7 +68,7 @@ def test_each_signal_raises_the_doubt() -> None:
     assert (doubt(fine, 0.5) or 0.0) > base
 
 
-def test_proposals_in_order(people: Project) -> None:
+def test_proposals_are_in_the_selected_order(people: Project) -> None:
     people.configure(classes=["person", "dog"])
     frames = people.frames.of()
     propose(people, frames[0], proposed(0, 0.9), proposed(3, 0.2, "dog"))
@@ -98,26 +100,26 @@ def test_proposals_in_order(people: Project) -> None:
     assert queue(people, Order.WORST) == ()
 
 
-def test_frames_that_teach_most_come_first(people: Project) -> None:
+def test_the_most_informative_frames_come_first(people: Project) -> None:
     frames = people.frames.of()
 
     def shown() -> list[int]:
         return [item.frame.index or 0 for item in queue(people, Order.TEACH)]
 
-    assert shown()[0] == 0, "an operator begins at the beginning"
-    assert shown()[1] == 4, "and goes on where it looks most different"
+    assert shown()[0] == 0, "the first frame comes first"
+    assert shown()[1] == 4, "then the most different frame"
     assert sorted(shown()) == [0, 1, 2, 3, 4]
     people.boxes.set_on_image(frames[0].id, [], BoxKind.SILHOUETTE, WriteContext(0, "ann"))
     assert shown()[0] == 4
     propose(people, frames[1], proposed(0, 0.95))
     propose(people, frames[2], proposed(0, 0.05))
-    assert shown()[0] == 2, "what the detectors are least sure of"
-    assert shown()[-1] == 1, "what they know already"
+    assert shown()[0] == 2, "the most doubtful frame"
+    assert shown()[-1] == 1, "the least doubtful frame"
     assert all(item.uid is None for item in queue(people, Order.TEACH))
 
 
 def naive_spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:
-    """The order in plain words: again and again the best frame that is left of each recording in turn."""
+    """Reference implementation: repeatedly takes the best remaining frame of each recording in turn."""
     left = {frame.recording_id: [] for frame in frames}  # type: dict[int, list[StoredFrame]]
     for recording, own in left.items():
         here = sorted((f for f in frames if f.recording_id == recording), key=lambda f: f.index or 0)
@@ -133,7 +135,7 @@ def naive_spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> 
 
 
 def naive_halving(count: int) -> list[int]:
-    """Both ends, then the middles of the gaps, level by level."""
+    """Both ends, then the middles of the gaps, level by level (reference implementation)."""
     order, level = list(range(count))[:1] + list(range(count))[1:][-1:], [(0, count - 1)]
     while level:
         inner = [(low, high, (low + high) // 2) for low, high in level if high - low >= 2]
@@ -146,7 +148,9 @@ def naive_halving(count: int) -> list[int]:
     st.lists(st.tuples(st.integers(1, 3), st.integers(0, 60), st.booleans()), unique_by=lambda f: f[:2], max_size=60),
     st.randoms(use_true_random=False),
 )
-def test_the_quick_order_is_the_plain_one(places: list[tuple[int, int, bool]], random: Random) -> None:
+def test_the_fast_order_agrees_with_the_reference_implementation(
+    places: list[tuple[int, int, bool]], random: Random
+) -> None:
     frames = [StoredFrame(n, recording, str(at), at, 0, False) for n, (recording, at, _) in enumerate(places)]
     known = [frame for frame, (_, _, is_known) in zip(frames, places, strict=True) if is_known]
     rest = [frame for frame in frames if frame not in known]
@@ -164,7 +168,7 @@ def warned(project: Project, frame: int | None = None) -> list[tuple[Kind, int]]
     return [(warning.kind, warning.frame.index or 0) for warning in found]
 
 
-def test_odd_sizes(people: Project) -> None:
+def test_unusual_sizes_are_found(people: Project) -> None:
     first, second = people.frames.of()[:2]
     people.labels.create(first.id, [label(box_at(3.0 * n)) for n in range(5)], WriteContext(0, "ann"))
     assert warned(people) == []
@@ -175,11 +179,11 @@ def test_odd_sizes(people: Project) -> None:
     assert message == "person of 1.80 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
 
 
-def test_odd_sizes_and_boxes_within_a_track(people: Project) -> None:
+def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(people: Project) -> None:
     people.configure(classes=["person", "dog"])
     frames = people.frames.of()
     for number, frame in enumerate(frames):
-        # within the class sizes differ by themselves; those of one track do not
+        # sizes vary within the class, but not within a track
         size = (1.2, 0.5, 1.7) if number == 4 else (0.8, 0.5, 1.7)
         others = [label(box_at(9.0 + n, size=(0.6 + 0.2 * n, 0.5, 1.7)), track=10 + n) for n in (0, 4)]
         people.labels.create(frame.id, [label(box_at(0.0, size=size), track=1), *others], WriteContext(0, "ann"))
@@ -188,26 +192,26 @@ def test_odd_sizes_and_boxes_within_a_track(people: Project) -> None:
     assert message == "track 1: person of 1.20 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
     more = [label(box_at(5.0), track=1), label(box_at(20.0), "dog", track=10)]
     people.labels.create(frames[2].id, more, WriteContext(people.frames.get(frames[2].id).revision, "ann"))
-    told = [(w.kind, w.message) for w in check(people, lambda frame, boxes: None, frames[2].id)]
-    assert told == [
+    reported = [(w.kind, w.message) for w in check(people, lambda frame, boxes: None, frames[2].id)]
+    assert reported == [
         (Kind.TRACK, "track 1 has two boxes in this frame"),
         (Kind.TRACK, "track 10 has two boxes in this frame"),
         (Kind.TRACK, "track 10 is mostly person, but dog here"),
     ]
 
 
-def test_heading_jumps_in_sequences(people: Project) -> None:
+def test_heading_jumps_in_sequences_are_found(people: Project) -> None:
     frames = people.frames.of()
     people.labels.create(frames[0].id, [label(box_at(0.0), track=1), label(box_at(5.0))], WriteContext(0, "ann"))
     near, far = label(box_at(5.1, np.pi)), label(box_at(0.1, 0.5), track=1)
     people.labels.create(frames[1].id, [near, far], WriteContext(0, "ann"))
     assert warned(people) == [(Kind.HEADING, 1)]
-    # another track in the same place is another object
+    # another track at the same position is another object
     people.labels.create(frames[2].id, [label(box_at(0.1, 2.5), track=2)], WriteContext(0, "ann"))
     assert warned(people, frames[2].id) == []
 
 
-def test_duplicates(people: Project) -> None:
+def test_duplicates_are_found(people: Project) -> None:
     people.configure(classes=["person", "dog"])
     frame = people.frames.of()[0]
     boxes = [label(box_at(0.0)), label(box_at(0.1)), label(box_at(0.0), "dog"), label(box_at(0.7))]
@@ -224,13 +228,13 @@ def test_empty_boxes_are_found_in_the_recording_and_counted_once(people: Project
     assert [(row.kind, row.key) for row in report.warnings if row.kind is Kind.EMPTY] == [(Kind.EMPTY, frame.key)]
     assert report.labels == 16
     again = PointCounts(people, budget_s=0.0)
-    assert check_project(people, budget_s=0.0).uncounted == 0, "all of it was counted before"
+    assert check_project(people, budget_s=0.0).uncounted == 0, "all points were counted before"
     assert again(frame, [nothing]) == [0]
     assert again(frame, [box_at(0.0)]) is None
     assert again.unknown == 1
 
 
-def test_a_frame_that_cannot_be_read_is_told(people: Project, generated: Path) -> None:
+def test_an_unreadable_frame_is_reported(people: Project, generated: Path) -> None:
     people.recordings.rescan(1, ["000000", "gone"])
     gone = people.frames.find(1, "gone")
     people.labels.create(gone.id, [label(box_at(0.0))], WriteContext(0, "ann"))
@@ -238,14 +242,14 @@ def test_a_frame_that_cannot_be_read_is_told(people: Project, generated: Path) -
     assert len(report.unreadable) == 1 and report.unreadable[0].startswith("gone: ")
 
 
-def test_the_command(people: Project, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_check_command_prints_warnings(people: Project, capsys: pytest.CaptureFixture[str]) -> None:
     frame = people.frames.of()[0]
     people.labels.create(frame.id, [label(box_at(0.0)), label(box_at(0.1))], WriteContext(0, "ann"))
     root = str(people.path.parent)
     assert main(["check", people.path.name, "--json", "--projects", root]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert {row["kind"] for row in told["warnings"]} >= {"duplicate"}
-    assert told["labels"] == 2
+    reported = json.loads(capsys.readouterr().out)
+    assert {row["kind"] for row in reported["warnings"]} >= {"duplicate"}
+    assert reported["labels"] == 2
     assert main(["check", people.path.name, "--projects", root]) == 0
     out = capsys.readouterr().out
     assert f"{frame.key}: duplicate: two boxes of person overlap by" in out

@@ -1,4 +1,4 @@
-"""Pictures along a box's own axes, fitting it anew, and boxes of the frame before."""
+"""Views along a box's own axes, fitting a box again, and copying boxes of the previous frame."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def truths(generated: Path, opened: OpenFrame) -> list[Truth]:
     return list(load_truth(open_recording(generated / "people"), 0, opened.frame))
 
 
-def test_each_picture_shows_its_plane_of_the_box(opened: OpenFrame, truths: list[Truth]) -> None:
+def test_each_view_shows_its_plane_of_the_box(opened: OpenFrame, truths: list[Truth]) -> None:
     box = truths[0].box
     views = ortho_views(opened, box, 200)
     assert [item.name for item in views] == ["top", "front", "side"]
@@ -50,12 +50,12 @@ def test_each_picture_shows_its_plane_of_the_box(opened: OpenFrame, truths: list
         px = (box_corners(box) @ view.axes[:2].T - view.origin_m) / view.metres_per_px
         assert np.allclose((px.min(axis=0) + px.max(axis=0)) / 2, 99.5), "the box is in the middle"
         assert (px > 20).all() and (px < 180).all(), "with room around it"
-    # heights grow upwards, the heading points up in the top view
+    # up is up in the front view; the heading points up in the top view
     assert views[1].view.axes[1] @ box.rotation[:, 2] == pytest.approx(-1)
     assert views[0].view.axes[1] @ box.rotation[:, 0] == pytest.approx(-1)
 
 
-def test_what_lies_around_the_box_is_dimmed(opened: OpenFrame, truths: list[Truth]) -> None:
+def test_points_around_the_box_are_dimmed(opened: OpenFrame, truths: list[Truth]) -> None:
     box = truths[0].box
     view = ortho_views(opened, box, 200)[1].view
     contrast = np.abs(view.rgb.astype(int) - BACKGROUND).max(axis=2)
@@ -69,7 +69,7 @@ def test_what_lies_around_the_box_is_dimmed(opened: OpenFrame, truths: list[Trut
     assert contrast[~beside].max() > 60
 
 
-def test_a_box_around_nothing_still_has_pictures(opened: OpenFrame) -> None:
+def test_a_box_without_points_has_empty_views(opened: OpenFrame) -> None:
     nowhere = OrientedBox.from_parts(np.array([0.0, 0.0, -50.0]), np.eye(3), np.ones(3))
     assert all((item.view.rgb == BACKGROUND).all() for item in ortho_views(opened, nowhere, 64))
 
@@ -83,7 +83,7 @@ def put_off(box: OrientedBox, up: np.ndarray | None, seed: int = 1) -> OrientedB
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
-def test_a_box_that_is_a_little_off_is_put_right(
+def test_refitting_improves_a_displaced_box(
     opened: OpenFrame, truths: list[Truth], knowing: Callable[..., Detectors], kind: BoxKind
 ) -> None:
     config = RcvConfig(orientation=Orientation.UPRIGHT, box_kind=kind)
@@ -99,7 +99,7 @@ def test_a_box_that_is_a_little_off_is_put_right(
     assert np.mean(better) > (0.2 if kind is BoxKind.BOX else 0.05)
 
 
-def test_without_a_detector_the_points_decide_and_it_is_said(opened: OpenFrame, truths: list[Truth]) -> None:
+def test_without_a_detector_the_box_is_fitted_to_the_points_with_a_note(opened: OpenFrame, truths: list[Truth]) -> None:
     box = truths[0].box
     wide = OrientedBox(box.T_camera_box, box.size_m + 0.02)
     found = refit(opened, wide, "person", RcvConfig(), None)
@@ -111,7 +111,7 @@ def test_without_a_detector_the_points_decide_and_it_is_said(opened: OpenFrame, 
     assert contains(found.box, inside, 1e-4).all()
 
 
-def test_a_class_or_an_object_that_the_detector_does_not_know(
+def test_an_unknown_class_or_missing_object_gives_a_note(
     opened: OpenFrame, truths: list[Truth], knowing: Callable[..., Detectors]
 ) -> None:
     detector = knowing("people").view
@@ -123,7 +123,7 @@ def test_a_class_or_an_object_that_the_detector_does_not_know(
     assert found.box is empty
 
 
-def test_renaming_axes_keeps_the_box() -> None:
+def test_permuting_axes_keeps_the_box() -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
         rotation = Rotation.random(rng=rng).as_matrix()
@@ -139,7 +139,7 @@ def label_at(x: float, track: int | None = None) -> NewLabel:
     return NewLabel("person", box, track_id=track)
 
 
-def test_boxes_of_the_frame_before_are_copied_once(people: Project) -> None:
+def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
     first, second, third = people.frames.of()[:3]
     made = people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
     people.log.append(first.id, [LabelRejected(uid=made.uids[2])], WriteContext(made.receipt.revision, "ann"))

@@ -1,4 +1,4 @@
-"""A project on generated frames, done in this process: what every engine must give, bit for bit."""
+"""Projects on generated frames, and the expected result, which every engine must reproduce bit for bit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from annotator.workflows.proposing.engines.sources import GivenDetectors
 
 @pytest.fixture
 def new_people(generated: Path, tmp_path: Path) -> Iterator[Callable[[str], Project]]:
-    """Makes a project of the generated people: `new_people("name")`."""
+    """Creates a project of the generated people: `new_people("name")`."""
     made: list[Project] = []
 
     def make(name: str) -> Project:
@@ -34,7 +34,7 @@ def new_people(generated: Path, tmp_path: Path) -> Iterator[Callable[[str], Proj
 
 @pytest.fixture(scope="session")
 def expected(generated: Path, knowing: Callable[..., Detectors], tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """What the engine without processes stores for the generated people."""
+    """The result of the inline engine for the generated people."""
     with create_project(tmp_path_factory.mktemp("inline"), "inline", ("person",)) as project:
         register_recording(project, open_recording(generated / "people"))
         annotate_with(project, InlineEngine(GivenDetectors(knowing("people"))), CONFIG)

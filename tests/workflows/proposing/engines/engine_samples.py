@@ -1,4 +1,4 @@
-"""What engines are tried with: detectors that worker processes load by name, and that do harm or wait."""
+"""Detectors for tests of engines, loaded by worker processes, which kill their process or delay calls."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONFIG = RcvConfig(max_steps=1)
 
 
 def stored(project: Project) -> list[str]:
-    """Everything that the latest passes found, one text a frame; two are equal where every bit is."""
+    """The latest proposals as one string per frame; equal strings mean bitwise equal results."""
     found = []
     for frame in project.frames.of():
         latest = project.proposals.latest(frame.id)
@@ -38,13 +38,13 @@ def stored(project: Project) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Harmful:
-    """Passes on what another detector says, and kills its process over some frames.
+    """Forwards to another detector, and kills its process on some frames.
 
     Attributes:
-        deadly: keys of frames.
-        once: where given, a file: a process dies only while it is missing, and makes it before.
-        slow_s: so long every call takes.
-        told: where given, a folder in which each process that works leaves its id.
+        deadly: keys of the frames on which the process is killed.
+        once: a file; the process is killed only if it is missing, and creates it before.
+        slow_s: delay of each call, seconds.
+        told: a folder in which each working process creates a file named by its id.
     """
 
     inner: Detector
@@ -75,7 +75,7 @@ class Harmful:
 
 @dataclass(frozen=True, eq=False)
 class HarmfulPair:
-    """A source whose image detector is harmful."""
+    """A source with a `Harmful` image detector."""
 
     inner: Detectors
     deadly: tuple[str, ...] = ()
@@ -90,7 +90,7 @@ class HarmfulPair:
 
 @dataclass(frozen=True, eq=False)
 class RealViews:
-    """A source with a real network for the views: it is sure of nothing, but all that it says is taken."""
+    """A source with a real network for the views; the low confidence threshold accepts all its boxes."""
 
     inner: Detectors
     weights: Path
@@ -102,7 +102,7 @@ class RealViews:
 
 @dataclass(frozen=True)
 class Unloadable:
-    """A source that fails as a damaged file would."""
+    """A source that fails like a damaged weights file."""
 
     def load(self, threads: int | None) -> Detectors:
         raise DetectionError("weights.pt: cannot be read as detector weights")

@@ -1,4 +1,4 @@
-"""Which engine is made, where workers look for recordings, and how weights travel; nothing is started."""
+"""The choice of the engine, paths of recordings on workers, and packed weights; no workers are started."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from annotator.workflows.proposing.engines.storage import Storage, parse_elsewhe
         ("inline", 4, (), {}, None),
     ],
 )
-def test_as_many_workers_as_it_is_good_for(
+def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
     name: str,
     cores: int,
     gpus: tuple[str, ...],
@@ -57,16 +57,16 @@ def test_as_many_workers_as_it_is_good_for(
         ("local", {"address": "auto"}, "add --engine ray"),
     ],
 )
-def test_options_that_do_not_go_together(name: str, options: dict[str, object], says: str) -> None:
+def test_conflicting_options_are_errors(name: str, options: dict[str, object], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
         make_engine(EngineName(name), Unloadable(), frames=100, **options)
 
 
-def test_a_machine_without_devices_loads_no_torch_to_count_them(tmp_path: Path) -> None:
+def test_without_gpus_counting_devices_needs_no_torch(tmp_path: Path) -> None:
     assert cuda_devices(tmp_path) == ()
 
 
-def test_places_of_workers() -> None:
+def test_paths_are_mapped_to_the_longest_matching_folder() -> None:
     storage = Storage(parse_elsewhere(["/data/a=s3://bucket/a/", "/data=/mnt/data"]))
     assert storage.place(Path("/data/a/room")) == "s3://bucket/a/room"
     assert storage.place(Path("/data/a")) == "s3://bucket/a"
@@ -75,14 +75,12 @@ def test_places_of_workers() -> None:
 
 
 @pytest.mark.parametrize("word", ["", "/data", "=s3://bucket", "/data="])
-def test_words_that_name_no_place(word: str) -> None:
+def test_invalid_mappings_are_errors(word: str) -> None:
     with pytest.raises(ConfigError, match="not of the form FOLDER=PLACE"):
         parse_elsewhere([word])
 
 
-def test_weights_are_unpacked_once_and_only_into_a_folder_of_ones_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_weights_are_unpacked_once_into_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "training"
     folder.mkdir()
     trained = TrainedDetectors(folder / "detector.pt", folder / "detector.pt", BoxKind.BOX)
@@ -92,7 +90,7 @@ def test_weights_are_unpacked_once_and_only_into_a_folder_of_ones_own(
     (folder / "model.json").write_text("{}")
     packed = PackedDetectors.of(trained)
     place = packed.image.unpacked(tmp_path / "out")
-    for path in (place, place.with_name("model.json")):  # a machine clears its temporary files away, file by file
+    for path in (place, place.with_name("model.json")):  # the system may remove temporary files one by one
         before = place.stat().st_ino
         assert packed.image.unpacked(tmp_path / "out") == place and place.stat().st_ino == before
         path.unlink()

@@ -1,4 +1,4 @@
-"""Worker processes: the same results as without them, and nothing lost when one, or the driver, is killed."""
+"""Worker processes: the same results as inline, and nothing is lost if a worker or the driver is killed."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def engine_of(source: DetectorSource, workers: int = 2) -> Engine:
     return local_engine(source, workers, 1, Storage())
 
 
-def test_the_same_bit_for_bit_also_from_another_place_and_when_a_worker_was_killed(
+def test_results_are_bitwise_equal_even_with_a_mirror_and_a_killed_worker(
     new_people: NewPeople, expected: list[str], knowing: Knowing, tmp_path: Path, generated: Path
 ) -> None:
     project, once = new_people("local"), tmp_path / "once"
@@ -76,7 +76,7 @@ def test_the_same_bit_for_bit_also_from_another_place_and_when_a_worker_was_kill
     assert stored(project) == expected
 
 
-def test_a_real_network_gives_the_same_bit_for_bit(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
+def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
     from annotator.detection.ultralytics_api import api
 
     model = api().DetectionModel("yolo11n.yaml", nc=1, verbose=False)
@@ -90,7 +90,7 @@ def test_a_real_network_gives_the_same_bit_for_bit(new_people: NewPeople, knowin
             assert annotate_with(projects[name], engine, config, limit=1).failed == []
     here, there = (stored(project)[:1] for project in projects.values())
     assert here == there
-    assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were found, and used"
+    assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were detected and used"
 
 
 def test_a_frame_that_kills_every_worker_is_stored_as_failed(
@@ -107,8 +107,8 @@ def test_a_frame_that_kills_every_worker_is_stored_as_failed(
     assert stored(project)[:4] == expected[:4]
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes as Linux shows them")
-def test_a_killed_driver_leaves_no_workers_and_a_restart_goes_on(
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc of Linux")
+def test_a_killed_driver_leaves_no_workers_and_a_restart_continues(
     new_people: NewPeople, expected: list[str], knowing: Knowing, tmp_path: Path
 ) -> None:
     project, told, source = new_people("killed"), tmp_path / "told", tmp_path / "source"
@@ -131,7 +131,7 @@ def test_a_killed_driver_leaves_no_workers_and_a_restart_goes_on(
         assert again.problems() == []
 
 
-def test_what_ends_the_batch_ends_the_workers(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
+def test_interrupting_the_batch_ends_the_workers(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
     told = tmp_path / "told"
     told.mkdir()
 
@@ -139,7 +139,7 @@ def test_what_ends_the_batch_ends_the_workers(new_people: NewPeople, knowing: Kn
         if any(told.iterdir()):
             raise KeyboardInterrupt
 
-    # nothing is ever done: the heartbeat asks
+    # no frame is ever done: the heartbeat calls the progress function
     engine = engine_of(HarmfulPair(knowing("people"), slow_s=100, told=told), 1)
     with pytest.raises(KeyboardInterrupt):
         annotate_with(new_people("stopped"), engine, CONFIG, progress=stop)
@@ -148,10 +148,10 @@ def test_what_ends_the_batch_ends_the_workers(new_people: NewPeople, knowing: Kn
         os.kill(pid, signal.SIGKILL)
 
 
-def test_detectors_that_cannot_be_loaded(
+def test_detectors_that_cannot_be_loaded_are_an_error(
     new_people: NewPeople, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # what lies in the folder that annotator is called in is no part of it: workers get as far as the detectors
+    # workers must not import modules from the current folder
     (tmp_path / "queue.py").write_text("raise SystemExit('somebody else's queue')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])

@@ -1,4 +1,4 @@
-"""Who gets which task, and what becomes of the tasks of workers that die: with workers that are no processes."""
+"""Distribution of tasks, also after workers died, with fake workers instead of processes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ ROOM = RecordingSpec(Path("room"), "room", "project", None)
 
 
 @dataclass(eq=False)
-class Paper:
-    """A worker that does what the test says, and dies of frames whose keys it is told."""
+class FakeWorker:
+    """A worker controlled by the test."""
 
     number: int
     tell: Report
@@ -37,7 +37,7 @@ class Paper:
     def end(self) -> None:
         self.is_ended = True
 
-    def ready(self) -> Paper:
+    def ready(self) -> FakeWorker:
         self.tell(Ready(self.number, SAME))
         return self
 
@@ -52,24 +52,24 @@ class Paper:
 
 
 @dataclass(eq=False)
-class Office:
-    """A pool and all workers that it has ever made."""
+class FakePool:
+    """A pool with all workers that it has created."""
 
     workers: int
-    made: list[Paper] = field(default_factory=list)
+    made: list[FakeWorker] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.pool = WorkerPool(self._make, self.workers)
 
-    def _make(self, number: int, tell: Report) -> Paper:
-        self.made.append(Paper(number, tell))
+    def _make(self, number: int, tell: Report) -> FakeWorker:
+        self.made.append(FakeWorker(number, tell))
         return self.made[-1]
 
     def start(self) -> None:
         while len(self.made) < self.workers:
             self.pool._add()
-        for paper in self.made:
-            paper.ready()
+        for worker in self.made:
+            worker.ready()
         self.pool.start()
         self.drain()
 
@@ -84,67 +84,67 @@ def task(number: int, *keys: str) -> Task:
     return Task(number, tuple(FrameSpec(ROOM, key) for key in keys), RcvConfig(), BoxRotation.FREE)
 
 
-def keys(paper: Paper) -> list[tuple[str, ...]]:
-    return [tuple(frame.key for frame in held.frames) for held in paper.tasks]
+def keys(worker: FakeWorker) -> list[tuple[str, ...]]:
+    return [tuple(frame.key for frame in held.frames) for held in worker.tasks]
 
 
 @pytest.fixture
-def office() -> Callable[[int], Office]:
-    def open_office(workers: int) -> Office:
-        made = Office(workers)
+def start_pool() -> Callable[[int], FakePool]:
+    def start(workers: int) -> FakePool:
+        made = FakePool(workers)
         made.start()
         return made
 
-    return open_office
+    return start
 
 
-def test_a_worker_holds_one_task_to_do_and_one_to_read(office: Callable[[int], Office]) -> None:
-    desk = office(2)
+def test_each_worker_gets_a_task_and_one_in_advance(start_pool: Callable[[int], FakePool]) -> None:
+    fake = start_pool(2)
     for number in range(6):
-        desk.pool.submit(task(number, str(number)))
-    assert [len(paper.tasks) for paper in desk.made] == [TASKS_PER_WORKER, TASKS_PER_WORKER]
-    desk.made[1].do()
-    assert [answer.number for answer in desk.drain()] == [2]
-    assert keys(desk.made[1])[-1] == ("4",)
+        fake.pool.submit(task(number, str(number)))
+    assert [len(worker.tasks) for worker in fake.made] == [TASKS_PER_WORKER, TASKS_PER_WORKER]
+    fake.made[1].do()
+    assert [answer.number for answer in fake.drain()] == [2]
+    assert keys(fake.made[1])[-1] == ("4",)
 
 
-def test_tasks_of_a_worker_that_died_go_alone_to_others_and_nothing_is_lost(office: Callable[[int], Office]) -> None:
-    desk = office(1)
+def test_tasks_of_a_dead_worker_are_repeated_one_by_one(start_pool: Callable[[int], FakePool]) -> None:
+    fake = start_pool(1)
     for number in range(4):
-        desk.pool.submit(task(number, f"{number}a", f"{number}b"))
-    desk.made[0].die()
-    desk.drain()
-    second = desk.made[1].ready()
-    desk.drain()
+        fake.pool.submit(task(number, f"{number}a", f"{number}b"))
+    fake.made[0].die()
+    fake.drain()
+    second = fake.made[1].ready()
+    fake.drain()
     answers = []
-    for _ in range(2):  # suspects: nothing beside them
+    for _ in range(2):  # repeated tasks run alone
         assert len(keys(second)) == 1
         second.do()
-        answers += desk.drain()
+        answers += fake.drain()
     assert len(second.tasks) == TASKS_PER_WORKER
     for _ in range(2):
         second.do()
-    answers += desk.drain()
+    answers += fake.drain()
     assert sorted(answer.number for answer in answers) == [0, 1, 2, 3]
     assert all(frame.result is not None for answer in answers for frame in answer.frames)
 
 
-def test_a_frame_that_kills_again_and_again_has_failed_and_the_others_of_its_task_are_done(
-    office: Callable[[int], Office],
+def test_a_frame_that_kills_workers_repeatedly_fails_and_the_others_of_its_task_are_done(
+    start_pool: Callable[[int], FakePool],
 ) -> None:
-    desk = office(1)
-    desk.pool.submit(task(7, "good", "deadly", "fine"))
+    fake = start_pool(1)
+    fake.pool.submit(task(7, "good", "deadly", "fine"))
     answers: list[Answer] = []
     for _ in range(20):
-        paper = desk.made[-1]
-        if not paper.tasks:
-            paper.ready()
-            desk.drain()
-        if any("deadly" in held for held in keys(paper)):
-            paper.die()
+        worker = fake.made[-1]
+        if not worker.tasks:
+            worker.ready()
+            fake.drain()
+        if any("deadly" in held for held in keys(worker)):
+            worker.die()
         else:
-            paper.do()
-        answers = desk.drain()
+            worker.do()
+        answers = fake.drain()
         if answers:
             break
     (answer,) = answers
@@ -152,52 +152,52 @@ def test_a_frame_that_kills_again_and_again_has_failed_and_the_others_of_its_tas
     assert [frame.result.key if frame.result else None for frame in answer.frames] == ["good", None, "fine"]
     reason = answer.frames[1].reason
     assert reason is not None and "a worker has ended 2 times on this frame, the last time killed" in reason
-    assert len(desk.made) == 4, "in company twice, alone once"
+    assert len(fake.made) == 4, "three workers died: twice with other frames, once alone"
 
 
-def test_workers_that_die_before_they_are_ready_end_the_batch() -> None:
-    desk = Office(1)
+def test_workers_that_die_during_start_end_the_batch() -> None:
+    fake = FakePool(1)
     for _ in range(MAX_FAILED_STARTS):
-        desk.pool._add()
-        desk.made[-1].die()
+        fake.pool._add()
+        fake.made[-1].die()
     with pytest.raises(WorkerError, match="before they were ready, the last one killed"):
-        desk.pool.start()
+        fake.pool.start()
 
 
-def test_workers_with_other_detectors_are_refused(office: Callable[[int], Office]) -> None:
-    desk = office(2)
-    desk.made[0].tell(Ready(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX)))
+def test_workers_with_other_detectors_are_refused(start_pool: Callable[[int], FakePool]) -> None:
+    fake = start_pool(2)
+    fake.made[0].tell(Ready(1, Identity("image", "view", ("openvino", "torch"), BoxKind.BOX)))
     with pytest.raises(WorkerError, match="detectors differ"):
-        desk.drain()
+        fake.drain()
 
 
-def test_a_fault_is_no_error_for_users() -> None:
-    desk = Office(1)
-    desk.pool._add()
-    desk.made[0].tell(Refused(1, "Traceback ...", True))
+def test_a_bug_in_a_worker_is_not_an_annotator_error() -> None:
+    fake = FakePool(1)
+    fake.pool._add()
+    fake.made[0].tell(Refused(1, "Traceback ...", True))
     with pytest.raises(RuntimeError, match="Traceback"):
-        desk.pool.start()
+        fake.pool.start()
 
 
-def test_closing_ends_all_workers(office: Callable[[int], Office]) -> None:
-    desk = office(3)
-    desk.pool.close()
-    desk.pool.close()
-    assert all(paper.is_ended for paper in desk.made)
+def test_closing_ends_all_workers(start_pool: Callable[[int], FakePool]) -> None:
+    fake = start_pool(3)
+    fake.pool.close()
+    fake.pool.close()
+    assert all(worker.is_ended for worker in fake.made)
 
 
-def test_a_wait_for_the_first_worker_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a cluster whose cores are all in use."""
+def test_a_long_wait_for_the_first_worker_is_logged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a cluster without free cores."""
     monkeypatch.setattr(pool, "WARNING_INTERVAL_S", 0.01)
-    office = Office(2)
+    fake = FakePool(2)
     told: list[str] = []
 
     def warning(line: str, *values: object) -> None:
         told.append(line % values)
         if len(told) == 2:
-            office.made[0].ready()
+            fake.made[0].ready()
 
     monkeypatch.setattr(pool.LOG, "warning", warning)
-    assert office.pool.start() == SAME
+    assert fake.pool.start() == SAME
     assert len(told) == 2
     assert "none of the 2 workers is ready after 0 s" in told[0]

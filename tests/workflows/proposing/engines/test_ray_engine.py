@@ -1,4 +1,4 @@
-"""Ray actors on a cluster of this machine's own: what local workers do, and no more is told to anybody."""
+"""Ray actors on a local cluster: the same results as local workers, and sockets only on loopback."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F")
 
 
 def listening() -> set[tuple[str, str]]:
-    """(address, port) of every socket of this machine that listens, as Linux shows them."""
+    """(address, port) of every listening socket of this machine, from Linux's /proc."""
     rows = [
         line.split()
         for name in ("tcp", "tcp6")
@@ -44,14 +44,14 @@ def listening() -> set[tuple[str, str]]:
     return {(row[1].split(":")[0], row[1].split(":")[1]) for row in rows if row[3] == LISTENS}
 
 
-def test_the_same_bit_for_bit_when_an_actor_was_killed(
+def test_results_are_bitwise_equal_even_with_a_killed_actor(
     new_people: Callable[[str], Project],
     expected: list[str],
     knowing: Callable[..., Detectors],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    if find_spec("ray") is None:  # not imported here: what is switched off must be so before
+    if find_spec("ray") is None:  # not imported here, since the switches must be set before
         pytest.skip("ray is not installed")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     project, once, before = new_people("ray"), tmp_path / "once", listening()
@@ -65,7 +65,7 @@ def test_the_same_bit_for_bit_when_an_actor_was_killed(
     assert opened and {address for address, _ in opened} <= set(LOOPBACK)
 
 
-def test_without_ray_it_says_what_to_install(
+def test_without_ray_the_error_says_what_to_install(
     knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
@@ -73,17 +73,17 @@ def test_without_ray_it_says_what_to_install(
         RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
 
 
-def test_the_module_loads_no_ray() -> None:
+def test_importing_the_module_does_not_import_ray() -> None:
     code = "import sys, annotator.workflows.proposing.engines.ray_engine; sys.exit('ray' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=400).returncode == 0
 
 
-def test_an_actor_that_is_lost_in_any_way_is_replaced_and_one_that_cannot_work_is_not(
+def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if find_spec("ray") is None:
         pytest.skip("ray is not installed")
-    for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # before it is imported
+    for name, value in (SWITCHES | LOCAL_SWITCHES).items():  # must be set before the import
         monkeypatch.setenv(name, value)
     from ray import exceptions
 
@@ -102,10 +102,10 @@ def test_an_actor_that_is_lost_in_any_way_is_replaced_and_one_that_cannot_work_i
     assert [type(event) for event in told] == [Died, Died, Died, Died, Refused]
 
 
-def test_workers_fit_on_machines_and_not_on_their_sum() -> None:
+def test_the_number_of_workers_is_limited_per_machine() -> None:
     def node(cores: float, gpus: float = 0, alive: bool = True) -> dict[str, object]:
         return {"Alive": alive, "Resources": {"CPU": cores, **({"GPU": gpus} if gpus else {})}}
 
     assert max_workers([node(4), node(4), node(4, alive=False)], 8) == 0
     assert max_workers([node(4), node(7)], 3) == 3
-    assert max_workers([node(16), node(4, 2), node(1, 4)], 1) == 3, "a GPU each"
+    assert max_workers([node(16), node(4, 2), node(1, 4)], 1) == 3, "one GPU per worker"
