@@ -1,4 +1,4 @@
-"""3D boxes from an RGB image, a depth image and 2D boxes that are there already. Writes 01_boxes.png."""
+"""3D boxes from an RGB image, a depth image and given 2D boxes. Writes 01_boxes.png."""
 
 from tempfile import TemporaryDirectory
 
@@ -15,7 +15,7 @@ assert depth_m is not None
 frame = annotator.frame_from_rgbd(rgb, depth_m, K, key="my first frame")
 
 hands = [annotator.Box2D("hand", 169, 64, 356, 195), annotator.Box2D("hand", 389, 199, 511, 349)]
-# The view detector boxes the object on pseudo-views. This one needs no training, but an object that stands free.
+# The view detector boxes the object on pseudo-views. This one needs no training, but works only for isolated objects.
 found = annotator.propose(frame, image_boxes=hands, view_detector=annotator.NearestCluster("hand"), rotation="free")
 for each in found.proposals:
     print(f"{each.label}: centre {each.box.center_m.round(3)} m, size {each.box.size_m.round(3)} m, {each.score:.2f}")

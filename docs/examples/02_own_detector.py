@@ -1,4 +1,4 @@
-"""A 2D detector of my own, here one that looks for skin near the camera. Writes 02_detected.png."""
+"""Your own 2D detector, here one that looks for skin near the camera. Writes 02_detected.png."""
 
 from tempfile import TemporaryDirectory
 

@@ -1,4 +1,4 @@
-"""The steps of one recursion as pictures: what the view detector saw, and what it answered. Writes 03_trace.png."""
+"""The steps of one recursion: the pseudo-views with the detected boxes. Writes 03_trace.png."""
 
 from tempfile import TemporaryDirectory
 
@@ -13,7 +13,7 @@ nearest = annotator.NearestCluster("hand")
 
 
 def hand(view: annotator.PseudoView) -> list[annotator.Box2D]:
-    """Boxes the hand, and keeps the picture with the box."""
+    """Detects the hand, and keeps a picture of the view with its box."""
     (boxes,) = nearest.detect([view])
     picture = view.rgb.copy()
     for box in boxes:

@@ -1,4 +1,4 @@
-"""Boxes on a live source of my own: a generator of frames is one. Writes 07_live.png."""
+"""Boxes on your own live source, which is a generator of frames. Writes 07_live.png."""
 
 import time
 from collections.abc import Iterator
@@ -15,13 +15,13 @@ with TemporaryDirectory() as folder:
 
 
 def camera(rate_hz: float = 10.0) -> Iterator[annotator.Frame]:
-    """Stands for a camera: whoever asks gets its newest frame, and what came before is lost."""
+    """Simulates a camera: yields the newest frame and drops those in between."""
     begin, last = time.perf_counter(), -1
     while (newest := int((time.perf_counter() - begin) * rate_hz)) < 20:
         if newest > last:
             last = newest
             seen = pictures[newest % len(pictures)]
-            # here the driver's arrays would come in
+            # replace these by the arrays of your camera's driver
             key, depth = seen.key, seen.depth_m
             assert depth is not None
             yield annotator.frame_from_rgbd(seen.rgb, depth, seen.camera, key=key, index=newest)
