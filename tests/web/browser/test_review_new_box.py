@@ -95,8 +95,8 @@ def test_a_new_box_is_drawn_on_the_image(
     field.fill("0.9")
     field.press("Enter")
     assert {stored.label.uid for stored in desk.project.labels.select()} == known
-    desk.press("n")  # nobody has accepted it: it is not left behind without a word
-    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box that nobody has accepted")
+    desk.press("n")  # the new box is not accepted, so the page asks before leaving it
+    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box, not accepted yet")
     page.get_by_test_id("dialog-stay").click()
     page.locator("dialog").wait_for(state="detached")
     page.get_by_test_id("ortho-top").get_by_test_id("editor2d").focus()

@@ -103,7 +103,7 @@ def test_an_object_is_carried_on_filled_in_and_found_again(desk: Desk, wait_for)
     wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]))
     page.get_by_test_id("color-by-track").uncheck()
     desk.press("?")
-    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's last reviewed box")
+    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's previous reviewed box")
     desk.press("Escape")
 
 

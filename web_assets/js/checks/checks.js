@@ -13,7 +13,7 @@ const KINDS = [
   ["track", "Tracks", "one track has two boxes in a frame, or two classes"],
   ["duplicate", "Overlapping boxes", "two boxes may be the same object"],
 ];
-/** Warnings that a group lists; further ones are only counted. */
+/** Maximum number of warnings that a group lists; all are counted. */
 const LISTED = 200;
 
 /**

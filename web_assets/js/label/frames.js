@@ -1,4 +1,4 @@
-/** Opens frames one after the other, and takes over what others save of the open one. */
+/** Opens frames one after the other, and loads what others save in the open one. */
 
 import { count } from "../dom.js";
 import { isAborted } from "../errors.js";

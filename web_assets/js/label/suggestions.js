@@ -1,6 +1,6 @@
 /**
- * The detectors' suggestions, shown as dashed boxes. They arrive after the views, and are used only on views
- * that have not changed and on which the operator has drawn nothing in the meantime.
+ * The detectors' suggestions, shown as dashed boxes. They arrive after the views. A view uses them only if
+ * it has not changed and the operator has not drawn on it in the meantime.
  */
 
 import { wholeSteps } from "./draft.js";

@@ -4,7 +4,7 @@
  *
  * A box that is being dragged is a draft: `preview` shows it everywhere without a request, `commit` saves it as one
  * edit. A draft that could not be saved is kept until it is saved or reverted, even if another box is selected. A new
- * box exists only here until it is accepted; its effort is counted then. Listeners are called with a `DeskEvent`.
+ * box exists only on this page until it is accepted; its effort is counted then. Listeners are called with a `DeskEvent`.
  */
 
 import { copyBox, sameBox } from "../box3d.js";
@@ -56,7 +56,7 @@ export function createDesk(app) {
   const stored = (id = uid) => labels().find((label) => label.uid === id) ?? null;
 
   /**
-   * Runs a task after all earlier ones. If it fails, later ones run nevertheless.
+   * Runs a task after all earlier ones. Later tasks run even if it fails.
    *
    * @template T
    * @param {() => Promise<T>} task
@@ -115,7 +115,7 @@ export function createDesk(app) {
       // if a draft is being sent, the answer to it reports the outcome
       const isNews = !drafts.get(gone)?.sending;
       drafts.delete(gone);
-      if (isNews) app.toast("Somebody has deleted the box that you were changing.", "warn");
+      if (isNews) app.toast("Another operator has deleted the box that you were changing.", "warn");
     }
     if (uid !== null && !stored()) uid = null;
     tell("frame");
@@ -331,7 +331,7 @@ export function createDesk(app) {
       const problems = [...drafts.values(), ...added.values()].map(({ problem }) => problem).filter(Boolean);
       const what = [
         changed && count(changed, "changed box", "changed boxes"),
-        added.size && count(added.size, "new box that nobody has accepted", "new boxes that nobody has accepted"),
+        added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
       ];
       return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
     },

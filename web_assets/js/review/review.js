@@ -376,7 +376,7 @@ export function mount(root, app) {
         desk.add({ ...found, box: fitted, label: box.label, image_box: box });
       } else {
         const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
-        app.toast(`${why}: finish the box here with four drags on its views.`, "warn");
+        app.toast(`${why}: draw boxes on its four views to finish it.`, "warn");
         app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
       }
     } catch (error) {
