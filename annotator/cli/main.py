@@ -179,6 +179,8 @@ def with_help(function: Callable[..., int | None]) -> Callable[..., int | None]:
     def command(*values: Any, **options: Any) -> int | None:
         return function(*values, **options)
 
+    # the tests decorate every function; without this, tyro would read the undecorated one
+    vars(command).pop("__wrapped__", None)
     hint = arg(help_behavior_hint=lambda default: "" if default in NO_DEFAULT else f"(default: {default})")
     annotations = get_type_hints(function, include_extras=True)
     for name, annotation in annotations.items():
