@@ -95,7 +95,7 @@ def test_a_new_box_is_drawn_on_the_image(
     field.fill("0.9")
     field.press("Enter")
     assert {stored.label.uid for stored in desk.project.labels.select()} == known
-    desk.press("n")  # the new box is not accepted, so the page asks before leaving it
+    desk.press("n")  # the page asks before it leaves a box that is not accepted
     expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box, not accepted yet")
     page.get_by_test_id("dialog-stay").click()
     page.locator("dialog").wait_for(state="detached")
