@@ -13,7 +13,7 @@ with TemporaryDirectory() as folder:
 
 for name, views in (("exact views", exact), ("nearest cluster", annotator.NearestCluster("hand"))):
     results = annotator.propose(frames, image_detector=exact, view_detector=views, rotation="free")
-    report = annotator.evaluate({found.key: found.proposals for found in results}, truth)
+    report = annotator.evaluate({result.key: result.proposals for result in results}, truth)
     print(f"\n{name}")
     for row in (report.columns, *report.rows):
         cells = (f"{cell:.2f}" if isinstance(cell, float) else str("" if cell is None else cell) for cell in row)

@@ -20,17 +20,17 @@ def camera(rate_hz: float = 10.0) -> Iterator[annotator.Frame]:
     while (newest := int((time.perf_counter() - begin) * rate_hz)) < 20:
         if newest > last:
             last = newest
-            seen = pictures[newest % len(pictures)]
+            sample = pictures[newest % len(pictures)]
             # replace these by the arrays of your camera's driver
-            key, depth = seen.key, seen.depth_m
+            key, depth = sample.key, sample.depth_m
             assert depth is not None
-            yield annotator.frame_from_rgbd(seen.rgb, depth, seen.camera, key=key, index=newest)
+            yield annotator.frame_from_rgbd(sample.rgb, depth, sample.camera, key=key, index=newest)
         time.sleep(0.005)
 
 
 for detected in annotator.watch(camera(), image_detector=detector, view_detector=detector, rotation="free"):
     boxes = detected.found.proposals
     milliseconds = round(detected.detect_s * 1000)
-    print(f"frame {detected.frame.index}: {len(boxes)} boxes in {milliseconds} ms, {detected.seeded} known before")
+    print(f"frame {detected.frame.index}: {len(boxes)} boxes in {milliseconds} ms, {detected.seeded} warm starts")
     picture = annotator.draw_boxes(detected.frame, boxes)
 cv2.imwrite("07_live.png", picture[..., ::-1])
