@@ -236,7 +236,7 @@ function describe(label) {
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
   ];
-  if (label.doubt !== null) rows.push(["Doubt", percent(label.doubt), "the order of the queue in 'Worst first'"]);
+  if (label.doubt !== null) rows.push(["Doubt", percent(label.doubt), "sets the 'Worst first' order of the queue"]);
   if (label.quality) {
     rows.push([
       "Disagree",
