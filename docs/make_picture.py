@@ -1,4 +1,4 @@
-"""Draws docs/loop.jpg, the figure of the README, from a generated recording: python docs/make_picture.py"""
+"""Draws docs/loop.jpg, the figure of the README, from a generated recording: `python docs/make_picture.py`."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ def run(
 ) -> None:
     """Add recordings to a project. Their files stay where they are.
 
-    3D boxes that come with a recording (label_2, label_02.txt, boxes.json) become imported labels, on which the
-    detectors are trained. If the project already has a recording, only new frames are added.
+    If a recording comes with 3D boxes (label_2, label_02.txt, boxes.json), they become labels to train the detectors
+    on. If the project already has a recording, only new frames are added.
 
     Args:
         paths: files or folders of the recordings.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import JsonValue
+from tyro.conf import arg
 
 from annotator.cli.options import BackendOption, Limit, ProjectName, Projects, RecordingNames, Rotation
 from annotator.cli.output import print_line
@@ -30,7 +32,9 @@ def run(
     *,
     recordings: RecordingNames = (),
     axes: Strategy | None = None,
-    rotation: Rotation[BoxRotation | None] = None,
+    rotation: Annotated[
+        Rotation[BoxRotation | None], arg(help_behavior_hint="(default: the project's setting)")
+    ] = None,
     coarse: bool = False,
     config: Path | None = None,
     show_config: bool = False,
@@ -45,28 +49,28 @@ def run(
     cache_mb: int = CACHE_MB,
     projects: Projects = None,
 ) -> int:
-    """Propose oriented 3D boxes for every frame not yet processed with the present detectors and settings.
+    """Propose oriented 3D boxes for every frame not yet processed with the current detectors and settings.
 
-    A frame that fails is stored with the reason and retried by the next call; the exit code is 1 if any frame failed.
+    If a frame fails, the reason is stored and the next call tries the frame again; the exit code is then 1.
 
-    Every threshold of the recursion is a setting. Options override the file of --config, this file overrides
+    Every threshold of the recursion is a setting. Options override the file of --config, the file overrides
     settings.rcv in the project's project.json (which training and simulated drawing also use), and project.json
     overrides the defaults.
 
     Args:
-        axes: how the projection axes are found; default: as in the settings.
+        axes: method that finds the projection axes; default: the project's setting.
         coarse: if the recursion loses an object after the first step, propose the object's last box.
-        config: JSON file with any of the recursion's settings.
+        config: JSON file with some or all settings of the recursion.
         show_config: print all settings that would be used and exit; the output can be edited and passed to --config.
         from_reviewed: start from the reviewed boxes of the previous frame, if any; frames processed without this option
             are processed again.
         engine: inline = this process, local = worker processes, ray = a cluster (docs/cluster.md), auto = local if
             there are several cores and enough frames, else inline; the results are the same.
         workers: number of workers; default: one per GPU, or one per core without a GPU.
-        threads: CPU threads of each worker; default: its share of the cores, one with ray.
+        threads: CPU threads of each worker; default: an equal share of the cores; with ray: 1.
         address: address of a Ray cluster, HOST:PORT or auto; default: a temporary one on this machine.
-        elsewhere: FOLDER=PLACE: workers find the recordings below FOLDER at PLACE, a path or a storage URL, such as
-            /data=s3://bucket/data.
+        elsewhere: FOLDER=PLACE, such as /data=s3://bucket/data: workers read the recordings in FOLDER from PLACE, a
+            path or a storage URL.
         cache_mb: disk cache of each worker for recordings in object storage, megabytes.
     """
     with open_named(project, projects) as opened:

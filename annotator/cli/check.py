@@ -37,16 +37,16 @@ def run(
 
 
 def _is_dataset(what: str, projects: Path | None) -> bool:
-    """Whether the word is the path of a dataset and not the name of a project.
+    """Whether `what` is the path of a dataset, not the name of a project.
 
     Raises:
-        ConfigError: both a project and a path have this name, or it is the folder of a project.
+        ConfigError: both a project and a path have this name, or the path is the folder of a project.
     """
     path = Path(what)
     is_name = len(path.parts) == 1 and not what.startswith(".")
     is_project = is_name and (projects_root(projects) / what).is_dir()
     if path.exists() and is_project:
-        raise ConfigError(f"{what} is a project and also a path here; write ./{what} or --project {what}")
+        raise ConfigError(f"{what} is both a project and a path; write ./{what} or --project {what}")
     if (path / CONFIG_FILE).is_file():
         name, folder = path.resolve().name, path.resolve().parent
         raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --projects {folder}")

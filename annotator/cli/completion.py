@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from tyro.extras import SubcommandApp
 
-from annotator.cli.main import load, style
+from annotator.cli.main import load, style, with_help
 from annotator.cli.table import COMMANDS, GROUPS
 
 
@@ -51,15 +51,15 @@ def _from_tyro(shell: Shell) -> str:
 
 
 def _app() -> SubcommandApp:
-    """All commands in one tyro application, which only completion needs."""
+    """One tyro application with all commands; only the completion scripts need it."""
     app = SubcommandApp()
     groups = {group: SubcommandApp() for group in GROUPS}
     for group, summary in GROUPS.items():
         app.command(groups[group], name=group, help=summary)
     for name, command in COMMANDS.items():
         group, _, member = name.partition(" ")
-        (groups[group] if member else app).command(name=member or name, help=command.summary)(load(command))
-    # main.py handles `help`; these stand for its arguments
+        (groups[group] if member else app).command(name=member or name, help=command.summary)(with_help(load(command)))
+    # main.py handles `help`; these subcommands only complete its arguments
     explained = SubcommandApp()
     app.command(explained, name="help", help="explain a command")
     for word in dict.fromkeys(name.partition(" ")[0] for name in COMMANDS):

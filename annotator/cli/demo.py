@@ -36,8 +36,8 @@ def run(
         out: new folder for everything; default: a folder in ./out.
         preset: scene to generate: people who walk, turn and gesture in a room, or hands in front of the camera.
         frames: number of frames to generate; every second one is labelled.
-        image_pictures: number of pictures that the image detector is trained on, repeats included.
-        view_pictures: number of pictures that the pseudo-view detector is trained on, repeats included.
+        image_pictures: number of training images of the image detector, repeats included.
+        view_pictures: number of training images of the pseudo-view detector, repeats included.
         no_serve: do not open the workbench at the end.
     """
     _require_counts(2, frames=frames)

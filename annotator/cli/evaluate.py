@@ -32,7 +32,7 @@ def run(
     as_json: AsJson = False,
     projects: Projects = None,
 ) -> None:
-    """Score boxes against ground truth, by a benchmark's protocol: files, or the boxes of a project.
+    """Score the boxes of files or of a project against ground truth, by a benchmark's protocol.
 
     Args:
         detections: boxes to score: kitti = folder (or zip) of result files; sunrgbd = CSV of boxes; oriented = rcv
@@ -41,12 +41,12 @@ def run(
         protocol: kitti = 2D, bird's-eye view and 3D AP, and AOS, as in the devkit; sunrgbd = mAP as in VoteNet;
             oriented = AP with the exact 3D IoU of freely rotated boxes, mean IoU, pose errors.
         project: name of a project to score, instead of files.
-        measured: labels = the project's current boxes; proposals = the boxes of the last automatic run.
+        measured: labels = the project's current boxes; proposals = the boxes of the last run of `annotator annotate`.
         against: truth = the boxes that come with the recordings; reviewed = accepted and edited labels, in fully
             reviewed frames.
         frame_list: text file with the names of the frames to evaluate, one per line (kitti: like ImageSets/val.txt;
             sunrgbd: names of the images; oriented and projects: RECORDING/KEY); default: all.
-        relaxed: kitti: the looser overlap thresholds that are often reported beside the official ones.
+        relaxed: with kitti: the looser overlap thresholds that are often reported beside the official ones.
         curves: folder for the precision-recall curves, as PNG files.
     """
     if relaxed and protocol is not Protocol.KITTI:
@@ -56,15 +56,15 @@ def run(
         if measured is not Measured.LABELS or against is not Against.TRUTH or recordings:
             raise ConfigError("--measured, --against and --recordings need --project")
         if detections is None or truth is None:
-            raise ConfigError("name the detections and the ground truth, or a project; see annotator help evaluate")
+            raise ConfigError("give DETECTIONS and TRUTH, or --project; see annotator help evaluate")
         report = evaluate_files(detections, truth, protocol, options)
     else:
         if detections is not None:
-            raise ConfigError("name either files or a --project, not both")
+            raise ConfigError("give either files or --project, not both")
         with open_named(project, projects) as opened:
             ids = tuple(opened.recordings.find(name).id for name in recordings) or None
             report = evaluate_project(opened, protocol, Choice(measured, against, ids), options)
-    # shown before the curves are written, which may fail: the numbers may have taken minutes
+    # print first: the numbers may have taken minutes, and writing the curves may fail
     _show(report, as_json)
     if curves is not None:
         from annotator.evaluation.curves import draw_curves

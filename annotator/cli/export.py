@@ -60,21 +60,21 @@ def run(
     as_json: AsJson = False,
     projects: Projects = None,
 ) -> None:
-    """Write the labels with their images and point clouds as a dataset. A failed export leaves nothing behind.
+    """Write the labels with their images and point clouds as a dataset. If the export fails, its files are removed.
 
     Args:
         out: new folder for the dataset.
         format: {formats}.
         states: review states of the labels to export; default: accepted and edited; with rcv and openlabel, which
-            store the state of each label, all but rejected.
+            store the state of each label: all but rejected.
         classes: classes of the labels to export; default: all.
-        empty_frames: include frames that have no labels to export.
+        empty_frames: include frames that have no label to export.
         skip_unreadable: skip frames that cannot be read, and list them; every frame is then read twice.
-        split: split the frames by shares, such as train=0.8,val=0.2.
-        split_by: frames = assign each frame to a part, recordings = keep the frames of a recording in one part.
+        split: parts of the dataset and their shares of the frames, such as train=0.8,val=0.2; default: no split.
+        split_by: frames = assign each frame to a part; recordings = keep the frames of a recording in one part.
         images: file format of the images; png is lossless.
-        boxes_on: coco and yolo: 2D boxes on camera images, on pseudo-views, or on both.
-        vertices: labelcloud: write the 8 corners of each box instead of centre, size and angles.
+        boxes_on: with coco and yolo: 2D boxes on camera images, on pseudo-views, or on both.
+        vertices: with labelcloud: write the 8 corners of each box instead of centre, size and angles.
         overwrite: replace an existing dataset at OUT.
     """
     parts = None if split is None else Split(parse_shares(split), split_by, seed)
@@ -113,5 +113,5 @@ def _print_report(report: ExportReport) -> None:
 
 
 run.__doc__ = (run.__doc__ or "").replace(
-    "{formats}", "; ".join(f"{name} = {writer.summary}" for name, writer in WRITERS.items())
+    "{formats}", "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in WRITERS.items())
 )

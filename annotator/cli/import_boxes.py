@@ -44,17 +44,17 @@ def run(
     seed: Seed = 0,
     projects: Projects = None,
 ) -> None:
-    """Import boxes made elsewhere: 3D boxes, or 2D boxes on camera images or pseudo-views.
+    """Import boxes from files: 3D boxes, or 2D boxes on camera images or pseudo-views.
 
-    3D boxes become accepted labels of the frames that have no label yet. With --as-2d they only become 2D training
+    Frames that have no label yet get the 3D boxes as accepted labels. With --as-2d, 3D boxes only become 2D training
     boxes, on the camera image and on the pseudo-views of the first two steps.
 
     Args:
         path: file or folder of the labels; default with --as-2d: the labels that come with the recordings.
         format: coco and yolo contain 2D boxes, the other formats 3D boxes.
-        pictures: coco and yolo: folder of the pseudo-views, written by `annotator views`, that the boxes are on.
-            Without this option, they are on camera images that have the names of the project's frames, and on the
-            pseudo-views listed in a `views.json` beside them.
+        pictures: with coco and yolo: folder of the labelled pseudo-views, written by `annotator views`. Without this
+            option, the boxes are on camera images named like the project's frames, and on the pseudo-views listed in a
+            `views.json` in the folder of those images.
         recording: name of the recording that the boxes belong to, if several have frames of the same name.
         as_2d: import 3D boxes as 2D boxes only; the frames get no 3D labels.
         fraction: with --as-2d: share of the labelled frames to import, above 0 and at most 1.

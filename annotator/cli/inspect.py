@@ -54,5 +54,5 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     elif frame.objects is None:
         yield "labels", "none"
     else:
-        yield "labels", ", ".join(f"{count} {name}" for name, count in frame.objects.items()) or "no object here"
+        yield "labels", ", ".join(f"{count} {name}" for name, count in frame.objects.items()) or "no objects"
     yield "mask", "yes" if frame.has_mask else "none"

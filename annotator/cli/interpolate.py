@@ -39,7 +39,7 @@ def run(
         track: id of the track.
         first: name of the first key frame; default: the track's first one.
         last: name of the last key frame; default: the track's last one.
-        refit: fit every new box to the points of its frame, with the pseudo-view detector if there is one.
+        refit: fit every new box to the points of its frame, with the pseudo-view detector if it is trained.
     """
     with open_named(project, projects) as opened:
         chosen = opened.recordings.find(recording).id

@@ -47,7 +47,7 @@ def run(
     options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
     settings = ServerSettings(projects_root(projects).resolve(), (), host, port, token)
     with open_named(project, projects) as opened:
-        result = run_live(opened, options, settings, tell=_tell)
+        result = run_live(opened, options, settings, tell=_to_stderr)
     print_line(summary_line(result.figures))
     if record is not None:
         stored = result.stored
@@ -59,5 +59,5 @@ def run(
         )
 
 
-def _tell(line: str) -> None:
+def _to_stderr(line: str) -> None:
     sys.stderr.write(line + "\n")

@@ -1,16 +1,18 @@
 """The command `annotator`: finds the subcommand, runs it and reports its errors.
 
-Only the standard library is imported at the top, so that `annotator --help` answers at once.
+Only the standard library is imported at the top, so that `annotator --help` is fast.
 """
 
 from __future__ import annotations
 
+import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 from annotator import __version__
 from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
@@ -48,6 +50,8 @@ commands:
 """
 
 HELP_FLAGS = ("-h", "--help")
+# Defaults that the help does not show, as tyro writes them: None, False and ().
+NO_DEFAULT = ("None", "False", "")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -153,8 +157,8 @@ def _refuse_old_options(name: str, words: list[str]) -> None:
 def _run(name: str, command: Command, words: list[str]) -> int:
     import tyro
 
-    # tyro exits by itself for --help (0) and for an invalid command line (2)
-    result = tyro.cli(load(command), prog=f"annotator {name}", args=words, config=style())
+    # tyro itself exits for --help (0) and for an invalid command line (2)
+    result = tyro.cli(with_help(load(command)), prog=f"annotator {name}", args=words, config=style())
     return result or 0
 
 
@@ -165,8 +169,31 @@ def load(command: Command) -> Callable[..., int | None]:
     return target
 
 
+def with_help(function: Callable[..., int | None]) -> Callable[..., int | None]:
+    """The function, with annotations and a docstring that give a shorter help.
+
+    Defaults of None, False and () are not shown, and the lines of an argument's description are joined.
+    """
+    from tyro.conf import arg
+
+    def command(*values: Any, **options: Any) -> int | None:
+        return function(*values, **options)
+
+    # the tests decorate every function; without this, tyro would read the undecorated one
+    vars(command).pop("__wrapped__", None)
+    hint = arg(help_behavior_hint=lambda default: "" if default in NO_DEFAULT else f"(default: {default})")
+    annotations = get_type_hints(function, include_extras=True)
+    for name, annotation in annotations.items():
+        if all(getattr(each, "help_behavior_hint", None) is None for each in getattr(annotation, "__metadata__", ())):
+            annotations[name] = Annotated[annotation, hint]
+    command.__annotations__ = annotations
+    command.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+    command.__doc__ = re.sub(r"\n {8,}", " ", inspect.getdoc(function) or "")
+    return command
+
+
 def style() -> tuple[Any, ...]:
-    """Style of the command lines: flags without a `--no-` form, choices by enum value, no word for None."""
+    """How tyro builds the command lines: flags without a `--no-` form, choices by enum value, no word for None."""
     from tyro import conf
 
     return (conf.FlagCreatePairsOff, conf.EnumChoicesFromValues, conf.DisallowNone, conf.PositionalMetavarFromFieldName)

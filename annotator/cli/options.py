@@ -20,7 +20,6 @@ Projects = Annotated[
     arg(
         metavar="DIR",
         help="folder of projects; default: the variable ANNOTATOR_PROJECTS, else ./projects.",
-        help_behavior_hint="",
     ),
 ]
 AsJson = Annotated[bool, arg(name="json", help="print one JSON object.")]
@@ -34,22 +33,24 @@ BoxKindOption = Annotated[
         help="what the 2D boxes enclose: silhouette = the visible part of the object, box = its projected 3D box.",
     ),
 ]
-# These differ in their type or default from command to command, so the command gives the type: Rotation[BoxRotation].
+# The type of these differs between commands, so each command gives it: Rotation[BoxRotation].
 Rotation = Annotated[
     Value,
-    arg(help="rotation of the boxes: upright, free, or auto: upright if gravity is known, else free."),
+    arg(help="rotation of the boxes: upright, free, or auto (upright if gravity is known, else free)."),
 ]
 BackendOption = Annotated[
     Value,
     arg(
-        help="what runs the detectors: auto = the fastest backend that is as exact as torch; fastest = also half "
-        "precision where the processor supports it."
+        help="inference backend of the detectors: auto = the fastest of those that give the same boxes as torch; "
+        "fastest = the fastest of all, in half precision if the processor supports it."
     ),
 ]
 
-Host = Annotated[str, arg(help="address to listen on; on any but this computer's own, browsers need a token.")]
+Host = Annotated[str, arg(help="address to listen on; if other computers can reach it, browsers need a token.")]
 Port = Annotated[int, arg(help="port to listen on; 0 picks a free one.")]
 Token = Annotated[
     str | None,
-    arg(help="token that browsers must show; default: none on this computer, a random one on any other address."),
+    arg(
+        help="token that browsers must send; default: none if only this computer can reach the page, else a random one."
+    ),
 ]

@@ -25,7 +25,7 @@ def run(
 
     Args:
         project: name of the project to open; default: the start page.
-        folder: folders that the page may add recordings from; it shows nothing else of the disk.
+        folder: folders from which the page may add recordings; it shows no other folder.
         open: open the page in the browser.
         window: open the page in a window of its own.
     """
@@ -41,7 +41,7 @@ def run(
 
 
 def first_page(name: str, root: Path) -> str:
-    """The page to open first: the review of the proposals, or drawing where there are none.
+    """The page to open first: review if the project has proposals, else label.
 
     Raises:
         ConfigError, ProjectError: as `open_named`.

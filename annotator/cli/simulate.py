@@ -22,7 +22,7 @@ def run(
 ) -> None:
     """Draw 2D boxes from a recording's ground truth, five per object, as an operator would.
 
-    In a project with one class, masks (mask/) without boxes.json are enough for silhouettes.
+    For silhouettes in a project with one class, masks (mask/) are enough; boxes.json is not needed.
 
     Args:
         every: label every Nth frame, starting with the first.

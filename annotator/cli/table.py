@@ -20,7 +20,7 @@ COMMANDS: dict[str, Command] = {
     "new": Command("annotator.cli.new:run", "create a project"),
     "add": Command("annotator.cli.add:run", "add recordings to a project"),
     "inspect": Command("annotator.cli.inspect:run", "show what a recording contains"),
-    "import": Command("annotator.cli.import_boxes:run", "import 2D or 3D boxes made elsewhere"),
+    "import": Command("annotator.cli.import_boxes:run", "import 2D or 3D boxes from files"),
     "simulate": Command("annotator.cli.simulate:run", "draw 2D boxes from ground truth with a simulated operator"),
     "views": Command("annotator.cli.views:run", "write pseudo-views as images, to be labelled in another tool"),
     "train": Command("annotator.cli.train:run", "train the two 2D detectors"),

@@ -23,7 +23,7 @@ def run(
     and finalised frames do not change. Run the command again whenever there are new boxes.
 
     Args:
-        no_smooth: only link; open proposals go back to the boxes that were proposed.
+        no_smooth: only link; open proposals return to their original boxes.
     """
     with open_named(project, projects) as opened:
         chosen = [opened.recordings.find(name).id for name in recordings] or None

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import ValidationError
+from tyro.conf import arg
 
 from annotator.cli.options import ProjectName, Projects, Seed
 from annotator.cli.output import print_line
@@ -27,9 +29,9 @@ def run(
     only: DetectorKind | None = None,
     epochs: int | None = None,
     image_epochs: int | None = None,
-    size: int | None = None,
-    image_size: int | None = None,
-    model: str | None = None,
+    size: Annotated[int | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.image_size_px})")] = None,
+    image_size: Annotated[int | None, arg(help_behavior_hint=f"(default: {IMAGE_DEFAULTS.image_size_px})")] = None,
+    model: Annotated[str | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.model})")] = None,
     weights: str = "auto",
     views: int = SampleConfig().views,
     seed: Seed = 0,
@@ -40,13 +42,13 @@ def run(
     An interrupted training resumes if labels and settings are unchanged.
 
     Args:
-        only: train only this detector.
-        epochs: epochs of the pseudo-view detector; default: depends on the number of pictures.
-        image_epochs: epochs of the image detector; default: depends on the number of pictures.
+        only: train only this detector; default: both.
+        epochs: epochs of the pseudo-view detector; default: depends on the number of training images.
+        image_epochs: epochs of the image detector; default: depends on the number of training images.
         size: side of the pseudo-views in training, pixels.
         image_size: longer side of the camera images in training, pixels.
-        model: name of an ultralytics YOLO model, such as yolo11n.
-        weights: initial weights: auto = pretrained if found or downloadable, else random; never = random; or a file.
+        model: name of an ultralytics YOLO model.
+        weights: initial weights: auto = pretrained if found or downloadable, else random; never = random; or a path.
         views: approximate number of pseudo-views to generate from objects with 3D boxes.
     """
     start = weights if weights in ("auto", "never") else Path(weights)

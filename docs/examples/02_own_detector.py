@@ -1,4 +1,4 @@
-"""A 2D detector of my own, here one that looks for skin near the camera. Writes 02_detected.png."""
+"""Your own 2D detector, here one that looks for skin near the camera. Writes 02_detected.png."""
 
 from tempfile import TemporaryDirectory
 
@@ -31,7 +31,7 @@ with TemporaryDirectory() as folder:
     recording = annotator.generate_recording(f"{folder}/room", "hands", frames=2)
     frames = [recording.frame(i) for i in range(len(recording))]
 results = annotator.propose(frames, image_detector=hands, view_detector=view_detector, rotation="free")
-for frame, found in zip(frames, results, strict=True):
-    print(f"frame {frame.key}: {len(hands(frame))} 2D boxes, {len(found.proposals)} 3D boxes")
-pictures = [annotator.draw_boxes(f, [*hands(f), *found.proposals]) for f, found in zip(frames, results, strict=True)]
+for frame, result in zip(frames, results, strict=True):
+    print(f"frame {frame.key}: {len(hands(frame))} 2D boxes, {len(result.proposals)} 3D boxes")
+pictures = [annotator.draw_boxes(f, [*hands(f), *result.proposals]) for f, result in zip(frames, results, strict=True)]
 cv2.imwrite("02_detected.png", np.hstack(pictures)[..., ::-1])

@@ -1,4 +1,4 @@
-"""A folder of frames becomes a project with proposed labels, to be reviewed in the workbench. Writes 04_labels.png."""
+"""Makes a project with proposed labels from a folder of frames, for review in the workbench. Writes 04_labels.png."""
 
 import sys
 from pathlib import Path
@@ -11,7 +11,7 @@ import annotator
 
 
 def label(folder: Path, detector: annotator.Detector, project_folder: Path) -> None:
-    """Adds the recording and proposes boxes for all its frames; the second time, for those that are new."""
+    """Adds the recording and proposes boxes for all its frames; when called again, only for new frames."""
     if project_folder.exists():
         project = annotator.open_project(project_folder)
     else:
@@ -29,7 +29,7 @@ def label(folder: Path, detector: annotator.Detector, project_folder: Path) -> N
 
 
 with TemporaryDirectory() as temporary:
-    # Your own: python 04_label_a_folder.py FOLDER, with a detector of yours in place of one that knows the truth.
+    # For your own recording: python 04_label_a_folder.py FOLDER, and replace perfect_detector by your detector.
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(temporary) / "room"
     if not folder.exists():
         annotator.generate_recording(folder, "hands", frames=3, width_px=320, height_px=240)

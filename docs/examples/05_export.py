@@ -1,4 +1,4 @@
-"""Labels leave in other people's formats, and are read again. Prints a table."""
+"""Exports labels to the formats of other tools, and reads them again. Prints a table."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,12 +9,12 @@ with TemporaryDirectory() as temporary:
     folder = Path(temporary)
     annotator.generate_recording(folder / "room", "people", frames=2, width_px=320, height_px=240)
     with annotator.create_project(folder / "rooms", classes=["person"]) as project:
-        # the recording brings 3D boxes, which become reviewed labels
+        # the recording comes with 3D boxes, which become reviewed labels
         project.add(folder / "room")
         frames = {f"room/{stored.key}": project.read(stored) for stored in project.frames()}
         labels = {f"room/{stored.key}": project.labels(stored) for stored in project.frames()}
         print(f"{'format':<12}{'frames':>8}{'boxes':>8}{'least IoU':>12}")
-        # KITTI's boxes cannot tilt, and this camera looks down: report.losses says what a format could not hold
+        # this camera looks down, and KITTI's boxes cannot be tilted; report.losses lists what a format cannot hold
         for format in ("rcv", "kitti", "openlabel", "labelcloud", "nuscenes"):
             report = project.export(folder / format, format)
             again = annotator.read_labels(folder / format, format)
@@ -25,6 +25,6 @@ with TemporaryDirectory() as temporary:
             )
             print(f"{format:<12}{report.frames:>8}{report.objects:>8}{worst:>12.4f}")
 
-    # without a project: boxes.json, which any RGB-D folder may bring
+    # without a project: a boxes.json, which may be put into any RGB-D folder
     annotator.write_labels(folder / "boxes.json", labels)
     print("boxes.json: " + ", ".join(annotator.read_labels(folder / "boxes.json").frames))

@@ -1,4 +1,4 @@
-"""Boxes on a live source of my own: a generator of frames is one. Writes 07_live.png."""
+"""Boxes on your own live source, which is a generator of frames. Writes 07_live.png."""
 
 import time
 from collections.abc import Iterator
@@ -15,22 +15,22 @@ with TemporaryDirectory() as folder:
 
 
 def camera(rate_hz: float = 10.0) -> Iterator[annotator.Frame]:
-    """Stands for a camera: whoever asks gets its newest frame, and what came before is lost."""
+    """Simulates a camera: yields the newest frame and drops those in between."""
     begin, last = time.perf_counter(), -1
     while (newest := int((time.perf_counter() - begin) * rate_hz)) < 20:
         if newest > last:
             last = newest
-            seen = pictures[newest % len(pictures)]
-            # here the driver's arrays would come in
-            key, depth = seen.key, seen.depth_m
+            sample = pictures[newest % len(pictures)]
+            # replace these by the arrays of your camera's driver
+            key, depth = sample.key, sample.depth_m
             assert depth is not None
-            yield annotator.frame_from_rgbd(seen.rgb, depth, seen.camera, key=key, index=newest)
+            yield annotator.frame_from_rgbd(sample.rgb, depth, sample.camera, key=key, index=newest)
         time.sleep(0.005)
 
 
 for detected in annotator.watch(camera(), image_detector=detector, view_detector=detector, rotation="free"):
     boxes = detected.found.proposals
     milliseconds = round(detected.detect_s * 1000)
-    print(f"frame {detected.frame.index}: {len(boxes)} boxes in {milliseconds} ms, {detected.seeded} known before")
+    print(f"frame {detected.frame.index}: {len(boxes)} boxes in {milliseconds} ms, {detected.seeded} warm starts")
     picture = annotator.draw_boxes(detected.frame, boxes)
 cv2.imwrite("07_live.png", picture[..., ::-1])

@@ -1,17 +1,17 @@
-"""A batch on a Ray cluster, here one of two workers on this machine (scripts/setup ray). Prints a table."""
+"""Batch annotation on a Ray cluster, here two workers on this machine (scripts/setup ray). Prints a table."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import annotator
 
-# Of a cluster: HOST:PORT, or auto. All its machines must find the recordings (docs/cluster.md).
+# Address of a cluster: HOST:PORT, or auto. All its machines must be able to read the recordings (docs/cluster.md).
 ADDRESS = None
 
 with TemporaryDirectory() as temporary:
     folder = Path(temporary)
     recording = annotator.generate_recording(folder / "room", "hands", frames=8, width_px=320, height_px=240)
-    # Travels to the workers. Of a project with trained detectors none need be given.
+    # Sent to the workers. Not needed for a project with trained detectors.
     detector = annotator.perfect_detector(recording)
     with annotator.create_project(folder / "hands", classes=["hand"], rotation="free") as project:
         project.add(folder / "room", labels=False)

@@ -300,7 +300,7 @@ interface Work {
   /** Objects that were replaced by another operator's version, but are still shown. */
   notSaved: Item[];
   /** The boxes that the image detector found. */
-  found: Box2D[];
+  detections: Box2D[];
   frameShown: number | null;
   /** Resolves when the current object's views are on the screen. */
   loaded: Promise<void>;

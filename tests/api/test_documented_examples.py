@@ -25,7 +25,7 @@ EXPECTED_OUTPUT = {
     "04": r"3 frames done, 0 were done before, 0 failed\n(.*\n)+0 frames done, 3 were done before, 0 failed\n",
     "05": r"rcv +2 +6 +1\.0000\nkitti +2 +6 (.*\n)+openlabel +2 +6 +1\.0000\n(.*\n)+boxes\.json: room/000000",
     "06": r"exact views\n.*\n +hand +6 +6 +1\.00(.*\n)+nearest cluster",
-    "07": r"frame \d+: 2 boxes in \d+ ms, 2 known before\n",
+    "07": r"frame \d+: 2 boxes in \d+ ms, 2 warm starts\n",
     "08": r"8 frames, 16 boxes, 0 failed(.*\n)+000007 +.* cm  .* cm\n",
 }
 

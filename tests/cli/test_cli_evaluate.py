@@ -76,7 +76,7 @@ def test_a_project_instead_of_files(generated: Path, tmp_path: Path, capsys: Cap
 
 
 def test_unusable_arguments_are_errors(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
-    assert "name the detections and the ground truth" in said(capsys, rooms[0], "--protocol", "sunrgbd", code=2)
+    assert "give DETECTIONS and TRUTH" in said(capsys, rooms[0], "--protocol", "sunrgbd", code=2)
     assert "not both" in said(capsys, *rooms, "--protocol", "sunrgbd", "--project", "x", code=2)
     assert "need --project" in said(capsys, *rooms, "--protocol", "sunrgbd", "--measured", "proposals", code=2)
     assert "--relaxed is for the kitti protocol" in said(capsys, *rooms, "--protocol", "sunrgbd", "--relaxed", code=2)

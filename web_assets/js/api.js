@@ -3,7 +3,7 @@
 import { ApiError, isAborted } from "./errors.js";
 
 /**
- * The caller names the type of the answer; the server's routes define it (see `Api`).
+ * The caller gives the type of the answer, which the server's routes define (see `Api`).
  *
  * @param {EffortCounter} effort
  * @param {() => unknown} onSignedOut called with each 401.
@@ -33,12 +33,16 @@ export function createApi(effort, onSignedOut) {
       });
     } catch (error) {
       if (isAborted(error)) throw error;
-      throw new ApiError(0, "NoAnswer", "The server does not answer. Saved work is safe; try again when it is back.");
+      throw new ApiError(
+        0,
+        "NoAnswer",
+        "The server does not respond. Saved work is safe. Check that the server is running, then try again.",
+      );
     }
     const answer = await readJson(response);
     if (response.ok) return answer;
     if (response.status === 401) onSignedOut();
-    const { kind = "HttpError", message = `The server answered ${response.status} ${response.statusText}` } =
+    const { kind = "HttpError", message = `The server responded with ${response.status} ${response.statusText}` } =
       answer?.error ?? {};
     throw new ApiError(response.status, kind, message, answer ?? {});
   }

@@ -3,9 +3,9 @@
 
 import { EDGES, corners } from "./box3d.js";
 
-/** Nothing nearer to the camera than this is on the picture, metres. */
+/** The near plane: nearer points are not drawn, metres. */
 const NEAR_M = 0.1;
-/** A lens bends straight edges: each is drawn as this many segments. */
+/** Number of segments of an edge that lens distortion bends. */
 const STEPS = 16;
 
 /**
@@ -150,7 +150,7 @@ function reach(camera) {
 /** @param {Camera} camera */
 function findReach({ distortion }) {
   const [k1, k2, , , k3 = 0, k4 = 0, k5 = 0, k6 = 0] = distortion;
-  // no picture reaches further than about 84 degrees off its axis
+  // no picture extends more than about 84 degrees from its axis
   const [most, steps] = [10, 4000];
   let before = 0;
   for (let i = 1; i <= steps; i += 1) {

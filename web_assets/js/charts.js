@@ -12,7 +12,7 @@ function loadPlotly() {
     const script = document.createElement("script");
     script.src = SCRIPT;
     script.onload = () =>
-      window.Plotly ? resolve(window.Plotly) : reject(new Error("the chart library did not start"));
+      window.Plotly ? resolve(window.Plotly) : reject(new Error("the chart library failed to start"));
     script.onerror = () => reject(new Error("the chart library could not be loaded"));
     document.head.append(script);
   }).catch((error) => {
@@ -22,7 +22,7 @@ function loadPlotly() {
   return loading;
 }
 
-/** The theme's present colours: the computed colour of a probe element is the resolved CSS variable. */
+/** The theme's current colours: the computed colour of a probe element is the resolved CSS variable. */
 function themeColors() {
   const probe = document.createElement("i");
   document.body.append(probe);

@@ -74,7 +74,7 @@ const GLYPHS = {
 };
 
 /**
- * A line icon of 16 x 16. It is decoration: the control around it needs a label of its own.
+ * A decorative line icon of 16 x 16. The control around it needs its own label.
  *
  * @param {keyof typeof GLYPHS} name
  */

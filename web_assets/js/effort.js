@@ -1,7 +1,7 @@
 /**
  * The effort that labels cost, measured as in SAnE: actions, and seconds of work.
  *
- * An action is one finished drag, key press or click that changes something; looking around does not count.
+ * An action is one finished drag, key press or click that changes something; viewing does not count.
  * Time is counted from one input event (pointer, wheel, key) to the next, and each pause counts as at most 30 s. The
  * effort that the server has acknowledged is subtracted, so that nothing is counted twice or lost with a refused
  * request.
@@ -56,7 +56,7 @@ export function createEffort(now = () => performance.now() / 1000) {
       seconds = Math.max(0, seconds - sent.seconds);
     },
 
-    /** Discards the effort so far: it was not spent on the next frame's objects. */
+    /** Discards the effort so far, which does not belong to the next frame's objects. */
     reset() {
       actions = 0;
       seconds = 0;

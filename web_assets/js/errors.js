@@ -5,7 +5,7 @@ export class ApiError extends Error {
    * @param {number} status HTTP status; 0 if the server did not answer.
    * @param {string} kind the server's class name of the error.
    * @param {string} message for the operator.
-   * @param {ErrorBody} [body] the whole answer; with status 409, `state` is the server's present state.
+   * @param {ErrorBody} [body] the whole answer; with status 409, `state` is the server's current state.
    */
   constructor(status, kind, message, body = {}) {
     super(message);

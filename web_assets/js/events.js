@@ -70,7 +70,7 @@ export function createEvents() {
     },
 
     /**
-     * Receives the messages of a project; null: of none.
+     * Receives the messages of a project; null: receives no messages.
      *
      * @param {string | null} name
      */
@@ -87,7 +87,7 @@ export function createEvents() {
     },
 
     /**
-     * Reports which frame is open on this page, for the other pages; null: none.
+     * Reports to the other pages which frame is open on this page; null: no frame is open.
      *
      * @param {number | null} frame
      */

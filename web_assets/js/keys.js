@@ -116,7 +116,7 @@ export const KEYS = [
   {
     id: "interpolate",
     keys: ["I"],
-    label: "Fill the frames back to the track's last reviewed box",
+    label: "Fill the frames back to the track's previous reviewed box",
     modes: ["review"],
     group: "Tracks",
   },

@@ -1,5 +1,5 @@
 /**
- * The page: makes the `app` object, which every mode gets, and mounts the mode that the address names.
+ * The page: creates the `app` object, which every mode gets, and mounts the mode given by the URL.
  *
  * A mode is a module with `mount(root, app)`, which returns a `Mounted`. A mode asks `app.mayLeave` before it
  * shows another frame.

@@ -1,5 +1,5 @@
 /**
- * Two versions of a frame: that of others, which is saved, and the operator's own. The operator chooses one.
+ * Two versions of a frame: the saved version of others, and the operator's own. The operator chooses one.
  */
 
 import { openDialog } from "./dialogs.js";
@@ -11,8 +11,8 @@ const MINE = "#ff5d8f";
 /**
  * Shows both versions until one is chosen.
  *
- * @param {{theirs: FrameState, mine: Mine}} versions the server's present state, and the state that was to be saved.
- * @returns {Promise<string | null>} "theirs", or "mine": to be saved on top of theirs.
+ * @param {{theirs: FrameState, mine: Mine}} versions the server's current state, and the state that was to be saved.
+ * @returns {Promise<string | null>} "theirs", or "mine": to be applied to theirs and saved.
  */
 export function askVersion({ theirs, mine }) {
   const authors = [...new Set(theirs.labels.map(({ author }) => author))].filter(Boolean);
@@ -21,7 +21,7 @@ export function askVersion({ theirs, mine }) {
   const by = authors.length ? ` (by ${authors.join(", ")})` : "";
   const counts = `${onImage} on the image, ${in3D} in 3D${by}`;
   return openDialog({
-    title: "Somebody changed this frame first",
+    title: "Another operator has changed this frame",
     testid: "stale-dialog",
     wide: true,
     required: true,
@@ -37,14 +37,14 @@ export function askVersion({ theirs, mine }) {
         h(
           "figure",
           {},
-          h("figcaption", {}, h("strong", {}, "Saved now")),
+          h("figcaption", {}, h("strong", {}, "Saved version")),
           picture(theirs, null),
           h("p", { class: "help" }, counts),
         ),
         h(
           "figure",
           {},
-          h("figcaption", {}, h("strong", {}, "Your version, on top of it")),
+          h("figcaption", {}, h("strong", {}, "Your version")),
           picture(theirs, mine),
           h(
             "ul",
@@ -56,7 +56,7 @@ export function askVersion({ theirs, mine }) {
     ],
     actions: [
       { label: "Keep theirs", value: "theirs", kind: "" },
-      { label: "Save mine on top", value: "mine" },
+      { label: "Save mine", value: "mine" },
     ],
   });
 }

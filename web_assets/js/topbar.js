@@ -188,7 +188,7 @@ function jobs(app) {
     link.href =
       running.kind === "import" ? "#/" : makeHash(running.project, running.kind === "export" ? "export" : "train");
     link.title = `${running.kind} in ${running.project}: ${running.stage}`;
-    text.textContent = running.state === "queued" ? `${running.kind} waits` : running.kind;
+    text.textContent = running.state === "queued" ? `${running.kind} queued` : running.kind;
     if (running.total > 0) bar.value = running.done / running.total;
     else bar.removeAttribute("value");
   };

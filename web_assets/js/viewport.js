@@ -14,7 +14,7 @@ import { ApiError } from "./errors.js";
 const FOLLOW_MS = 200;
 const RETRY_MS = 1500;
 const ASK_MS = 800;
-// Points without a graphics card: a processor needs about 5 us a point. Fewer points are drawn larger.
+// Number of points without a graphics card: the CPU takes about 5 us per point. Fewer points are drawn larger.
 const SOFTWARE_POINTS = 10000;
 // Pixels drawn for each pixel of the screen along a side, without a graphics card (a setting of viser's page).
 const SOFTWARE_PIXELS = 0.65;
@@ -95,7 +95,7 @@ export function createViewport(app) {
     if (changed) emit("state", next);
   }
 
-  /** Puts the iframe over its place. Hides it while the place is not on the page, or there is nothing to see. */
+  /** Puts the iframe over its place. Hides it while the place is not on the page, or there is no picture. */
   function follow() {
     const rect = element.isConnected ? element.getBoundingClientRect() : null;
     const seen = rect !== null && rect.width > 1 && rect.height > 1 && frame !== null;
@@ -272,7 +272,7 @@ export function createViewport(app) {
       return state;
     },
     graphics,
-    /** Takes the view out of the page. It stays connected, so that it comes back at once. */
+    /** Takes the view out of the page. It stays connected, so it can be shown again at once. */
     detach() {
       if (element.contains(document.activeElement) || document.activeElement === frame) window.focus();
       element.remove();

@@ -96,7 +96,7 @@ def test_a_new_box_is_drawn_on_the_image(
     field.press("Enter")
     assert {stored.label.uid for stored in desk.project.labels.select()} == known
     desk.press("n")  # the page asks before it leaves a box that is not accepted
-    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box that nobody has accepted")
+    expect(page.get_by_test_id("unsaved-dialog")).to_contain_text("1 new box, not accepted yet")
     page.get_by_test_id("dialog-stay").click()
     page.locator("dialog").wait_for(state="detached")
     page.get_by_test_id("ortho-top").get_by_test_id("editor2d").focus()

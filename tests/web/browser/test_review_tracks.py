@@ -103,7 +103,7 @@ def test_a_track_is_continued_filled_and_followed(desk: Desk, wait_for) -> None:
     wait_for(lambda: not of_track(desk, frames[1]) and not of_track(desk, frames[2]))
     page.get_by_test_id("color-by-track").uncheck()
     desk.press("?")
-    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's last reviewed box")
+    expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's previous reviewed box")
     desk.press("Escape")
 
 

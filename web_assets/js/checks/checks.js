@@ -13,7 +13,7 @@ const KINDS = [
   ["track", "Tracks", "one track has two boxes in a frame, or two classes"],
   ["duplicate", "Overlapping boxes", "two boxes may be the same object"],
 ];
-/** Warnings that a group lists; further ones are only counted. */
+/** Maximum number of warnings that a group lists; all are counted. */
 const LISTED = 200;
 
 /**
@@ -85,8 +85,8 @@ export function mount(root, app) {
     for (const [kind] of KINDS) kinds.delete(/** @type {Api.Kind} */ (kind));
     const unknown = [...kinds].map((kind) => [kind, kind, ""]);
     const groups = [...KINDS, ...unknown].flatMap(([kind, title, help]) => {
-      const found = warnings.filter((warning) => warning.kind === kind);
-      return found.length > 0 ? [group(kind, title, help, found)] : [];
+      const matching = warnings.filter((warning) => warning.kind === kind);
+      return matching.length > 0 ? [group(kind, title, help, matching)] : [];
     });
     body.replaceChildren(...failed, ...groups);
   }
@@ -95,12 +95,12 @@ export function mount(root, app) {
    * @param {string} kind
    * @param {string} title
    * @param {string} help
-   * @param {Api.WarningRow[]} found
+   * @param {Api.WarningRow[]} matching
    */
-  function group(kind, title, help, found) {
-    const rows = found.slice(0, LISTED).map(row);
-    if (found.length > LISTED)
-      rows.push(h("li", { class: "muted pad" }, `and ${count(found.length - LISTED, "more", "more")}`));
+  function group(kind, title, help, matching) {
+    const rows = matching.slice(0, LISTED).map(row);
+    if (matching.length > LISTED)
+      rows.push(h("li", { class: "muted pad" }, `and ${count(matching.length - LISTED, "more", "more")}`));
     return h(
       "section",
       { class: "panel", "data-testid": `checks-${kind}` },
@@ -108,7 +108,7 @@ export function mount(root, app) {
         "header",
         {},
         h("h2", {}, title),
-        h("span", { class: "chip number" }, String(found.length)),
+        h("span", { class: "chip number" }, String(matching.length)),
         h("span", { class: "muted" }, help),
       ),
       h("ul", { class: "warnings" }, rows),

@@ -1,5 +1,5 @@
 /**
- * What a drag does, from pointer down to pointer up (`Gesture`). Positions come from each event, so that a box ends
+ * The effect of a drag, from pointer down to pointer up (`Gesture`). Positions come from each event, so that a box ends
  * where the pointer was released, with sub-pixel precision.
  */
 

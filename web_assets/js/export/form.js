@@ -55,7 +55,7 @@ export function createExportForm(app, formats, onChange) {
   });
   const by = h(
     "select",
-    { "aria-label": "Unit of the division", "data-testid": "export-split-by" },
+    { "aria-label": "Split by", "data-testid": "export-split-by" },
     options([
       ["frames", "by frames"],
       ["recordings", "by whole recordings"],
@@ -114,7 +114,7 @@ export function createExportForm(app, formats, onChange) {
       ),
       h("label", { class: "field" }, h("span", {}, "Format"), format),
       picturesField,
-      group("Parts", [h("label", { class: "row" }, divide, "Divide the frames into parts"), division]),
+      group("Parts", [h("label", { class: "row" }, divide, "Split the frames into parts"), division]),
       group("Damaged files", [h("label", { class: "row" }, skip, "Leave out frames that cannot be read")]),
     ].filter((part) => part !== null),
 

@@ -72,7 +72,7 @@ export function kindChange(kind) {
       changes: [{ kind: "image_boxes", boxes: (state.image_boxes?.boxes ?? []).map(plainBox), box_kind: kind }],
     }),
     mine: () => ({
-      text: [kind === "box" ? "All boxes enclose the whole object" : "All boxes enclose what is visible"],
+      text: [kind === "box" ? "All boxes enclose the whole object" : "All boxes enclose the visible part"],
       boxes: [],
       outlines: [],
     }),

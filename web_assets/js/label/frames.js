@@ -1,4 +1,4 @@
-/** Opens frames one after the other, and takes over what others save of the open one. */
+/** Opens frames one after the other, and loads what others save in the open one. */
 
 import { count } from "../dom.js";
 import { isAborted } from "../errors.js";
@@ -71,7 +71,7 @@ export function createFrames(app, work, parts) {
     broken = frame;
     order.opened(frame);
     objects.close();
-    Object.assign(work, { items: [], selected: null, notSaved: [], found: [] });
+    Object.assign(work, { items: [], selected: null, notSaved: [], detections: [] });
     hint.textContent = "";
     problem.show(error);
     show();
@@ -123,7 +123,7 @@ export function createFrames(app, work, parts) {
     order.opened(id);
     objects.close();
     work.notSaved = [];
-    work.found = [];
+    work.detections = [];
     void suggestOnImage(id);
     const { url, width, height } = state.image;
     page.classList.toggle("wide-image", width / height > WIDE_ASPECT);
@@ -143,7 +143,7 @@ export function createFrames(app, work, parts) {
     if (!app.state.project?.detectors.image || work.isReadonly) return;
     const boxes = await suggester.onImage(frame);
     if (work.frameShown !== frame) return;
-    work.found = boxes;
+    work.detections = boxes;
     show();
   }
 

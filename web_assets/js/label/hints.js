@@ -10,7 +10,7 @@ const SIDES = ["front", "side"];
  */
 export function hintFor({ draft, step, isReadonly, label, hasItems, guesses, notSaved }) {
   if (isReadonly) return "This frame is finalised. Reopen it to change something.";
-  if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it after all.";
+  if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it.";
   if (!draft && guesses) return "Press Enter to accept a dashed box, drag to correct it, or draw your own box.";
   if (!draft)
     return hasItems
@@ -25,7 +25,7 @@ export function hintFor({ draft, step, isReadonly, label, hasItems, guesses, not
   if (!missing.length) return "";
   const where = missing.map((index) => SIDES[index % 2]).join(" and the ");
   const suggested = missing.some((index) => draft.suggestions[index]) ? " Press Enter to accept a dashed box." : "";
-  return `${progressOf(draft.item)} of 5: box the ${name} on the ${where} view.${suggested}`;
+  return `${progressOf(draft.item)} of 5: draw a box around the ${name} on the ${where} view.${suggested}`;
 }
 
 /**

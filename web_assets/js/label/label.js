@@ -49,7 +49,7 @@ export function mount(root, app) {
   const order = createOrder(app);
   const ask = createAsk(app, () => work.kind);
   const loader = createStepLoader(ask);
-  const suggester = createSuggester(app, { ask, onFound });
+  const suggester = createSuggester(app, { ask, onSuggested });
   const prefetch = createPrefetch(app, order);
   const saver = createSaver(app, {
     onSaved: (state) => frames.onSaved(state),
@@ -180,10 +180,10 @@ export function mount(root, app) {
    *
    * @param {Draft} draft
    */
-  function onFound(draft) {
+  function onSuggested(draft) {
     if (work.draft !== draft) return;
     show();
-    if (views.editors.some((editor) => editor.isDragging)) setTimeout(onFound, DRAG_WAIT_MS, draft);
+    if (views.editors.some((editor) => editor.isDragging)) setTimeout(onSuggested, DRAG_WAIT_MS, draft);
   }
 
   // -- commands

@@ -9,7 +9,7 @@ import { makeItem, openStep, plainBox, sameBox } from "./items.js";
 import { createMoves } from "./moves.js";
 import { openGuesses } from "./work.js";
 
-/** Saving and suggestions wait no longer than this for a picture. */
+/** Maximum time that saving and suggestions wait for a picture. */
 const PICTURES_WAIT_MS = 400;
 
 /** Resolves after the page was painted: a task queued by an animation callback runs after the painting. */
@@ -261,7 +261,7 @@ export function createObjects(app, work, parts) {
   }
 
   /**
-   * The others' version was kept. The dropped change stays visible, and a click or Enter saves it after all.
+   * The others' version was kept. The dropped change stays visible; a click or Enter saves it.
    *
    * @param {FrameChange | LaterChange} options
    */

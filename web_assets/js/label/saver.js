@@ -1,7 +1,7 @@
 /**
  * Saves one change after the other, each based on the revision that resulted from the previous one. A change's body is
- * made when it is sent, from the frame's state at that time, so that it can be saved on top of the others' version. A
- * change waits for its `after`: the views that follow from a drag are shown first, and are then in the server's cache.
+ * made when it is sent, from the frame's state at that time, so that it can be applied to the others' version. A change
+ * is sent after its `after`: the views that follow from a drag are loaded first, so the server has them in its cache.
  */
 
 import { isStale } from "../errors.js";
@@ -87,8 +87,8 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   }
 
   /**
-   * Lets the operator choose. "theirs": all waiting changes are dropped, but stay visible. "mine": the change is sent
-   * again, on top of the others' version.
+   * Lets the operator choose. "theirs": all waiting changes are dropped, but stay visible. "mine": the change is
+   * applied to the others' version and sent again.
    *
    * @param {StaleError} error
    * @param {FrameChange} change

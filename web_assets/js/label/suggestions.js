@@ -1,6 +1,6 @@
 /**
- * The detectors' suggestions, shown as dashed boxes. They arrive after the views, and are used only on views
- * that have not changed and on which the operator has drawn nothing in the meantime.
+ * The detectors' suggestions, shown as dashed boxes. They arrive after the views. A view uses them only if
+ * it has not changed and the operator has not drawn on it in the meantime.
  */
 
 import { wholeSteps } from "./draft.js";
@@ -17,9 +17,9 @@ const reported = new Set();
  * @param {ModeApp} app
  * @param {object} parts
  * @param {AskSteps} parts.ask
- * @param {(draft: Draft) => void} parts.onFound called when a draft has new suggestions.
+ * @param {(draft: Draft) => void} parts.onSuggested called when a draft has new suggestions.
  */
-export function createSuggester(app, { ask, onFound }) {
+export function createSuggester(app, { ask, onSuggested }) {
   /** @type {AbortController | null} */
   let request = null;
 
@@ -61,7 +61,7 @@ export function createSuggester(app, { ask, onFound }) {
         if (signal.aborted) return;
         draft.detector = answer.detector;
         report("view", answer.problem);
-        if (take(draft, before, answer)) onFound(draft);
+        if (take(draft, before, answer)) onSuggested(draft);
         if (answer.detector !== "loading") return;
         await new Promise((resolve) => setTimeout(resolve, LOADING_WAIT_MS));
       }

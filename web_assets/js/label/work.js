@@ -18,7 +18,7 @@ export function createWork(app) {
     label: app.state.project.classes[0],
     selected: null,
     notSaved: [],
-    found: [],
+    detections: [],
     frameShown: null,
     loaded: Promise.resolve(),
     coming: null,
@@ -45,13 +45,13 @@ export function keepKind(kind) {
  * @param {Work} work
  * @returns {Guess[]}
  */
-export function openGuesses({ isReadonly, items, notSaved, found }) {
+export function openGuesses({ isReadonly, items, notSaved, detections }) {
   if (isReadonly) return [];
-  const mine = notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
-  const theirs = found.filter((box) => !items.some((item) => overlap(item.image_box, box) > SAME_OBJECT));
+  const unsaved = notSaved.map((item) => ({ item, image_box: item.image_box, caption: "yours, not saved" }));
+  const suggested = detections.filter((box) => !items.some((item) => overlap(item.image_box, box) > SAME_OBJECT));
   return [
-    ...mine,
-    ...theirs.map((box) => ({
+    ...unsaved,
+    ...suggested.map((box) => ({
       item: makeItem(box),
       image_box: box,
       caption: `${box.label} ${Math.round(100 * (box.score ?? 1))} %`,

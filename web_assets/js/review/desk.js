@@ -4,7 +4,7 @@
  *
  * A box that is being dragged is a draft: `preview` shows it everywhere without a request, `commit` saves it as one
  * edit. A draft that could not be saved is kept until it is saved or reverted, even if another box is selected. A new
- * box exists only here until it is accepted; its effort is counted then. Listeners are called with a `DeskEvent`.
+ * box exists only on this page until it is accepted; its effort is counted then. Listeners are called with a `DeskEvent`.
  */
 
 import { copyBox, sameBox } from "../box3d.js";
@@ -47,7 +47,7 @@ export function createDesk(app) {
   let chain = Promise.resolve();
 
   /** @param {DeskEvent} what */
-  function tell(what) {
+  function notify(what) {
     for (const fn of listeners) fn(what);
   }
 
@@ -56,17 +56,17 @@ export function createDesk(app) {
   const stored = (id = uid) => labels().find((label) => label.uid === id) ?? null;
 
   /**
-   * Runs a task after all earlier ones. If it fails, later ones run nevertheless.
+   * Runs a task after all earlier ones. Later tasks run even if it fails.
    *
    * @template T
    * @param {() => Promise<T>} task
    */
   function enqueue(task) {
     waiting += 1;
-    tell("saving");
+    notify("saving");
     const done = chain.then(task).finally(() => {
       waiting -= 1;
-      tell("saving");
+      notify("saving");
     });
     chain = done.catch(() => {});
     return done;
@@ -113,12 +113,12 @@ export function createDesk(app) {
     home = id;
     for (const gone of [...drafts.keys()].filter((known) => !stored(known))) {
       // if a draft is being sent, the answer to it reports the outcome
-      const isNews = !drafts.get(gone)?.sending;
+      const mustNotify = !drafts.get(gone)?.sending;
       drafts.delete(gone);
-      if (isNews) app.toast("Somebody has deleted the box that you were changing.", "warn");
+      if (mustNotify) app.toast("Another operator has deleted the box that you were changing.", "warn");
     }
     if (uid !== null && !stored()) uid = null;
-    tell("frame");
+    notify("frame");
   }
 
   function forget() {
@@ -138,7 +138,7 @@ export function createDesk(app) {
     if (id === uid) return;
     keep();
     uid = id;
-    tell("selection");
+    notify("selection");
   }
 
   /**
@@ -152,7 +152,7 @@ export function createDesk(app) {
   async function commit(actions = 1) {
     const draft = drafts.get(uid);
     if (!draft || !stored()) return true;
-    if (added.has(uid)) return change(uid, actions);
+    if (added.has(uid)) return applyDraft(uid, actions);
     if (draft.sending === draft.wanted) return draft.sent;
     app.effort.action(actions);
     return save(uid, draft);
@@ -164,13 +164,13 @@ export function createDesk(app) {
    * @param {string | null} id
    * @param {number} actions
    */
-  function change(id, actions) {
+  function applyDraft(id, actions) {
     const entry = added.get(id);
     if (!entry) return true;
     entry.label = seen(entry.label);
     entry.actions += actions;
     drafts.delete(id);
-    tell("draft");
+    notify("draft");
     return true;
   }
 
@@ -194,7 +194,7 @@ export function createDesk(app) {
   async function storeNew(id, entry) {
     // completes an edit by arrow keys that were pressed just before
     if (uid === id) leave();
-    change(id, 1);
+    applyDraft(id, 1);
     const { label, box, track_id } = entry.label;
     const known = new Set(labels().map((one) => one.uid));
     app.effort.action(entry.actions);
@@ -204,7 +204,7 @@ export function createDesk(app) {
     if (error) entry.actions = 0;
     else added.delete(id);
     if (!error && uid === id) uid = labels().find((one) => !known.has(one.uid))?.uid ?? null;
-    tell(error ? "draft" : "selection");
+    notify(error ? "draft" : "selection");
     return !error;
   }
 
@@ -213,7 +213,7 @@ export function createDesk(app) {
     added.delete(id);
     drafts.delete(id);
     if (uid === id) uid = null;
-    tell("selection");
+    notify("selection");
     return true;
   }
 
@@ -245,7 +245,7 @@ export function createDesk(app) {
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
     if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);
-    tell("draft");
+    notify("draft");
     return !error;
   }
 
@@ -253,7 +253,7 @@ export function createDesk(app) {
   function revert(id = uid) {
     if (added.has(id) && !drafts.has(id)) remove(id);
     drafts.delete(id);
-    tell("draft");
+    notify("draft");
   }
 
   /** @param {string | null} id */
@@ -303,15 +303,15 @@ export function createDesk(app) {
      * Adds a new box: the object found in the box that was drawn on the image.
      *
      * @param {Pick<PageLabel, "label" | "box" | "outline" | "points" | "score" | "quality"> &
-     *     Pick<NewLabel, "image_box">} found
+     *     Pick<NewLabel, "image_box">} fit
      */
-    add({ image_box, ...found }) {
+    add({ image_box, ...fit }) {
       keep();
       number += 1;
       uid = `new-${number}`;
       /** @type {PageLabel} */
       const label = {
-        ...found,
+        ...fit,
         uid,
         isNew: true,
         state: "proposed",
@@ -321,7 +321,7 @@ export function createDesk(app) {
         doubt: null,
       };
       added.set(uid, { label, image_box, actions: 1, problem: null, sending: null });
-      tell("selection");
+      notify("selection");
     },
 
     /** What would be lost if the page were left now; null if everything is saved. */
@@ -331,7 +331,7 @@ export function createDesk(app) {
       const problems = [...drafts.values(), ...added.values()].map(({ problem }) => problem).filter(Boolean);
       const what = [
         changed && count(changed, "changed box", "changed boxes"),
-        added.size && count(added.size, "new box that nobody has accepted", "new boxes that nobody has accepted"),
+        added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
       ];
       return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
     },
@@ -375,7 +375,7 @@ export function createDesk(app) {
       draft.wanted = { ...draft.wanted, ...changes };
       if (draft.sending || isChanged(label, draft.wanted)) drafts.set(uid, draft);
       else drafts.delete(uid);
-      tell("draft");
+      notify("draft");
     },
     commit,
     revert,
@@ -396,7 +396,7 @@ export function createDesk(app) {
     discardAll() {
       forget();
       if (!stored()) uid = null;
-      tell("frame");
+      notify("frame");
     },
 
     /**

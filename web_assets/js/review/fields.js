@@ -11,7 +11,7 @@ const CENTER = [
 const SIZE = [
   ["length", "along the heading"],
   ["width", "across the heading"],
-  ["height", "along the box's own up"],
+  ["height", "along the box's z axis"],
 ];
 /** @type {[keyof Angles, string][]} */
 const ANGLES = [
@@ -236,7 +236,7 @@ function describe(label) {
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
   ];
-  if (label.doubt !== null) rows.push(["Doubt", percent(label.doubt), "the worst-first order of the queue uses it"]);
+  if (label.doubt !== null) rows.push(["Doubt", percent(label.doubt), "sets the 'Worst first' order of the queue"]);
   if (label.quality) {
     rows.push([
       "Disagree",

@@ -370,13 +370,13 @@ export function mount(root, app) {
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.FitOut} */
-      const { note, box: fitted, ...found } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
+      const { note, box: fitted, ...facts } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
       if (app.state.frame?.frame.id !== id || !parts.root.isConnected) return;
       if (fitted) {
-        desk.add({ ...found, box: fitted, label: box.label, image_box: box });
+        desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
       } else {
         const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
-        app.toast(`${why}: finish the box here with four drags on its views.`, "warn");
+        app.toast(`${why}: draw boxes on its four views to finish it.`, "warn");
         app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
       }
     } catch (error) {

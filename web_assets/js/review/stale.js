@@ -12,8 +12,8 @@ const VERBS = {
   edit: "edited",
   track: "moved to another track",
   create: "added",
-  finalise: "the frame is finalised",
-  reopen: "the frame is reopened",
+  finalise: "frame finalised",
+  reopen: "frame reopened",
 };
 
 /**
@@ -21,7 +21,7 @@ const VERBS = {
  * @param {StaleError} error
  * @param {{changes: Change[], subject: string | null, take: (frame: FrameState) => unknown}} sent what
  *     was sent; `take` is called with a new state of the frame.
- * @throws {Error} the operator's version could not be saved on top of the others' version.
+ * @throws {Error} the operator's version could not be applied to the others' version.
  */
 export async function resolveStale(app, error, { changes, subject, take }) {
   const theirs = error.body.state;
@@ -53,7 +53,7 @@ async function sendAgain(app, theirs, changes, subject) {
   const isGone = (/** @type {Change} */ { uid }) => uid !== undefined && !uids.has(uid);
   const present = changes.map((change) => (change.kind === "edit" && isGone(change) ? asNew(change) : change));
   const fitting = present.filter((change) => !isGone(change));
-  if (fitting.length === 0) throw new Error("Somebody else has deleted the box.");
+  if (fitting.length === 0) throw new Error("Another operator has deleted the box.");
   const body = {
     revision: theirs.frame.revision,
     changes: fitting,

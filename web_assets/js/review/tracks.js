@@ -26,7 +26,7 @@ export function createTracks(host, app, desk, { open }) {
     "button",
     {
       type: "button",
-      title: "Propose boxes between this reviewed box and its track's last reviewed box (I)",
+      title: "Propose boxes between this reviewed box and its track's previous reviewed box (I)",
       "data-testid": "act-fill",
       onclick: () => void interpolate(),
     },
@@ -191,6 +191,6 @@ export function createTracks(host, app, desk, { open }) {
  */
 function describe({ proposed, lost, how }, asked) {
   const text = `${count(proposed, "box", "boxes")} ${how === "copy" ? "copied" : "proposed"} from the previous frame`;
-  if (how !== asked) return `${text}: there are no detectors yet that could look for objects.`;
+  if (how !== asked) return `${text}, because no detectors are trained yet.`;
   return lost > 0 ? `${text}; ${count(lost, "object")} not found.` : `${text}.`;
 }

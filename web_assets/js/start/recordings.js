@@ -98,7 +98,11 @@ function describe({ recording, is_new, new_frames }) {
 export function locateRecording(app, project, { id, name }) {
   /** @type {string | null} */
   let chosen = null;
-  const status = h("p", { role: "status", "data-testid": "located" }, "Choose the folder that has the same frames.");
+  const status = h(
+    "p",
+    { role: "status", "data-testid": "located" },
+    "Choose the folder that now contains its frames.",
+  );
   const folders = createFolders(app, {
     text: "Choose",
     testid: "choose",
@@ -115,7 +119,7 @@ export function locateRecording(app, project, { id, name }) {
       h(
         "p",
         { class: "help" },
-        "Its folder has been moved. Boxes and labels are kept, and shown again once the folder is found.",
+        "Its folder was moved. Boxes and labels are kept, and are shown again when you choose the new folder.",
       ),
       ...folders.nodes,
       status,

@@ -240,7 +240,7 @@ function nothingYet(app) {
   return h(
     "div",
     { class: "empty" },
-    h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five drags."),
+    h("p", {}, "There are no boxes to train on yet. Draw a few objects first; each takes five 2D boxes."),
     h("a", { class: "button", href: `#/${encodeURIComponent(app.state.route.project)}/label` }, "Label objects"),
   );
 }
