@@ -1,12 +1,13 @@
-"""Quality of the tracks that boxes are linked into, compared with the true tracks.
+"""Quality of the tracks from the linking of boxes, compared with the true tracks.
 
 python -m benchmarks.tracks RECORDING [--json]
 
 The true boxes of a recording are linked without their ids: unchanged, and with Gaussian noise on every centre, side and
-angle (`CASES`: a share of the side, and the same number as an angle in radians), with and without missing boxes. IDF1
-and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks
-that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016); a
-switch is counted where a true object has another id than in its previous frame.
+angle (`CASES`: as a share of the side, and the same number as an angle in radians), with and without missing boxes.
+
+IDF1 and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks
+that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016). A
+switch is counted if the id of a true object differs from its id in the previous frame.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def add_noise(box: OrientedBox, noise: float, rng: np.random.Generator) -> Orien
 
 
 def idf1(true: Sequence[int], found: Sequence[int]) -> float:
-    """IDF1 from the true and the found id of each box, where every true box is matched."""
+    """IDF1 from the true id and the id after linking of each box; every true box is matched."""
     rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, found))
     together = np.zeros((rows.max() + 1, columns.max() + 1))
     np.add.at(together, (rows, columns), 1)
@@ -133,7 +134,7 @@ def idf1(true: Sequence[int], found: Sequence[int]) -> float:
 def switches(
     members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
 ) -> int:
-    """How often a true object has another id than in its previous frame; `members` in order of time."""
+    """Number of times that the id of a true object changes between its frames; `members` in order of time."""
     last: dict[int, int] = {}
     count = 0
     for member in members:
@@ -155,7 +156,7 @@ def main() -> None:
         frames.append(load_truth(recording, index, frame))
         times_ns.append(frame.timestamp_ns)
     if any(truth.track_id is None for objects in frames for truth in objects):
-        raise ConfigError(f"{arguments.recording}: its labels have no track ids")
+        raise ConfigError(f"{arguments.recording}: some labels have no track ids")
     times = frame_times(times_ns).tolist()
     is_still = not isinstance(recording, KittiFolder)
     heads = ("boxes", "tracks", "found", "IDF1", "switches", "IoU", "smoothed", "flipped", "flipped, smoothed")
