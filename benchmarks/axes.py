@@ -41,7 +41,7 @@ class Arguments:
     jitter: float = 0.0
     """Standard deviation of the error of each 2D box edge, share of the view's extent."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes: one axis along gravity (default where the recording has gravity)."""
+    """Upright boxes: one axis along gravity (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Freely rotated boxes (default for other recordings)."""
     min_points: int = 20

@@ -60,7 +60,7 @@ class Arguments:
     draws: int = 3
     """Number of random axes per object and frame; each gives two views."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Level views (default where the recording has gravity)."""
+    """Level views (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Views along any direction (default for other recordings)."""
     seed: int = 0

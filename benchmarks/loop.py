@@ -60,7 +60,7 @@ class Arguments:
     axes: Strategy = Strategy.CONSENSUS
     """Axes strategy of the recursion."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes: one axis along gravity (default where the recording has gravity)."""
+    """Upright boxes: one axis along gravity (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Freely rotated boxes (default for other recordings)."""
     label: str | None = None

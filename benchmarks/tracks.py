@@ -87,8 +87,8 @@ def measure(
     """Measures one case of one recording. Every true box needs a track id. `is_still` as in `smoothed`."""
     rng = np.random.default_rng(seed)
     visible = [[truth for truth in frame if rng.random() >= missing] for frame in frames]
-    seen = [[Seen(truth.label, add_noise(truth.box, noise, rng)) for truth in frame] for frame in visible]
-    tracks = link(seen, times, TrackingConfig())
+    boxes_by_frame = [[Seen(truth.label, add_noise(truth.box, noise, rng)) for truth in frame] for frame in visible]
+    tracks = link(boxes_by_frame, times, TrackingConfig())
     ids = {member: number for number, track in enumerate(tracks) for member in track.members}
     true = {(p, n): truth.track_id or 0 for p, frame in enumerate(visible) for n, truth in enumerate(frame)}
     smooth: dict[tuple[int, int], OrientedBox] = {}
@@ -97,7 +97,10 @@ def measure(
         smooth |= dict(zip(track.members, smoothed(boxes, TrackingConfig(), is_still), strict=True))
     members = sorted(true)
     truths = [visible[place][number].box for place, number in members]
-    before, after = [seen[place][number].box for place, number in members], [smooth[member] for member in members]
+    before, after = (
+        [boxes_by_frame[place][number].box for place, number in members],
+        [smooth[member] for member in members],
+    )
     return Measured(
         len(true),
         len(set(true.values())),
@@ -122,24 +125,24 @@ def add_noise(box: OrientedBox, noise: float, rng: np.random.Generator) -> Orien
     return relabelled(noisy, FLIP) if rng.random() < FLIPPED else noisy
 
 
-def idf1(true: Sequence[int], found: Sequence[int]) -> float:
+def idf1(true: Sequence[int], linked: Sequence[int]) -> float:
     """IDF1 from the true id and the id after linking of each box; every true box is matched."""
-    rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, found))
+    rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, linked))
     together = np.zeros((rows.max() + 1, columns.max() + 1))
     np.add.at(together, (rows, columns), 1)
     assignment = linear_sum_assignment(-together)
-    return float(2 * together[assignment].sum() / (len(true) + len(found)))
+    return float(2 * together[assignment].sum() / (len(true) + len(linked)))
 
 
 def switches(
-    members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
+    members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], linked: dict[tuple[int, int], int]
 ) -> int:
     """Number of times that the id of a true object changes between its frames; `members` in order of time."""
     last: dict[int, int] = {}
     count = 0
     for member in members:
-        count += last.get(true[member], found[member]) != found[member]
-        last[true[member]] = found[member]
+        count += last.get(true[member], linked[member]) != linked[member]
+        last[true[member]] = linked[member]
     return count
 
 

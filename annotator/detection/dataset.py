@@ -177,8 +177,8 @@ def _val_groups(written: Sequence[_Written], val_share: float, seed: int) -> fro
 
     def pick(groups: set[str], most: int) -> list[str]:
         ranked = sorted(groups, key=lambda group: hashlib.sha256(f"{seed}:{group}".encode()).digest())
-        wanted = max(round(val_share * len(ranked)), 1) if val_share else 0
-        return ranked[: min(wanted, most)]
+        count = max(round(val_share * len(ranked)), 1) if val_share else 0
+        return ranked[: min(count, most)]
 
     validation = pick(with_boxes, len(with_boxes) - 1)
     empty = {item.group for item in written} - with_boxes

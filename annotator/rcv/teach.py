@@ -106,7 +106,7 @@ def teach_views(
         if mask.sum() < MIN_POINTS:
             continue
         scene = _Scene(frame, objects, masks, doubts)
-        # all crops except the frustum are close to the object, so most of a large cloud can be skipped
+        # all crops except the frustum are close to the object, so most points of a large cloud can be skipped
         near = scene.near(target.box)
         for _ in range(draws):
             taught.extend(_draw(scene, near, target, kind, config, up, rng))

@@ -176,7 +176,7 @@ class OpenVinoNetwork:
                 "INFERENCE_NUM_THREADS": self._threads,
                 # Threads of several compiled sizes and processes would be pinned to the same core.
                 "ENABLE_CPU_PINNING": False,
-                # By default OpenVINO computes in half precision where the CPU supports it.
+                # By default, OpenVINO computes in half precision if the CPU supports it.
                 "INFERENCE_PRECISION_HINT": "bf16" if self.backend == "openvino-bf16" else "f32",
             },
         )

@@ -159,11 +159,11 @@ class _ClassEvaluation:
         hits = chosen & right[:, None]
         similarity = 0.5 * (1.0 + np.cos(self.truth.alpha[columns] - self.detections.alpha[rows]))
         wrong = self._wrong(valid & ~self.excused, taken, thresholds)
-        found, missed = hits.sum(axis=0), (counts[:, None] & ~served).sum(axis=0)
-        recall = _share(found, found + missed)
+        detected, missed = hits.sum(axis=0), (counts[:, None] & ~served).sum(axis=0)
+        recall = _share(detected, detected + missed)
         return (
-            KittiCurve(_samples(_share(found, found + wrong)), recall, objects, len(scores)),
-            KittiCurve(_samples(_share(similarity @ hits, found + wrong)), recall, objects, len(scores)),
+            KittiCurve(_samples(_share(detected, detected + wrong)), recall, objects, len(scores)),
+            KittiCurve(_samples(_share(similarity @ hits, detected + wrong)), recall, objects, len(scores)),
         )
 
     def _true_rows(self, level: int) -> tuple[Bool[np.ndarray, "g"], Bool[np.ndarray, "g"]]:
