@@ -2,9 +2,9 @@
 
     python -m benchmarks.live DIR [--project P] [--warm-start] [--backend B] [--seconds S] [--json]
 
-The frames are played forward and backward, so that motion is continuous. They arrive faster than they are detected, and
-the detection uses the newest one. So the pipeline limits the frame rate, not the recording. Without a kept project the
-detectors are trained as in `benchmarks.loop`.
+The frames are played forward and backward, so that motion is continuous. They are played faster than the detection can
+process them, and it uses the newest frame. So the pipeline limits the frame rate. Without a kept project,
+the detectors are trained as in `benchmarks.loop`.
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ def trained_project(
 
     Args:
         step: 2 = every second frame.
-        seconds: output: the seconds of labelling and training, if this run does them.
+        seconds: receives the seconds of labelling and training, if this run does them.
 
     Raises:
         ConfigError, AnnotatorError: as `run`.

@@ -98,10 +98,8 @@ class ProjectStages:
             config = self.plan.image if role is DetectorKind.IMAGE else self.plan.view
             settings: Facts = {"config": config.model_dump(mode="json"), "split_seed": self.plan.seed}
             self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
-        for role in (
-            DetectorKind.IMAGE,
-            DetectorKind.VIEW,
-        ):  # a run with other settings may have activated its models
+        # a run with other settings may have activated its models
+        for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             number = self.stages.done[f"train-{role.value}"].result["model"]
             assert isinstance(number, int)  # written by `train`
             self.project.models.activate(number)

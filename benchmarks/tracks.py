@@ -5,9 +5,9 @@ python -m benchmarks.tracks RECORDING [--json]
 The true boxes of a recording are linked without their ids: unchanged, and with Gaussian noise on every centre, side and
 angle (`CASES`: as a share of the side, and the same number as an angle in radians), with and without missing boxes.
 
-IDF1 and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks
-that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016). A
-switch is counted if the id of a true object differs from its id in the previous frame.
+IDF1 and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + linked boxes) with the assignment of whole
+tracks that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking,
+2016). A switch is counted if the id of a true object differs from its id in the previous frame.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int64, Shaped
 class KittiRows:
     """Columns as in the files (KITTI's units and coordinates: pixels, metres, radians, rectified camera 0).
 
-    The rows of a frame are adjacent and in the order of their file, because of two equally good boxes the first counts.
+    The rows of a frame are adjacent and in the order of their file, since the first of two equally good boxes counts.
 
     Attributes:
         frame: number of the frame, the same for detections and truth.
