@@ -1,7 +1,7 @@
 """Semi-automatic 3D annotation from a few 2D boxes.
 
-The names in `__all__` are the public Python API (docs/python.md); everything else is private. They load what they need
-when they are first used, so that `import annotator` is quick.
+The names in `__all__` are the public Python API (docs/python.md); everything else is private. They are
+imported on first use, so that `import annotator` is quick.
 """
 
 from __future__ import annotations

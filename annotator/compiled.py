@@ -26,7 +26,7 @@ def compiled(function: Function) -> Function:
     """
     import numba
 
-    # unwrapped, since the wrappers of run-time type checks cannot be compiled
+    # numba cannot compile the wrappers of run-time type checks
     plain = inspect.unwrap(function)
     try:
         code = numba.njit(plain, nogil=True, error_model="numpy", cache=True)
@@ -38,7 +38,7 @@ def compiled(function: Function) -> Function:
 def kept_code(function: Callable[..., object]) -> tuple[Path | None, bool]:
     """The cache folder of a `compiled` function (None without one), and whether it contains the machine code.
 
-    Code of another numba version, or of an older source, does not count.
+    Code from another numba version or an older source is ignored.
     """
     cache: Any = getattr(function, "_cache", None)
     folder = getattr(cache, "cache_path", None)

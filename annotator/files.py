@@ -1,4 +1,4 @@
-"""Atomic writing of files and folders: a reader sees the old content or the new one, never a part."""
+"""Atomic writing of files and folders: a reader sees either the old or the new content, never a part of it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def why_missing(path: Path) -> str | None:
 
 
 def is_within(folder: Path, name: str | Path) -> bool:
-    """True if a name, with links resolved, is a valid path inside a folder; the file need not exist."""
+    """True if a name is a valid path inside a folder after resolving links; the file may be missing."""
     try:
         place = (folder / name).resolve()
         # raises for a name that is too long
@@ -63,7 +63,7 @@ def is_within(folder: Path, name: str | Path) -> bool:
 
 
 def write_atomic(path: Path, content: bytes) -> None:
-    """Replaces or creates `path` atomically, also in case of a kill or a power failure.
+    """Replaces or creates `path` atomically, even if the process is killed or the power fails.
 
     Raises:
         OSError: the folder is missing or not writable, or the disk is full; `path` is unchanged.
@@ -85,7 +85,7 @@ def read_at_most(path: Path, limit: int) -> bytes:
     """The content of a file; at most its first `limit` + 1 bytes.
 
     Raises:
-        OSError: it cannot be read, or is not a regular file, such as a pipe.
+        OSError: it cannot be read, or is not a regular file (a pipe, for example).
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file")
@@ -121,7 +121,7 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
     Raises:
         FormatError: `out` may not be replaced, or the folder cannot be created.
     """
-    # resolved now, in case the working directory changes; a link keeps pointing to the same folder
+    # resolved now, because the working directory may change; if `out` is a link, its target is replaced
     out = out.resolve()
     _require_free(out, may_replace)
     try:
@@ -131,7 +131,7 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
         raise FormatError(out, f"cannot be created ({error.strerror})") from error
     try:
         yield part
-        # another process may have filled it meanwhile
+        # another process may have filled `out` meanwhile
         _require_free(out, may_replace)
         _put_in_place(part, out)
     finally:
@@ -148,7 +148,7 @@ def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:
 
 
 def _put_in_place(part: Path, out: Path) -> None:
-    """Renames `part` to `out`; an existing folder is moved aside first, and back if that fails."""
+    """Renames `part` to `out`. An existing `out` is moved aside first, and restored if the renaming fails."""
     try:
         part.chmod(0o755)
         if not out.exists():

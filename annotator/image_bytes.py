@@ -20,7 +20,7 @@ JPEG_SCAN = 0xDA
 JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
 # The markers of frame headers: 0xC0 to 0xCF except those for tables and extensions.
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-# Markers without a length, and bytes that are not markers; none is valid before a frame header.
+# Markers without a length, and bytes that are not markers; they are invalid before a frame header.
 JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
 # A file of a few kilobytes can declare an image that fills the memory. The limit is 67 million pixels (200 MB, colour).
 MOST_PIXELS = 1 << 26
@@ -59,7 +59,7 @@ def decode_image(data: bytes, flags: int) -> np.ndarray:
 
 
 def image_problem(data: bytes) -> str:
-    """Why the bytes of a PNG or JPEG file are not usable; "" for a complete file and for other formats."""
+    """Why a PNG or JPEG file is unusable; "" for a complete file and for other formats."""
     if not data:
         return "the file is empty"
     if data.startswith(PNG_SIGNATURE):
@@ -114,7 +114,7 @@ def declared_size(data: bytes) -> tuple[int, int]:
         if data[at + 1] in JPEG_FRAMES:
             return int.from_bytes(data[at + 7 : at + 9]), int.from_bytes(data[at + 5 : at + 7])
         if data[at + 1] in JPEG_WITHOUT_LENGTH:
-            # a decoder would continue right after it and could find another header
+            # a decoder would continue after this byte and might find another header
             break
         at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4])
     return 0, 0

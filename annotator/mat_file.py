@@ -1,4 +1,4 @@
-"""A reader for variables of MATLAB files, versions 5 to 7, that is safe for damaged and untrusted files.
+"""A safe reader for MATLAB files, versions 5 to 7, even if they are damaged or untrusted.
 
 scipy.io.loadmat crashes the process on some damaged files. This reader supports the types that labels and clouds use:
 numbers, strings, structs and cells. Format: "MAT-File Format" (MathWorks), chapter "Level 5 MAT-Files". A header of 128
@@ -95,7 +95,7 @@ class _Reader:
     Attributes:
         order: byte order, "<" or ">".
         numbers_only: refuse strings, cells and structs.
-        left: how many more elements of cells and structs are allowed.
+        left: number of elements of cells and structs that may still be read.
     """
 
     order: str
@@ -115,7 +115,7 @@ class _Reader:
             raise MatFileError("is truncated")
         kind, length = struct.unpack_from(self.order + "II", data, at)
         if kind >> 16:
-            # up to four bytes are stored in the tag itself
+            # data of up to four bytes is stored in the tag itself
             kind, length, start, end = kind & 0xFFFF, kind >> 16, at + 4, at + TAG_BYTES
             if length > 4:
                 raise MatFileError("has a damaged element")
@@ -165,7 +165,7 @@ class _Reader:
         fields = [packed[i : i + widths[0]].partition(b"\0")[0] for i in range(0, len(packed), widths[0])]
         if not fields:
             return []
-        # one for the element itself
+        # the elements themselves, then their fields
         self._reserve(count, room)
         self._reserve(count * len(fields), room)
         titles = [field.decode("latin-1") for field in fields]
@@ -201,7 +201,7 @@ class _Reader:
         try:
             return values.reshape(shape, order="F")
         except ValueError as error:
-            # an empty array with another dimension that is too large
+            # an empty array, one dimension of which is too large
             raise MatFileError(f"has an array with an invalid size ({error})") from error
 
     def _values(self, element: _Element) -> np.ndarray:

@@ -41,11 +41,11 @@ class Arguments:
     jitter: float = 0.0
     """Standard deviation of the error of each 2D box edge, share of the view's extent."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes: one axis along gravity (default where the recording has gravity)."""
+    """Upright boxes: one axis along gravity (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Freely rotated boxes (default for other recordings)."""
     min_points: int = 20
-    """Skip objects with fewer points."""
+    """Objects with fewer points are skipped."""
     seed: int = 0
     """Seed of the jitter."""
     strategies: tuple[Strategy, ...] = tuple(Strategy)
@@ -95,7 +95,7 @@ def best_ious(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> list[fl
 
 
 def false_share(best: Sequence[float]) -> float:
-    """Share of the proposals that overlap no true box; 0 where there is no proposal."""
+    """Share of the proposals without a matching true box (IoU below `FALSE_IOU`); 0 without proposals."""
     return float(np.mean(np.array(best) < FALSE_IOU)) if best else 0.0
 
 
@@ -109,7 +109,7 @@ def check(args: Arguments) -> None:
         ConfigError: a number out of its range, or two flags that contradict each other.
     """
     if args.upright and args.free:
-        raise ConfigError("--upright and --free contradict each other; give one of them, or none")
+        raise ConfigError("--upright and --free contradict each other; give at most one")
     for flag, value in (("--jitter", args.jitter), ("--min-points", args.min_points), ("--seed", args.seed)):
         if not 0 <= value < math.inf:
             raise ConfigError(f"{flag} must be 0 or more, not {value}")

@@ -1,9 +1,9 @@
-"""Compares our Azure Kinect geometry with numbers computed by the camera's SDK, and times the reading of a frame.
+"""Compares our Azure Kinect geometry with results of the camera's SDK, and times the reading of a frame.
 
 python -m benchmarks.azure_kinect RECORDING.mkv ROWS.csv [--repeats 30] [--json]
 
 Each row is a depth pixel with its depth and the SDK's results: the point in the depth camera's frame and in the colour
-camera's frame (millimetres), and the colour pixel. Each of our stages starts from our own result of the stage before.
+camera's frame (millimetres), and the colour pixel. Each of our stages starts from our result of the previous stage.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Arguments:
     rows: tyro.conf.Positional[Path]
     """The CSV file with the SDK's numbers."""
     repeats: int = 0
-    """How often to read the first frame, with its coloured cloud, to time it."""
+    """How often the first frame, with its coloured cloud, is read for the timing; 0 = no timing."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -70,7 +70,7 @@ def read_rows(path: Path) -> dict[str, np.ndarray]:
 
 
 def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float, float]:
-    """Largest distance of a point, millimetres, and of a colour pixel; NaN where only the SDK finds a colour pixel."""
+    """Largest error of a point, millimetres, and of a colour pixel; NaN if only the SDK finds a colour pixel."""
 
     def columns(names: tuple[str, ...]) -> np.ndarray:
         return np.stack([rows[name] for name in names], axis=1)
@@ -101,7 +101,7 @@ def run(args: Arguments) -> dict[str, object]:
     """Runs the benchmark; returns what `--json` prints.
 
     Raises:
-        ConfigError: the recording is not from an Azure Kinect, or a number is out of its range.
+        ConfigError: the recording is not from an Azure Kinect, or a number is out of range.
         InputError: the recording or the rows cannot be read.
     """
     if not 0 <= args.repeats <= 1_000_000:

@@ -1,4 +1,4 @@
-"""Frames annotated per second: in one process, with worker processes, and with Ray.
+"""Annotated frames per second: in one process, with worker processes, and with Ray.
 
     python -m benchmarks.batch [--project P --recording DIR] [--engines local ray] [--workers 2] [--json]
 
@@ -62,7 +62,7 @@ class Arguments:
     steps: int = RcvConfig().max_steps
     """Maximum number of steps of the recursion."""
     different: int = 4
-    """Number of different frames in a generated recording, which repeats them."""
+    """Number of different frames that a generated recording repeats."""
     width: int = 640
     """Width of generated images, pixels."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -89,7 +89,7 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
         AnnotatorError: the project or the recording cannot be opened.
     """
     if (args.project is None) != (args.recording is None):
-        raise ConfigError("--project and --recording need each other; give both, or none")
+        raise ConfigError("--project and --recording belong together; give both or neither")
     if min(args.frames, args.repeats, args.different, *args.workers) < 1:
         raise ConfigError("--frames, --repeats, --different and --workers must be 1 or more")
     config = RcvConfig(max_steps=args.steps)
@@ -107,7 +107,7 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
 
 
 def seconds(engine: Engine, job: Job) -> float:
-    """Time that a started engine takes for the job, from reading the first frame to storing the last one.
+    """Seconds that a started engine needs for the job, from reading the first frame to storing the last one.
 
     Raises:
         ConfigError: frames failed, so the measurement is invalid.
@@ -153,8 +153,8 @@ def run(args: Arguments) -> dict[str, object]:
                 "workers": workers,
                 "start_s": start_s[name, workers],
                 "fps": job.frames / statistics.median(took),
-                "against_plain": _faster(taken[PLAIN, 0], took),
-                "against_one_core": _faster(taken[ONE_CORE, 0], took),
+                "against_plain": _speed_up(taken[PLAIN, 0], took),
+                "against_one_core": _speed_up(taken[ONE_CORE, 0], took),
             }
             for (name, workers), took in taken.items()
         ],
@@ -178,11 +178,11 @@ def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
 
 def _ray_against_local(taken: dict[tuple[str, int], list[float]], workers: int) -> float | None:
     ray, local = taken.get((EngineName.RAY.value, workers)), taken.get((EngineName.LOCAL.value, workers))
-    return _faster(local, ray) if ray and local else None
+    return _speed_up(local, ray) if ray and local else None
 
 
-def _faster(before_s: list[float], after_s: list[float]) -> float:
-    """Median speed-up over the turns; compared turn by turn, since the load of the machine may change between them."""
+def _speed_up(before_s: list[float], after_s: list[float]) -> float:
+    """Median speed-up, compared turn by turn because the load of the machine may change between turns."""
     return statistics.median(before / after for before, after in zip(before_s, after_s, strict=True))
 
 

@@ -5,7 +5,7 @@
 
 The detector is trained on every second frame of a recording with true 3D boxes, with the projections of those boxes on
 pseudo-views along random axes, and tested on views of the other frames. The error of an edge is a share of the view's
-extent in its direction, as in `benchmarks.axes --jitter`. With `--backends` it is run on each of them; with `--weights`
+extent in its direction, as in `benchmarks.axes --jitter`. With `--backends`, it runs on each of them; with `--weights`,
 a trained detector is used.
 """
 
@@ -56,11 +56,11 @@ class Arguments:
     optimizer: str = "MuonSgd"
     """MuonSgd, AdamW (with --learning-rate 0.002) or SGD."""
     learning_rate: float = 0.01
-    """Highest learning rate."""
+    """Peak learning rate."""
     draws: int = 3
     """Number of random axes per object and frame; each gives two views."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Level views (default where the recording has gravity)."""
+    """Level views (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Views along any direction (default for other recordings)."""
     seed: int = 0
@@ -85,7 +85,7 @@ def make_views(
         objects = [TaughtObject(truth.label, truth.box) for truth in truths]
         up = frame.up
         if up is None and args.upright and truths:
-            # The third axis of an upright box is its height, so it stands in for gravity.
+            # The third axis of an upright box is its height and can be used as the vertical direction.
             up = truths[0].box.rotation[:, 2]
         taught = teach_views(frame, objects, BoxKind.BOX, args.draws, config, None if args.free else up, rng)
         views.extend((frame.key, view) for view in taught)
@@ -100,8 +100,8 @@ def overlap(a: Box2D, b: Box2D) -> float:
     return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
 
 
-def tightness(views: Sequence[TaughtView], detections: Sequence[Sequence[Box2D]]) -> dict[str, float]:
-    """For each true box, the IoU and edge errors of the best detection of its class, summarised."""
+def box_accuracy(views: Sequence[TaughtView], detections: Sequence[Sequence[Box2D]]) -> dict[str, float]:
+    """Statistics of the IoU and the edge errors of each true box's best detection of its class."""
     ious, errors, objects = [], [], 0
     for taught, boxes in zip(views, detections, strict=True):
         height_px, width_px = taught.view.rgb.shape[:2]
@@ -175,13 +175,13 @@ def run(args: Arguments) -> dict[str, Any]:
         )
         write_dataset(folder / "set", tiled(samples, args.size), classes, seed=args.seed, kind=BoxKind.BOX)
         trained = train_detector(folder / "set", folder / "run", config, report)
-        figures = measured(trained.weights, test_views, args)
+        scores = measured(trained.weights, test_views, args)
     return {
         "model": args.model,
         "views_taught": len(training_views),
         "epochs": trained.epochs,
         "seconds": trained.seconds,
-        **figures,
+        **scores,
     }
 
 
@@ -191,7 +191,7 @@ def measured(weights: Path, test_views: Sequence[TaughtView], args: Arguments) -
     views = [view.view for view in test_views]
     result: dict[str, Any] = {
         "views_asked": len(test_views),
-        **tightness(test_views, detector.detect(views)),
+        **box_accuracy(test_views, detector.detect(views)),
         "backend": detector.backend,
         "ms_per_image": {str(batch): milliseconds(detector, test_views, batch) for batch in BATCHES},
     }

@@ -25,10 +25,10 @@ def compared(
 ) -> dict[str, dict[str, Any]]:
     """Measures each backend.
 
-    The backends take turns, so that other work on the machine slows all of them equally.
+    The backends are measured in turn, so that other work on the machine slows all of them equally.
 
     Returns:
-        By backend: `load_s`, the time to load a network that has been exported before; `ms_per_picture`, the median by
+        By backend: `load_s`, the time to load a network that has already been exported; `ms_per_picture`, the median by
         images per call; `speed_up`, the first backend's median divided by this one's; `off_px` and `off_score`,
         the largest differences from the first backend's boxes.
     """

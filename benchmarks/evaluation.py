@@ -1,4 +1,4 @@
-"""Time to evaluate whole validation splits, reading of the files included.
+"""Time to evaluate whole validation splits, including reading the files.
 
 python -m benchmarks.evaluation [--kitti-frames 3769] [--sunrgbd-frames 5050] [--repeat 3] [--json]
 """
@@ -34,8 +34,8 @@ CLASSES = {
         "bathtub",
     ),
 }
-# Share of the detections that lie on a true box; the others lie elsewhere.
-FOUND = 0.8
+# Share of the detections that lie on a true box.
+MATCHING_SHARE = 0.8
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Arguments:
     boxes: int = 10
     """Number of true boxes and of detections per frame."""
     repeat: int = 3
-    """How often to evaluate each split; the median is reported."""
+    """Number of evaluations of each split; the median is reported."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -91,7 +91,7 @@ def write_kitti(folder: Path, frames: int, boxes: int, rng: np.random.Generator)
         low = [-3.0, 0, 100, 30, 26, 1.4, 1.5, 3.5, -20, 1.5, 5, -3]
         true = rng.uniform(low, [3.0, 1000, 180, 150, 140, 1.8, 1.8, 4.5, 20, 2.0, 60, 3], (boxes, 12))
         detections = true + rng.normal(0.0, [0.1, 3, 3, 3, 3, 0.05, 0.05, 0.1, 0.2, 0.05, 0.2, 0.05], (boxes, 12))
-        detections[rng.random(boxes) > FOUND, 8] += 100.0
+        detections[rng.random(boxes) > MATCHING_SHARE, 8] += 100.0
         scores = rng.random(boxes)
         for path, rows in zip(paths, (detections, true), strict=True):
             rows[:, 3:5] += rows[:, 1:3]
@@ -112,7 +112,7 @@ def write_sunrgbd(folder: Path, frames: int, boxes: int, rng: np.random.Generato
     images, labels = np.repeat(np.arange(frames), boxes), rng.choice(CLASSES[Protocol.SUNRGBD], count)
     true = rng.uniform([-3, 1, -1, 0.4, 0.4, 0.4, -3], [3, 6, 0, 2, 2, 1.5, 3], (count, 7))
     detections = true + rng.normal(0.0, 0.05, (count, 7))
-    detections[rng.random(count) > FOUND, 0] += 10.0
+    detections[rng.random(count) > MATCHING_SHARE, 0] += 10.0
     for path, rows, scores in zip(paths, (detections, true), (rng.random(count), None), strict=True):
         text = [
             f"{image},{label}," + ",".join(f"{v:.5f}" for v in row)

@@ -1,4 +1,4 @@
-"""Compares our evaluation with the numbers of the official evaluators, for a folder with reference inputs and numbers.
+"""Compares our evaluation with that of the official evaluators, on a folder with reference inputs and results.
 
 python -m benchmarks.golden DIR [--json]
 
@@ -38,16 +38,16 @@ PAIRS, CONVENTIONS = "iou3d_pairs.csv", "kitti_conventions.json"
 # The official devkit, and the devkit with looser overlap thresholds. Rows of other evaluators are ignored.
 EVALUATORS: Mapping[str, MinOverlap] = {"devkit": OFFICIAL, "devkit_relaxed": RELAXED}
 METRICS = {"2d": Metric.BBOX, "bev": Metric.BEV, "3d": Metric.BOX_3D, "aos": Metric.AOS}
-# An intersection below this share of the smaller box is contact only.
+# Boxes whose intersection is below this share of the smaller box only touch.
 CONTACT = 1e-12
 
 
 @dataclass
 class Arguments:
-    """Compare our evaluation with the official evaluators' numbers."""
+    """Compare our evaluation with the official evaluators' results."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of reference inputs and the numbers that the official evaluators computed for them."""
+    """Folder of reference inputs and the official evaluators' results."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -70,7 +70,7 @@ class Part:
 
 
 def measure(folder: Path) -> dict[str, object]:
-    """The largest difference of each part, where it occurs, and how many numbers were compared.
+    """The largest difference of each part, where it occurs, and the number of compared values.
 
     Raises:
         ConfigError: the folder contains none of the parts.

@@ -85,9 +85,9 @@ def convention_differences(path: Path) -> Iterator[ConventionDifference]:
         px = _pixels(entry, box, calibration)
         what = max(px, key=lambda name: np.nan_to_num(px[name], nan=np.inf))
         expected, xyz = entry.expected, box_corners(box)[list(CORNERS)]
-        center, turn = _in_lidar(box, calibration)
+        center, heading_lidar = _in_lidar(box, calibration)
         alpha = observation_angle(row.rotation_y, row.x, row.z)
-        angles = (alpha - expected.alpha, heading(box) - row.rotation_y, turn - expected.heading_velo)
+        angles = (alpha - expected.alpha, heading(box) - row.rotation_y, heading_lidar - expected.heading_velo)
         yield ConventionDifference(
             label=f"{entry.frame} line {entry.line} {row.label}",
             what=what,
@@ -119,7 +119,7 @@ def _largest(ours: object, expected: object) -> float:
 
 
 def _calibration(entry: Entry) -> KittiCalibration:
-    """The calibration, written to a file and read as in a recording."""
+    """The calibration, written to a file and read like that of a recording."""
     lines = [
         f"{name}: {' '.join(map(repr, values))}"
         for name, values in (("P2", entry.P2), ("R0_rect", entry.R0_rect), ("Tr_velo_to_cam", entry.Tr_velo_to_cam))

@@ -2,8 +2,8 @@
 
 python -m benchmarks.listing [--share 1] [--repeats 5] [--json]
 
-The data sets are temporary folders of empty files, with the names and numbers of files of the real ones: KITTI's object
-training set, SUN RGB-D as downloaded (scenes in folders by camera) and as extracted by VoteNet.
+The data sets are temporary folders of empty files, with the same file names and numbers of files as the real ones:
+KITTI's object training set, SUN RGB-D as downloaded (scenes in folders by camera) and as extracted by VoteNet.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SUN_SCENES = {
     "xtion/xtion_align_data": 1_030,
     "xtion/sun3ddata": 2_359,
 }
-# The files of a scene that we read.
+# The files of a scene that the reader needs.
 SCENE_FILES = (
     "intrinsics.txt",
     "image/a.jpg",
@@ -52,7 +52,7 @@ class Arguments:
     share: float = 1.0
     """Share of each data set's frames to create."""
     repeats: int = 5
-    """How often to list each data set; the median is reported."""
+    """Number of listings of each data set; the median is reported."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 

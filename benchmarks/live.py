@@ -2,9 +2,9 @@
 
     python -m benchmarks.live DIR [--project P] [--warm-start] [--backend B] [--seconds S] [--json]
 
-The frames are played forward and backward, so that motion is continuous, and faster than the detection, which takes the
-newest frame. So the frame rate is limited by the pipeline and not by the recording. Without a kept project the
-detectors are trained as in `benchmarks.loop`.
+The frames are played forward and backward, so that motion is continuous. They are played faster than the detection can
+process them, and it uses the newest frame. So the pipeline limits the frame rate. Without a kept project,
+the detectors are trained as in `benchmarks.loop`.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ QUIET = Console(stderr=True)
 WARM_UP_S = 5.0
 # Minimum number of shown frames for a measurement.
 LEAST_SHOWN = 5
-# Minimum rate of the source, frames per second, and its rate as a multiple of the pipeline's. Reading more frames would
-# only slow the pipeline down.
+# Minimum rate of the source, frames per second, and its rate as a multiple of the pipeline's. A higher rate would only
+# slow the pipeline down.
 LEAST_RATE, FASTER_BY = 30.0, 1.25
 
 
@@ -51,7 +51,7 @@ class Arguments:
     directory: Annotated[Path, tyro.conf.Positional]
     """A recording; training on it needs ground truth."""
     project: Path | None = None
-    """Use the detectors of the project that `benchmarks.loop --project` kept here, or keep the new project here."""
+    """Folder kept by `benchmarks.loop --project`, whose detectors are used; if missing, a new project is kept here."""
     warm_start: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Start the recursion from the boxes of the previous frame."""
     backend: Backend = "fastest"
@@ -151,7 +151,7 @@ class _Run:
 
     def _show(self, detected: Detected) -> None:
         proposals = detected.found.proposals
-        # counts more frames than the figures: some are shown while the pipeline ends
+        # counts more frames than the figures, because some are shown while the pipeline ends
         self.frames += 1
         self.objects += len(proposals)
         self.warm += sum(map(is_warm, proposals))

@@ -5,7 +5,7 @@
 
 With one folder, every second frame is for training and the others for testing. The ground truth is used only by the
 simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` works
-with masks alone; the scores that need true boxes are then null.
+with masks only; the scores that need true boxes are then null.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Arguments:
     axes: Strategy = Strategy.CONSENSUS
     """Axes strategy of the recursion."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Upright boxes: one axis along gravity (default where the recording has gravity)."""
+    """Upright boxes: one axis along gravity (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Freely rotated boxes (default for other recordings)."""
     label: str | None = None
@@ -78,7 +78,7 @@ class Arguments:
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
     project: Path | None = None
-    """Keep the project here, or use the trained detectors of the project kept here, such as to compare strategies."""
+    """Folder in which to keep the project. The detectors of a kept project are used, such as to compare strategies."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -91,13 +91,13 @@ class Arguments:
 
     @property
     def rotation(self) -> BoxRotation | None:
-        """The rotation given by the arguments; None where they leave it to the recording.
+        """The rotation given by the arguments; None if the recording determines it.
 
         Raises:
             ConfigError: --upright and --free are both given.
         """
         if self.upright and self.free:
-            raise ConfigError("--upright and --free exclude each other; give one of them, or none")
+            raise ConfigError("--upright and --free exclude each other; give at most one")
         return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else None
 
 
@@ -140,7 +140,7 @@ def trained_project(
 
     Args:
         step: 2 = every second frame.
-        seconds: receives the time of labelling and training, unless an earlier run did them.
+        seconds: receives the seconds of labelling and training, if this run does them.
 
     Raises:
         ConfigError, AnnotatorError: as `run`.
@@ -150,7 +150,7 @@ def trained_project(
 
 
 def _labels(args: Arguments, recording: Recording) -> list[str]:
-    """The classes of a new project: those of the true boxes, or with masks alone the class given by --label."""
+    """The classes of a new project: those of the true boxes; with masks only, the class given by --label."""
     if _masks_alone(recording):
         return [args.label or UNNAMED]
     if args.label is not None:
@@ -174,7 +174,7 @@ def _masks_alone(recording: Recording) -> bool:
 
 
 def _project(args: Arguments, recording: Recording, rotation: BoxRotation | None, temporary: Path) -> Project:
-    """A new project, or the one kept by an earlier run after a check that it fits the arguments."""
+    """A new project, or the project of an earlier run, which must match the arguments."""
     root = args.project or temporary
     if not (root / NAME).is_dir():
         if args.operator is not None:
@@ -207,7 +207,7 @@ def _require_same(args: Arguments, rotation: BoxRotation | None, project: Projec
 
 
 def _box_kind(project: Project) -> BoxKind | None:
-    """The kind of 2D boxes that the view detector is or will be trained on; None where nothing is labelled yet."""
+    """The kind of 2D boxes that the view detector is or will be trained on; None without labels."""
     model = project.models.active(DetectorKind.VIEW)
     if model is not None:
         return model.box_kind
@@ -221,7 +221,7 @@ def _label_and_train(
     args: Arguments,
     seconds: dict[str, float],
 ) -> int:
-    """Labels and trains unless an earlier run did; returns the number of 2D boxes in the project."""
+    """Labels and trains, unless an earlier run has; returns the number of 2D boxes in the project."""
     if project.models.active(DetectorKind.VIEW) is None:
         default = BoxKind.SILHOUETTE if _masks_alone(recording) else BoxKind.BOX
         _label(

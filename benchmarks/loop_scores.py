@@ -20,8 +20,8 @@ class Scores:
     """Accumulates the scores of the test frames.
 
     A frame without an object counts only in average precision, where its proposals are false positives. An unreadable
-    frame counts as a frame without a proposal and in no other score, since its number of objects is not known. Without
-    true boxes, the masks show where objects are, and IoU and average precision are NaN.
+    frame only counts as a frame without a proposal, since its number of objects is unknown. Without true boxes, masks
+    are used instead, and IoU and average precision are NaN.
 
     Attributes:
         recording: the test recording.
@@ -75,7 +75,7 @@ class Scores:
             self.precisions.append(agreement.precision)
 
     def summary(self) -> dict[str, object]:
-        """The mean scores, by name; NaN where there was nothing to measure."""
+        """The mean scores, by name; NaN without measurements."""
         ap = {t: [average_precision(r, t) for r in self.results.values()] for t in (0.25, 0.5)}
         return {
             "frames": self.frames,

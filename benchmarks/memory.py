@@ -1,4 +1,4 @@
-"""Peak memory of `annotate` by length of the recording, each length in a process of its own.
+"""Peak memory of `annotate` by length of the recording, each length in a separate process.
 
 python -m benchmarks.memory [--frames 20 200] [--engine local --workers 2] [--json]
 """
@@ -31,7 +31,7 @@ class Arguments:
     frames: tuple[int, ...] = (20, 200)
     """Lengths of the recording to measure, frames."""
     different: int = 4
-    """Number of different frames, which each recording repeats."""
+    """Number of different frames that each recording repeats."""
     width: int = 640
     """Width of the images, pixels; the height is three quarters of it."""
     engine: Literal["inline", "local"] = "inline"
@@ -84,8 +84,8 @@ def _peak_mb(whose: int) -> float:
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
-def _alone(function: Callable[..., Any], *arguments: object) -> Any:
-    """Calls a function in a fresh process, so that its peak memory is not that of earlier work."""
+def _in_new_process(function: Callable[..., Any], *arguments: object) -> Any:
+    """Calls a function in a new process, whose peak memory excludes earlier work."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(function, *arguments).result()
 
@@ -101,11 +101,11 @@ def run(args: Arguments) -> dict[str, object]:
     peaks: list[Peaks] = []
     with TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
-        _alone(generate, source, args.different, args.width)
+        _in_new_process(generate, source, args.different, args.width)
         for number, frames in enumerate(args.frames):
             folder = Path(temporary) / f"recording-{number}"
             lengthen(source, folder, frames, args.different)
-            peaks.append(_alone(annotate_and_measure, source, folder, args))
+            peaks.append(_in_new_process(annotate_and_measure, source, folder, args))
     return {
         "results": [
             {"frames": n, "peak_mb": peak.driver_mb, "worker_peak_mb": peak.worker_mb}

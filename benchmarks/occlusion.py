@@ -3,7 +3,7 @@
 python -m benchmarks.occlusion RECORDING ... [--json]
 
 For each labelled object of KITTI recordings (object or tracking), the level is measured as in our exports and
-evaluations. Objects that KITTI labels "unknown" are in the table but do not count in the agreement.
+evaluations. Objects that KITTI labels as "unknown" are in the table, but not in the agreement.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python -m benchmarks.paper kitti --root KITTI --fraction 0.25 [--settings product] [--limit 20] [--json]
     python -m benchmarks.paper sunrgbd --root SUNRGBD [--classes votenet] [--settings product] [--limit 20] [--json]
 
-Each stage stores its result in --work; a stage that is complete there, with the same settings, is skipped. `annotator
+Each stage stores its result in --work; a stage with a stored result for the same settings is skipped. `annotator
 serve --projects WORK/projects` shows the project with its boxes and proposals. docs/paper.md describes the stages and
 how long they take.
 """
@@ -27,7 +27,7 @@ from annotator.recordings import open_recording
 from annotator.types.errors import ConfigError
 from annotator.workflows.training.train import TrainPlan
 from benchmarks.paper_frames import split_of
-from benchmarks.paper_protocol import InProject, Place, bring_in
+from benchmarks.paper_protocol import Place, ProjectStages, import_frames
 from benchmarks.paper_settings import Classes, Dataset, Preset, Trainings, classes_of, rcv_options
 from benchmarks.paper_stages import Stages
 from benchmarks.paper_tables import Ap, kitti_table, paper_of_kitti, paper_of_sunrgbd, sunrgbd_table
@@ -104,7 +104,7 @@ def run(args: Arguments) -> dict[str, object]:
     """Runs the whole protocol; returns what `--json` prints.
 
     Raises:
-        ConfigError: arguments that contradict each other or the data set; or test frames that failed.
+        ConfigError: arguments that contradict each other or the data set; or failed test frames.
         AnnotatorError: a stage failed.
     """
     if args.limit is not None and args.limit < 1:
@@ -112,7 +112,7 @@ def run(args: Arguments) -> dict[str, object]:
     plan, classes = args.plan(), classes_of(args.dataset, args.classes)
     recording = open_recording(args.root)
     split = split_of(recording, args.seed).limited(args.limit, args.seed)
-    QUIET.print(": ".join(filter(None, (split.source, split.found()))))
+    QUIET.print(": ".join(filter(None, (split.source, split.coverage()))))
     start: dict[str, JsonValue] = {
         "dataset": args.dataset.value,
         "root": str(args.root.resolve()),
@@ -121,19 +121,19 @@ def run(args: Arguments) -> dict[str, object]:
         "classes": list(classes),
         "view_px": args.trainings.view_px,
     }
-    # in the name, so that each share of the frames has a project of its own
+    # in the name, so that each share of the frames has a separate project
     share = {"fraction": args.fraction, "seed": args.seed}
     place = Place(args.work, f"{args.dataset.value}-{100 * args.fraction:.0f}-{_hash({**start, **share})}")
     stages = Stages(place.records, QUIET.print)
     stages.run(
         "import",
         start,
-        lambda: bring_in(recording, split, place, classes, args.trainings.view_px),
+        lambda: import_frames(recording, split, place, classes, args.trainings.view_px),
         lambda _: place.project.is_dir() and place.frames.is_dir(),
     )
     options = rcv_options(args.dataset, args.axes, args.settings)
     with open_project(place.project) as project:
-        rest = InProject(project, args.dataset, args.fraction, args.seed, plan, options, stages, QUIET.print)
+        rest = ProjectStages(project, args.dataset, args.fraction, args.seed, plan, options, stages, QUIET.print)
         ours = rest.run()
     return {
         "dataset": args.dataset.value,

@@ -34,24 +34,24 @@ MOST_LIST_BYTES = 2**26
 
 @dataclass(frozen=True)
 class FrameSplit:
-    """Frame keys of the training side and the test side.
+    """Frame keys for training and for testing.
 
     Attributes:
         train, val: sorted keys; they overlap only if the recording has a single frame.
         source: where the split comes from, in words.
         listed: number of frames in the lists; None without lists.
-        there: number of listed frames that the recording has; 0 without lists.
+        present: number of listed frames that the recording has; 0 without lists.
     """
 
     train: tuple[str, ...]
     val: tuple[str, ...]
     source: str
     listed: int | None = None
-    there: int = 0
+    present: int = 0
 
-    def found(self) -> str:
+    def coverage(self) -> str:
         """How many of the listed frames the recording has, in words; "" without lists."""
-        return "" if self.listed is None else f"{self.there} of {self.listed} listed frames are present"
+        return "" if self.listed is None else f"{self.present} of {self.listed} listed frames are present"
 
     def limited(self, limit: int | None, seed: int) -> FrameSplit:
         """The split with at most `limit` frames on each side, drawn at random."""
@@ -67,7 +67,7 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
     toolbox's `allsplit.mat`.
 
     Raises:
-        ConfigError: the format of another data set; or lists that share a frame, or name no frame of the recording.
+        ConfigError: another data set's format; or lists that share a frame, or without any frame of the recording.
         FormatError: lists that cannot be read.
     """
     if recording.format not in LAYOUTS:
@@ -115,7 +115,7 @@ def labelled_classes(recording: Recording) -> frozenset[str]:
 
 
 def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None:
-    """Creates a folder of links to the frames' files, in the layout of the recording; leaves nothing if it fails.
+    """Creates a folder of links to the frames' files, in the recording's layout; on failure, the folder is removed.
 
     Raises:
         FormatError: the folder or a link cannot be created.

@@ -55,7 +55,9 @@ class Place:
         return self.work / "stages" / self.name
 
 
-def bring_in(recording: Recording, split: FrameSplit, place: Place, classes: tuple[str, ...], view_px: int) -> Facts:
+def import_frames(
+    recording: Recording, split: FrameSplit, place: Place, classes: tuple[str, ...], view_px: int
+) -> Facts:
     """The stage `import`: creates two recordings of links to the frames, and a project with both.
 
     Args:
@@ -69,15 +71,15 @@ def bring_in(recording: Recording, split: FrameSplit, place: Place, classes: tup
     with open_project(place.project) as project:
         for side in (TRAIN, VAL):
             register_recording(project, open_recording(place.frames / side), name=side)
-    return {"train": len(split.train), "val": len(split.val), "divided": split.source, "lists": split.found()}
+    return {"train": len(split.train), "val": len(split.val), "divided": split.source, "lists": split.coverage()}
 
 
 @dataclass(frozen=True, eq=False)
-class InProject:
-    """The stages after the import.
+class ProjectStages:
+    """The stages after the import, in the project.
 
     Attributes:
-        tell: called with a line of text for each epoch.
+        log: called with a line of text for each epoch.
     """
 
     project: Project
@@ -87,7 +89,7 @@ class InProject:
     plan: TrainPlan
     options: Facts
     stages: Stages
-    tell: Callable[[str], None]
+    log: Callable[[str], None]
 
     def run(self) -> Facts:
         """Runs all stages; returns the result of the last, `kitti_ap` or `sunrgbd_ap`."""
@@ -96,10 +98,8 @@ class InProject:
             config = self.plan.image if role is DetectorKind.IMAGE else self.plan.view
             settings: Facts = {"config": config.model_dump(mode="json"), "split_seed": self.plan.seed}
             self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
-        for role in (
-            DetectorKind.IMAGE,
-            DetectorKind.VIEW,
-        ):  # a run with other settings may have made its models the active ones
+        # a run with other settings may have activated its models
+        for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             number = self.stages.done[f"train-{role.value}"].result["model"]
             assert isinstance(number, int)  # written by `train`
             self.project.models.activate(number)
@@ -110,7 +110,7 @@ class InProject:
         return self.project.recordings.find(side).id
 
     def boxes(self) -> Facts:
-        """Creates 2D boxes from the 3D boxes of the training frames."""
+        """Creates 2D boxes from the 3D boxes on the training frames."""
         labels = labels_beside(self.project, [self._recording(TRAIN)])
         done = boxes_from_3d(self.project, labels, fraction=self.fraction, seed=self.seed)
         return {
@@ -164,7 +164,7 @@ class InProject:
                 "high, so repair them and run the same command again: completed work is kept"
             )
         run = self.project.jobs.all()[-1]
-        # includes frames that an interrupted run had done
+        # includes the frames of an interrupted run
         results = {r.frame_id: r for r in self.project.jobs.results(key=run.key, status=Status.DONE)}
         missing = [f for f in self.project.frames.of([self._recording(VAL)]) if f.id not in results]
         if missing:
@@ -197,4 +197,4 @@ class InProject:
 
     def _report(self, role: DetectorKind, step: TrainingProgress) -> None:
         if step.batch == step.batches:
-            self.tell(f"  {role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s")
+            self.log(f"  {role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s")

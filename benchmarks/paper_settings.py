@@ -111,7 +111,7 @@ def classes_of(dataset: Dataset, classes: Classes) -> tuple[str, ...]:
 
 
 def _with(start: TrainingConfig, model: str | None, epochs: int | None, size: int | None) -> TrainingConfig:
-    """The settings with those values replaced that are not None.
+    """The settings, with each value that is not None replaced.
 
     Raises:
         ValidationError: a number out of its range.

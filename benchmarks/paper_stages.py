@@ -22,7 +22,7 @@ class StageRecord(BaseModel):
 
     Attributes:
         stage: name of the stage.
-        settings: everything that the result depends on; `after` is the key of the stage before.
+        settings: everything on which the result depends; `after` is the key of the previous stage.
         seconds: duration.
         result: the stage's result.
     """
@@ -37,19 +37,19 @@ class StageRecord(BaseModel):
 
 @dataclass
 class Stages:
-    """Runs stages one after the other; each depends on its own settings and on all stages before it.
+    """Runs stages one after the other; each depends on its settings and on all previous stages.
 
-    Once a stage runs, all later stages run too, even if they have a record.
+    If a stage runs, all later stages run as well, even if they have a record.
 
     Attributes:
         folder: folder of the records, one JSON file per stage and settings.
-        tell: called with a line of text when a stage starts, ends or is skipped.
+        log: called with a line of text when a stage starts, ends or is skipped.
         done: the records so far, by stage.
         skipped: stages that an earlier run completed.
     """
 
     folder: Path
-    tell: Callable[[str], None]
+    log: Callable[[str], None]
     done: dict[str, StageRecord] = field(default_factory=dict)
     skipped: list[str] = field(default_factory=list)
     _last: str = ""
@@ -57,11 +57,11 @@ class Stages:
     def run(
         self, stage: str, settings: Facts, work: Callable[[], Facts], is_kept: Callable[[Facts], bool] | None = None
     ) -> Facts:
-        """Runs a stage, or takes its result from an earlier run.
+        """Runs a stage, or returns its result from an earlier run.
 
         Args:
             stage: name of the stage.
-            settings: what the result depends on, besides the stages before.
+            settings: everything on which the result depends besides the previous stages.
             work: does the work. It must resume or restart after an interrupted run.
             is_kept: returns whether the files or rows that an earlier result refers to still exist.
 
@@ -76,16 +76,16 @@ class Stages:
         all_before = len(self.skipped) == len(self.done)
         if record is not None and all_before and (is_kept is None or is_kept(record.result)):
             self.skipped.append(stage)
-            self.tell(f"{stage}: done already, in {record.seconds:.1f} s")
+            self.log(f"{stage}: already done (took {record.seconds:.1f} s)")
         else:
-            self.tell(f"{stage} ...")
+            self.log(f"{stage} ...")
             begin = time.perf_counter()
             result = dict(work())
             seconds = time.perf_counter() - begin
             record = StageRecord(stage=stage, settings=all_settings, seconds=seconds, result=result)
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(path, record.model_dump_json(indent=1))
-            self.tell(f"{stage}: {seconds:.1f} s")
+            self.log(f"{stage}: {seconds:.1f} s")
         self.done[stage], self._last = record, key
         return record.result
 

@@ -38,7 +38,7 @@ Ap = Mapping[str, Mapping[str, Mapping[str, Sequence[float]]] | None]
 
 
 def paper_of_kitti(fraction: float) -> dict[str, JsonValue]:
-    """The paper's row for this share of the training data; all its rows if it has none for the share."""
+    """The paper's row for this share of the training data; all its rows if the paper has no row for this share."""
     rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
     return {
         "table": KITTI_SOURCE,
@@ -65,20 +65,20 @@ def kitti_ap(
         classes: our classes.
         true_classes: the classes of the true objects.
     """
-    nothing: dict[str, JsonValue] = {
+    zeros: dict[str, JsonValue] = {
         metric.value: {recalls: [0.0] * len(DIFFICULTIES) for recalls in ("R11", "R40")} for metric in Metric
     }
-    return {label: report.get(label, nothing) if label in true_classes else None for label in classes}
+    return {label: report.get(label, zeros) if label in true_classes else None for label in classes}
 
 
 def kitti_table(ours: Ap, fraction: float) -> Table:
-    """One row per class and metric of ours, each followed by the paper's R40 if it has one."""
+    """One row per class and metric with our figures, each followed by the paper's R40 if the paper has one."""
     heads = [f"{recall} {level}" for recall in ("R11", "R40") for level in DIFFICULTIES]
-    table = Table("class", "metric", "whose", *heads)
+    table = Table("class", "metric", "source", *heads)
     rows = {share: row for share, row in KITTI_ROWS.items() if share == fraction} or KITTI_ROWS
     for label, metrics in ours.items():
         if metrics is None:
-            table.add(label, "", "no truth", *[""] * len(heads))
+            table.add(label, "", "no true objects", *[""] * len(heads))
             continue
         for metric, ap in metrics.items():
             table.add(label, metric, "ours", *ap["R11"], *ap["R40"])
@@ -104,8 +104,8 @@ def sunrgbd_ap(report: Mapping[str, Mapping[str, Mapping[str, float]]], classes:
 
 
 def sunrgbd_table(ours: Mapping[str, Mapping[str, JsonValue]], classes: Sequence[str]) -> Table:
-    """One row of ours per threshold, and the paper's row."""
-    table = Table("whose", "IoU", *classes, "mAP")
+    """One row with our figures per threshold, and the paper's row."""
+    table = Table("source", "IoU", *classes, "mAP")
     for threshold, figures in ours.items():
         ap = figures["AP"]
         assert isinstance(ap, dict)  # built by `sunrgbd_ap`

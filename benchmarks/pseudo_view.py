@@ -36,7 +36,7 @@ class Arguments:
 
 
 def frustum(points: int, rng: np.random.Generator) -> PointCloud:
-    """A coloured cloud like that of a depth camera: a surface with relief, two metres away, in pixel order."""
+    """A coloured cloud as from a depth camera: a wavy surface two metres away, in pixel order."""
     side = int(np.ceil(np.sqrt(points)))
     v, u = np.divmod(np.arange(points), side)
     x, y = (u / side - 0.5) * 1.2, (v / side - 0.5) * 1.2
@@ -56,7 +56,7 @@ def check(args: Arguments) -> None:
     ):
         wrong = next((value for value in values if not low <= value <= high), None)
         if not values or wrong is not None:
-            raise ConfigError(f"{flag} must be {low} to {high}, not {'nothing' if wrong is None else wrong}")
+            raise ConfigError(f"{flag} must be {low} to {high}, not {'empty' if wrong is None else wrong}")
 
 
 def run(args: Arguments) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Long recordings at little cost: a recording that repeats a few generated frames, and a perfect detector for it."""
+"""Long recordings in little time: a recording that repeats a few generated frames, and a perfect detector for it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ FOLDERS = {"color": ".jpg", "depth": ".png"}
 
 @dataclass(frozen=True)
 class Repeating:
-    """A perfect detector for a recording that repeats its first frames: of 4, frame `000007` is `000003`.
+    """A perfect detector for a recording that repeats its first frames; with 4, `000007` is the same as `000003`.
 
     Attributes:
         first: perfect detector of the first frames.
-        different: their number.
+        different: number of the first frames.
     """
 
     first: Any

@@ -25,14 +25,13 @@ class Table:
         self._table.add_row(*(f"{c:.3f}" if isinstance(c, float) else str(c) for c in cells))
 
     def show(self) -> None:
-        # wide enough that nothing is cut where there is no terminal
+        # without a terminal, wide enough for all columns
         console = Console()
         (console if console.is_terminal else Console(width=140)).print(self._table)
 
 
 def guarded(main: Callable[[], None]) -> None:
-    """Runs a benchmark; unusable input ends it with one line on standard error and exit code 2, or with `--debug` a
-    traceback."""
+    """Runs a benchmark; on unusable input, exits with code 2 after one line on stderr (with `--debug`, a traceback)."""
     debug = "--debug" in sys.argv
     sys.argv = [word for word in sys.argv if word != "--debug"]
     try:
@@ -53,7 +52,7 @@ def finish(result: Mapping[str, object], as_json: bool, *tables: Table) -> None:
 
 
 def _plain(value: object) -> object:
-    """The value with NaN and infinities, which JSON does not have, replaced by None."""
+    """The value with NaN and infinities, which JSON cannot represent, replaced by None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -35,7 +35,7 @@ WALL_M = 2.5
 OF_STEP = ("axes", "render", "fit", "cut", "trace", "check", "rest")
 OF_FRAME = ("frustum", "normals", "finish")
 DETECTOR = "detector stand-in"
-# Names of the steps in order; the last name is that of all later steps. WARM: of a recursion that starts from a seed.
+# Names of the steps in order; the last name also stands for all later steps. WARM: of a recursion with a start box.
 PLAIN, WARM = ("camera", "wide", "near"), ("warm", "warm again")
 
 
@@ -54,7 +54,7 @@ class Arguments:
 
 
 def scene(points: int, seed: int) -> tuple[Frame, Truth]:
-    """A rotated box before a wall, seen by a depth camera; sized so that its frustum holds about `points` points."""
+    """A rotated box in front of a wall, in a depth camera's frame; its frustum has about `points` points."""
     rng = np.random.default_rng(seed)
     rotation = Rotation.from_rotvec(np.array([0.5, 0.6, -0.4]) + rng.normal(0, 0.05, 3)).as_matrix()
     size = np.array([0.4, 0.25, 0.18])
@@ -81,13 +81,15 @@ def _depth(box: OrientedBox) -> np.ndarray:
 
 
 def previous_box(box: OrientedBox, rng: np.random.Generator) -> WarmStart:
-    """A seed: the box of the previous frame, slightly shifted and rotated."""
+    """A warm start: the box of the previous frame, slightly shifted and rotated."""
     turn = Rotation.from_rotvec(rng.normal(0, 0.08, 3)).as_matrix()
     shift = rng.normal(0, 0.03, 3) * box.size_m.max()
     return WarmStart("thing", OrientedBox.from_parts(box.center_m + shift, turn @ box.rotation, box.size_m))
 
 
-def timed_frame(watch: Stopwatch, frame: Frame, truth: Truth, seeds: Sequence[WarmStart], config: RcvConfig) -> int:
+def timed_frame(
+    watch: Stopwatch, frame: Frame, truth: Truth, warm_starts: Sequence[WarmStart], config: RcvConfig
+) -> int:
     """Proposes on one frame and times the stages; returns the number of points in the object's frustum."""
     detector = PerfectDetector.for_frame(frame, [truth], jitter=0.01)
     boxes = detector.detect([frame])
@@ -105,7 +107,7 @@ def timed_frame(watch: Stopwatch, frame: Frame, truth: Truth, seeds: Sequence[Wa
         (measure, "fit_box", "fit"),
         (detector, "detect", DETECTOR),
     ):
-        propose.propose_from_boxes([frame], boxes, detector, config, [seeds])
+        propose.propose_from_boxes([frame], boxes, detector, config, [warm_starts])
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, boxes[0][0])
     with watch.stage("normals"):
         with_normals(frame, mask, config)
@@ -139,9 +141,9 @@ def run(args: Arguments) -> dict[str, object]:
     watches, points = {"plain": Stopwatch(OF_FRAME), "warm": Stopwatch(OF_FRAME)}, []
     for repeat in range(args.repeats + 1):
         frame, truth = scene(args.points, repeat)
-        seed = previous_box(truth.box, np.random.default_rng(repeat))
+        warm_start = previous_box(truth.box, np.random.default_rng(repeat))
         for path, watch in watches.items():
-            points.append(timed_frame(watch, frame, truth, [] if path == "plain" else [seed], config))
+            points.append(timed_frame(watch, frame, truth, [] if path == "plain" else [warm_start], config))
             if repeat == 0:
                 watch.reset()  # the first frame fills caches
     rows = [row for path, watch in watches.items() for row in _rows(path, watch)]
@@ -158,7 +160,7 @@ def _rows(path: str, watch: Stopwatch) -> list[dict[str, object]]:
     """For each kind of step, the median time of each stage and its share."""
     by_kind: dict[str, list[Mapping[str, float]]] = defaultdict(list)
     for steps in watch.runs:
-        # more steps mean that the seed was dropped and the object restarted without it
+        # more steps mean that the start box was dropped and the object restarted without it
         names = WARM if path == "warm" and len(steps) <= len(WARM) else PLAIN
         for number, stages in enumerate(steps):
             by_kind[names[min(number, len(names) - 1)]].append(stages)

@@ -1,4 +1,4 @@
-"""A profiler by stage: times functions of the program, which are patched while they run."""
+"""A profiler by stage: measures the time of functions of the program, which are patched temporarily."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Stopwatch:
-    """CPU seconds of this thread by stage. In nested stages, time counts for the innermost one.
+    """CPU seconds of this thread by stage. The time of nested stages counts for the innermost one.
 
     CPU time does not include waiting; other programs affect it only through shared caches.
 
@@ -48,8 +48,8 @@ class Stopwatch:
         """Times one run.
 
         Args:
-            functions: for each function, the module or object where it is looked up, its name there, the stage that its
-                time counts for, and True if a call starts a new step.
+            functions: for each function, its module or object, its name there, the stage to which its time is added,
+                and True if a call starts a new step.
         """
         self.runs.append([])
         with ExitStack() as stack:

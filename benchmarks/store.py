@@ -1,4 +1,4 @@
-"""Times the database of a large project: adding frames, writing proposals, querying the frames that are left to do.
+"""Times the database of a large project: adding frames, writing proposals, querying the pending frames.
 
 python -m benchmarks.store [--frames 10000] [--json]
 """
@@ -28,7 +28,7 @@ LABEL = "person"
 
 @dataclass
 class Arguments:
-    """Time a project with one long recording; each operation once, writing proposals as a median over the frames."""
+    """Time each operation on a project with one long recording; for writing proposals, the median over the frames."""
 
     frames: int = 10_000
     """Number of frames of the recording."""

@@ -1,12 +1,13 @@
-"""Quality of the tracks that boxes are linked into, compared with the true tracks.
+"""Quality of the tracks from the linking of boxes, compared with the true tracks.
 
 python -m benchmarks.tracks RECORDING [--json]
 
 The true boxes of a recording are linked without their ids: unchanged, and with Gaussian noise on every centre, side and
-angle (`CASES`: a share of the side, and the same number as an angle in radians), with and without missing boxes. IDF1
-and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + found) with the assignment of whole tracks
-that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking, 2016); a
-switch is counted where a true object has another id than in its previous frame.
+angle (`CASES`: as a share of the side, and the same number as an angle in radians), with and without missing boxes.
+
+IDF1 and id switches are defined as in MOTChallenge: IDF1 = 2 IDTP / (true + linked boxes) with the assignment of whole
+tracks that maximises it (Ristani et al., Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking,
+2016). A switch is counted if the id of a true object differs from its id in the previous frame.
 """
 
 from __future__ import annotations
@@ -86,8 +87,8 @@ def measure(
     """Measures one case of one recording. Every true box needs a track id. `is_still` as in `smoothed`."""
     rng = np.random.default_rng(seed)
     visible = [[truth for truth in frame if rng.random() >= missing] for frame in frames]
-    seen = [[Seen(truth.label, add_noise(truth.box, noise, rng)) for truth in frame] for frame in visible]
-    tracks = link(seen, times, TrackingConfig())
+    boxes_by_frame = [[Seen(truth.label, add_noise(truth.box, noise, rng)) for truth in frame] for frame in visible]
+    tracks = link(boxes_by_frame, times, TrackingConfig())
     ids = {member: number for number, track in enumerate(tracks) for member in track.members}
     true = {(p, n): truth.track_id or 0 for p, frame in enumerate(visible) for n, truth in enumerate(frame)}
     smooth: dict[tuple[int, int], OrientedBox] = {}
@@ -96,7 +97,10 @@ def measure(
         smooth |= dict(zip(track.members, smoothed(boxes, TrackingConfig(), is_still), strict=True))
     members = sorted(true)
     truths = [visible[place][number].box for place, number in members]
-    before, after = [seen[place][number].box for place, number in members], [smooth[member] for member in members]
+    before, after = (
+        [boxes_by_frame[place][number].box for place, number in members],
+        [smooth[member] for member in members],
+    )
     return Measured(
         len(true),
         len(set(true.values())),
@@ -121,24 +125,24 @@ def add_noise(box: OrientedBox, noise: float, rng: np.random.Generator) -> Orien
     return relabelled(noisy, FLIP) if rng.random() < FLIPPED else noisy
 
 
-def idf1(true: Sequence[int], found: Sequence[int]) -> float:
-    """IDF1 from the true and the found id of each box, where every true box is matched."""
-    rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, found))
+def idf1(true: Sequence[int], linked: Sequence[int]) -> float:
+    """IDF1 from the true id and the id after linking of each box; every true box is matched."""
+    rows, columns = (np.unique(ids, return_inverse=True)[1] for ids in (true, linked))
     together = np.zeros((rows.max() + 1, columns.max() + 1))
     np.add.at(together, (rows, columns), 1)
     assignment = linear_sum_assignment(-together)
-    return float(2 * together[assignment].sum() / (len(true) + len(found)))
+    return float(2 * together[assignment].sum() / (len(true) + len(linked)))
 
 
 def switches(
-    members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], found: dict[tuple[int, int], int]
+    members: Sequence[tuple[int, int]], true: dict[tuple[int, int], int], linked: dict[tuple[int, int], int]
 ) -> int:
-    """How often a true object has another id than in its previous frame; `members` in order of time."""
+    """Number of times that the id of a true object changes between its frames; `members` in order of time."""
     last: dict[int, int] = {}
     count = 0
     for member in members:
-        count += last.get(true[member], found[member]) != found[member]
-        last[true[member]] = found[member]
+        count += last.get(true[member], linked[member]) != linked[member]
+        last[true[member]] = linked[member]
     return count
 
 
@@ -155,7 +159,7 @@ def main() -> None:
         frames.append(load_truth(recording, index, frame))
         times_ns.append(frame.timestamp_ns)
     if any(truth.track_id is None for objects in frames for truth in objects):
-        raise ConfigError(f"{arguments.recording}: its labels have no track ids")
+        raise ConfigError(f"{arguments.recording}: some labels have no track ids")
     times = frame_times(times_ns).tolist()
     is_still = not isinstance(recording, KittiFolder)
     heads = ("boxes", "tracks", "found", "IDF1", "switches", "IoU", "smoothed", "flipped", "flipped, smoothed")

@@ -42,7 +42,7 @@ class Arguments:
     boxes: int = 24
     """Number of image boxes to draw."""
     kills: int = 50
-    """How often to kill the server."""
+    """How often the server is killed."""
     clients: int = 20
     """Number of simultaneous clients on one frame."""
     edits: int = 5

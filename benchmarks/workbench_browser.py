@@ -2,7 +2,7 @@
 
 A probe in the page checks at each animation frame which images the editors show. For the 3D view it detects when the
 points of another cloud are uploaded to WebGL and drawn. It then reads one pixel, which blocks until the drawing is
-done, and takes the time. (Reading pixels at every animation frame would cost more than what is measured.)
+done, and takes the time. (Reading pixels at every animation frame would take longer than the measured operation.)
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ ARGS = (
 )
 VIEWPORT = {"width": 1366, "height": 768}
 OPENS_WITHIN_S = 90.0
-# A measurement fails if the content is not on screen within WATCH_S. It ends when nothing has changed for QUIET_S, so
-# that detail that loads later is not counted in the next measurement.
+# A measurement fails if the content is not on screen within WATCH_S. It ends after QUIET_S without a change, so that
+# details that load later are not counted in the next measurement.
 WATCH_S, QUIET_S = 8.0, 1.5
 # A buffer of at least this size is a point cloud; lines and arrows are smaller.
 CLOUD_BYTES = 30_000
 
-# Measures from the next `trigger` event: the images of the selector, and the 3D view if asked for.
+# Measures from the next `trigger` event: the images of the selector, and optionally the 3D view.
 PROBE = """([trigger, selector, is_view_watched, quiet_ms, longest_ms]) => {
   const pictures = () => [...document.querySelectorAll(selector)].map((i) => (i.complete ? i.src : "")).join(" ");
   let seen = pictures();
@@ -138,7 +138,7 @@ def chromium() -> Iterator[Browser]:
 
 
 def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
-    """A signed-in page in a browser context of its own."""
+    """A signed-in page in a separate browser context."""
     page = browser.new_context(base_url=server.url, viewport=VIEWPORT).new_page()  # type: ignore[arg-type]
     page.add_init_script(f"({BEGINNINGS})()")
     page.request.post("/api/session", data={"operator": operator}, headers={"Origin": server.url})
@@ -158,17 +158,17 @@ def until(page: Page, expression: str, seconds: float) -> None:
     """Waits until a JavaScript expression is true.
 
     Raises:
-        ConfigError: it is not true within the time.
+        ConfigError: the time has expired.
     """
     end = time.monotonic() + seconds
     while not page.evaluate(expression):
         if time.monotonic() > end:
-            raise ConfigError(f"not true within {seconds:.0f} s: {expression}")
+            raise ConfigError(f"timed out after {seconds:.0f} s waiting for: {expression}")
         page.wait_for_timeout(50)
 
 
 def watch(page: Page, trigger: str, selector: str, with_view: bool) -> None:
-    """Starts a measurement at the next `trigger` event; includes the 3D view only if asked, since that takes time."""
+    """Starts a measurement at the next `trigger` event; `with_view` includes the 3D view, which takes more time."""
     page.evaluate(PROBE, [trigger, selector, with_view, QUIET_S * 1000, WATCH_S * 1000])
 
 

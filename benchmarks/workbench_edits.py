@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 SIZE_M = [0.5, 0.6, 1.7]
 IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-# Shortest and longest time of editing before the server is killed, seconds.
+# Minimum and maximum time of editing before the server is killed, seconds.
 LIVES_S = (0.3, 2.5)
 # Time limit for all clients to connect, seconds.
 READY_WITHIN_S = 90.0
@@ -34,7 +34,7 @@ Stored = dict[str, tuple[str, float]]
 
 
 def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> dict[str, Any]:
-    """Edits a frame, kills the server meanwhile, and compares what is stored; repeated `times` times."""
+    """Edits a frame, kills the server meanwhile, and checks the stored labels; repeated `times` times."""
     chance = random.Random(seed)
     acknowledged = lost = 0
     for _ in range(times):
@@ -56,7 +56,7 @@ class _Script:
 
     Attributes:
         known: labels after the last acknowledged edit.
-        expected: labels if the pending edit was stored without being acknowledged.
+        expected: labels after the pending edit, which may be stored before it is acknowledged.
         acknowledged: number of acknowledged edits.
     """
 
@@ -82,12 +82,12 @@ class _Script:
                 (uid,) = _labels(state).keys() - self.known.keys()
                 self.expected = {**self.known, uid: self.expected["?"]}
             if _labels(state) != self.expected:
-                raise ConfigError(f"the answer to {change['kind']} does not show it")
+                raise ConfigError(f"the response to a change of kind {change['kind']} does not contain the change")
             self.known, self._revision = self.expected, state["frame"]["revision"]
             self.acknowledged += 1
 
     def accounts_for(self, stored: Stored) -> bool:
-        """Whether all acknowledged edits are stored, and besides them at most the pending one."""
+        """Whether all acknowledged edits are stored, and at most the pending edit in addition."""
         new = stored.keys() - self.known.keys()
         if "?" in self.expected and len(new) == 1:
             return stored == {**self.known, new.pop(): self.expected["?"]}
@@ -133,9 +133,9 @@ def _stored(projects: Path, name: str, frame: int) -> Stored:
 
 @dataclass
 class _Listener:
-    """A client's event socket: when each revision was announced."""
+    """A client's event socket, and the time at which each revision was announced."""
 
-    heard_s: dict[int, float] = field(default_factory=dict)
+    announced_s: dict[int, float] = field(default_factory=dict)
 
     def listen(self, server: Server, cookies: str, project: str, frame: int, ready: threading.Barrier) -> None:
         url = server.url.replace("http", "ws", 1) + f"/api/events?project={project}"
@@ -146,7 +146,7 @@ class _Listener:
                 while True:
                     event = json.loads(socket.recv(timeout=5))
                     if event["type"] == "frame" and event["frame"] == frame:
-                        self.heard_s.setdefault(event["revision"], time.time())
+                        self.announced_s.setdefault(event["revision"], time.time())
             except (TimeoutError, ConnectionClosed):
                 return
 
@@ -156,8 +156,8 @@ def clients(
 ) -> dict[str, Any]:
     """Lets several clients add boxes to one frame at once while two browsers show it; counts lost and late edits.
 
-    A client whose edit is refused for a stale revision takes the current revision and sends the edit again, after a
-    short delay like that of a person.
+    If an edit is refused for a stale revision, the client sends it again with the current revision, after a short
+    delay like that of a person.
     """
     path = f"/api/projects/{project}/frames/{frame}"
     with server.client() as client:
@@ -203,13 +203,18 @@ def clients(
             listening.result()
 
     with ThreadPoolExecutor(2 * number) as pool:
-        for waiting in [pool.submit(edit, n) for n in range(number)]:
-            _pump(waiting, pages)
+        for future in [pool.submit(edit, n) for n in range(number)]:
+            _pump(future, pages)
     with server.client() as client:
         after = _labels(answered(client.get(path)))
-    late = [heard[r] - at for heard in (entry.heard_s for entry in listeners) for r, at in saved.items() if r in heard]
-    unheard = sum(r not in entry.heard_s for entry in listeners for r in saved)
-    shown = [_shown_late(page, len(before), saved) for page in pages]
+    late = [
+        announced[r] - at
+        for announced in (entry.announced_s for entry in listeners)
+        for r, at in saved.items()
+        if r in announced
+    ]
+    missed = sum(r not in entry.announced_s for entry in listeners for r in saved)
+    shown = [_display_delays(page, len(before), saved) for page in pages]
     for page in pages:
         page.context.close()
     return {
@@ -218,7 +223,7 @@ def clients(
         "refused_as_stale": len(refused),
         "lost": sum(after.get(uid, ("", None))[1] != x for uid, x in created.items()) + number * edits - len(created),
         "crossed": len(after) - len(before) - number * edits,
-        "events_missed": unheard,
+        "events_missed": missed,
         "event_p95_s": percentile(late, 95),
         "event_max_s": max(late, default=float("nan")),
         "browsers": len(pages),
@@ -238,17 +243,17 @@ COUNT_ROWS = """() => {
 }"""
 
 
-def _pump(waiting: Any, pages: list[Page]) -> None:
+def _pump(future: Any, pages: list[Page]) -> None:
     """Waits for a client; meanwhile the browser's events are processed."""
-    while not waiting.done():
+    while not future.done():
         if pages:
             pages[0].wait_for_timeout(100)
         else:
             time.sleep(0.05)
-    waiting.result()
+    future.result()
 
 
-def _shown_late(page: Page, before: int, saved: dict[int, float]) -> dict[str, Any]:
+def _display_delays(page: Page, before: int, saved: dict[int, float]) -> dict[str, Any]:
     """Delay from each save until the page lists the number of boxes, seconds."""
     page.wait_for_timeout(1500)
     rows: list[list[float]] = page.evaluate("window.rows")

@@ -1,4 +1,4 @@
-"""A workbench server in a process of its own (`annotator serve`), and its clients."""
+"""A workbench server in a separate process (`annotator serve`), and its clients."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Server:
     def __init__(self, projects: Path) -> None:
         port = _free_port()
         self.url = f"http://127.0.0.1:{port}"
-        words = ["-m", "annotator", "serve", "--projects", str(projects), "--port", str(port)]
+        arguments = ["-m", "annotator", "serve", "--projects", str(projects), "--port", str(port)]
         self._process = subprocess.Popen(
-            [sys.executable, *words], env=os.environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [sys.executable, *arguments], env=os.environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._wait()
 
@@ -107,7 +107,7 @@ def make_people(folder: Path, frames: int, width_px: int, height_px: int) -> Pat
 
 
 def make_project(projects: Path, name: str, classes: Sequence[str], recordings: Sequence[Path]) -> None:
-    """Creates a project with these recordings; their own boxes become labels."""
+    """Creates a project with these recordings; their boxes become labels."""
     from annotator.project import create_project
     from annotator.recordings import open_recording
     from annotator.workflows.add_recordings import register_recording

@@ -45,8 +45,8 @@ def default_augmentation(role: DetectorKind, free_rotation: bool) -> Augmentatio
     return Augmentation(flip_horizontal=0.5, flip_vertical=0.5 if free_rotation else 0.0, quarter_turns=free_rotation)
 
 
-def _present_name(optimizer: Any) -> Any:
-    """The present name of a stored optimiser: before version 0.2, our MuonSgd was stored as "MuSGD"."""
+def _current_name(optimizer: Any) -> Any:
+    """The current name of a stored optimiser; before version 0.2, MuonSgd was stored as "MuSGD"."""
     return "MuonSgd" if optimizer == "MuSGD" else optimizer
 
 
@@ -74,7 +74,7 @@ class TrainingConfig(BaseModel):
         None, ge=1, description="epochs between validations; None: about 12 validations per run"
     )
 
-    optimizer: Annotated[Literal["MuonSgd", "AdamW", "SGD"], BeforeValidator(_present_name)] = Field(
+    optimizer: Annotated[Literal["MuonSgd", "AdamW", "SGD"], BeforeValidator(_current_name)] = Field(
         "MuonSgd", description="MuonSgd: `annotator/detection/muon.py`; the others are torch's"
     )
     learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")
@@ -115,10 +115,10 @@ class DetectorConfig(BaseModel):
         0.05,
         ge=0,
         le=1,
-        description="boxes with a lower score are dropped; low, because the 3D method weights boxes by score",
+        description="boxes with a lower score are dropped; keep it low, since the 3D method weights boxes by score",
     )
     iou: float = Field(
-        0.6, ge=0, le=1, description="IoU above which, of two boxes of a class, only the better one is kept"
+        0.6, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
     device: str = Field("auto", description="auto, cpu, cuda, cuda:1, mps")
     backend: Backend = Field(

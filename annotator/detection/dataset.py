@@ -25,7 +25,7 @@ from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError
 
 JPEG_QUALITY = 95
-# A box with a shorter side than this inside the image is not a label, pixels.
+# Boxes whose part inside the image has a shorter side are dropped, pixels.
 MIN_SIDE_PX = 1.0
 SPLITS: tuple[Split, Split] = ("train", "val")
 
@@ -38,7 +38,7 @@ class TrainingSample:
 
     Attributes:
         rgb: (H, W, 3) uint8 in RGB order, a function that returns it, or an image file.
-        boxes: its labels, in pixels of this image; none = no object is visible.
+        boxes: its labels, in pixels of this image; empty if no object is visible.
         group: key of the source frame; images of one group are never split between training and validation.
         origin: where the boxes come from, such as "drawn", "imported" or "projected".
         label_uids: uids of the source labels, for the first boxes; may be shorter than `boxes`.
@@ -70,7 +70,7 @@ class TrainingSample:
 
 @dataclass(frozen=True)
 class _Written:
-    """A sample that is written to the temporary folder."""
+    """A sample that has been written to the temporary folder."""
 
     stem: str
     group: str
@@ -100,7 +100,7 @@ def write_dataset(
         samples: at least one of them must have a box.
         classes: all class names, in the order of the class numbers.
         val_share: share of the groups used for validation, 0 to 0.9. If fewer than two groups have boxes, the
-            training images are used for validation, and the manifest says so.
+            training images are used for validation, and the manifest records this.
         seed: seed of the split. The split depends only on the seed and the group names.
         kind: what the boxes measure; recorded in the manifest.
         image_format: png is lossless; jpg (quality 95) suits large camera images.
@@ -126,7 +126,7 @@ def write_dataset(
 
 
 def yolo_line(box: Box2D, width_px: int, height_px: int, class_number: int) -> str | None:
-    """`class cx cy w h` as shares of the image size, clipped to the image; None if the box is outside."""
+    """`class cx cy w h` as shares of the image size, clipped to the image; None if the box is outside or too small."""
     cut = clip_to_image(box, width_px, height_px, MIN_SIDE_PX)
     if cut is None:
         return None
@@ -170,19 +170,19 @@ def _write_sample(
 
 
 def _val_groups(written: Sequence[_Written], val_share: float, seed: int) -> frozenset[str]:
-    """The validation groups: the same share of the groups with boxes and of those without."""
+    """The validation groups: the same share of the groups with boxes and of the groups without."""
     with_boxes = {item.group for item in written if item.boxes}
     if not with_boxes:
         raise DetectionError("a training set needs at least one labelled box; label some frames first")
 
-    def draw(groups: set[str], most: int) -> list[str]:
+    def pick(groups: set[str], most: int) -> list[str]:
         ranked = sorted(groups, key=lambda group: hashlib.sha256(f"{seed}:{group}".encode()).digest())
-        wanted = max(round(val_share * len(ranked)), 1) if val_share else 0
-        return ranked[: min(wanted, most)]
+        count = max(round(val_share * len(ranked)), 1) if val_share else 0
+        return ranked[: min(count, most)]
 
-    held = draw(with_boxes, len(with_boxes) - 1)
+    validation = pick(with_boxes, len(with_boxes) - 1)
     empty = {item.group for item in written} - with_boxes
-    return frozenset(held + (draw(empty, len(empty) // 2) if held else []))
+    return frozenset(validation + (pick(empty, len(empty) // 2) if validation else []))
 
 
 def _move(temporary: Path, item: _Written, split: Split, image_format: str) -> None:

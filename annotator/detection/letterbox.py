@@ -1,4 +1,4 @@
-"""Puts images of any size into a batch for a network, and maps boxes back to the images."""
+"""Combines images of any size into batches for a network, and maps boxes back to the images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float, Float64, Int64, UInt8
 
 # Grey of the border. Networks are trained with it, and pseudo-views have it as background.
 GREY = 114
-# Canvases up to this size are square: a wider border costs less time than batches of several canvas sizes.
+# Canvases up to this size are square: wider borders take less time than several canvas sizes.
 SQUARE_UP_TO_PX = 128
 
 
@@ -76,8 +76,8 @@ def to_pictures(
 ) -> Float64[np.ndarray, "k 4"]:
     """Maps boxes from canvases to their images, and clips them to the images.
 
-    Resizing preserves image corners, so the mapping measures from the corner of the first pixel. The result measures
-    from its centre, half a pixel further in.
+    Resizing preserves image corners, so the mapping measures from the corner of the first pixel. The result is
+    measured from its centre, half a pixel further in.
 
     Args:
         boxes: x_min y_min x_max y_max, pixels from the corner of the canvas.

@@ -43,9 +43,9 @@ class DatasetManifest(BaseModel):
         version: of this file's format.
         sha256: hash of all images, labels, classes and the split.
         classes: names, in the order of the class numbers in the label files.
-        kind: what the boxes measure; None for boxes on camera images, where it does not matter.
+        kind: what the boxes measure; None for boxes on camera images.
         seed, val_share: parameters of the split.
-        measured_on: "train" if there were too few groups for a validation set; the metrics are then too optimistic.
+        measured_on: the split of the metrics; "train", which is too optimistic, if there were too few groups.
         images: number of images by split.
         boxes_by_class: number of boxes by split and class.
         images_by_origin: number of images by split and origin.

@@ -17,9 +17,9 @@ from annotator.types.errors import DetectionError
 class NearestCluster:
     """Detects the cluster of points nearest to the camera, on every pseudo-view of a frustum.
 
-    This works for objects with free space around them, such as a hand in the air or a box on a pole. It fails if the
-    object touches the floor, a table or another object, because the cluster then includes them. Such objects need a
-    trained view detector.
+    This works for objects with free space around them, such as a hand in the air or a box on a pole. If the
+    object touches the floor, a table or another object, the cluster includes that as well. Such objects need a trained
+    view detector.
     """
 
     box_kind = BoxKind.SILHOUETTE
@@ -33,7 +33,7 @@ class NearestCluster:
             min_share: clusters with a smaller share of the points are ignored as noise.
 
         Raises:
-            ValueError: no label, a gap that is not positive, or a share outside 0..1.
+            ValueError: no labels, a gap of 0 or less, or a share outside 0..1.
         """
         if not labels or not gap_m > 0 or not 0 <= min_share <= 1:
             raise ValueError(f"needs a label, gap_m > 0 and min_share in 0..1, not {labels}, {gap_m} and {min_share}")
@@ -50,28 +50,28 @@ class NearestCluster:
         return f"nearest-cluster-1 {self._labels} {self._gap_m} {self._min_share}"
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """One box per class on each pseudo-view; none on a view without points.
+        """One box per class on each pseudo-view; no box on a view without points.
 
         Raises:
             DetectionError: an image is not a pseudo-view, so it has no points.
         """
         # the views of one step share their points
         groups: dict[int, Float32[np.ndarray, "k 3"]] = {}
-        found = []
+        boxes_per_view = []
         for view in images:
             if not isinstance(view, PseudoView):
                 raise DetectionError(f"NearestCluster takes pseudo-views only, not {type(view).__name__}")
             if id(view.xyz_m) not in groups:
                 groups[id(view.xyz_m)] = view.xyz_m[self._nearest(view.xyz_m)]
-            found.append(self._boxes(view, groups[id(view.xyz_m)]))
-        return found
+            boxes_per_view.append(self._boxes(view, groups[id(view.xyz_m)]))
+        return boxes_per_view
 
     def _boxes(self, view: PseudoView, xyz_m: Float32[np.ndarray, "k 3"]) -> list[Box2D]:
         if not len(xyz_m):
             return []
         xy = xyz_m @ view.axes[:2].T
         span = np.stack([xy.min(axis=0), xy.max(axis=0)], axis=1)
-        # points count as one pixel wide, so that a flat cluster has a valid box
+        # points are treated as one pixel wide, so that a flat cluster has a valid box
         half = view.metres_per_px / 2
         return [view.box_px(span + np.array([-half, half]), label) for label in self._labels]
 

@@ -1,4 +1,4 @@
-"""A detector that answers from ground truth, exactly or with noise, to measure the method without detector errors."""
+"""A detector that returns ground-truth boxes, exact or with noise, to measure the method without detector errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Region, Truth
 from annotator.types.errors import DetectionError
 
-# A detected box is never thinner than this, pixels.
+# Minimum width and height of a detected box, pixels.
 MIN_SIDE_PX = 1.0
 
 
@@ -49,8 +49,8 @@ class PerfectDetector:
     """Image and pseudo-view detector in one, from the true 3D boxes of given frames.
 
     On a `Frame`, or a `Region` of one, it returns the 2D extent of each object's 3D box (for silhouettes: of its
-    points). On a `PseudoView` it returns the same for each object of which the view shows enough points. Boxes are
-    clipped to the image. Other frames are refused.
+    points). On a `PseudoView`, it returns the same for each object of which the view shows enough points. Boxes are
+    clipped to the image. Other frames raise an error.
     """
 
     def __init__(
@@ -64,13 +64,14 @@ class PerfectDetector:
     ) -> None:
         """
         Args:
-            scenes: the frames that it can answer for.
+            scenes: the frames with their ground truth.
             kind: what the boxes measure.
             jitter: standard deviation of the noise on each edge, as a share of the view's extent in that direction
                 (on a camera image: of the box's extent).
             seed: seed of the noise, which depends on the image, not on the order of calls.
             min_points: objects with fewer points in the cloud are not detected.
-            min_view_share: an object is detected on a view that shows at least this share of its points, and 3.
+            min_view_share: an object is detected on a view that shows at least this share of its points, and at least
+                3 points.
 
         Raises:
             ValueError: two scenes with one key.
@@ -126,22 +127,22 @@ class PerfectDetector:
         """
         # The views of one step share their points, so each cloud is searched once.
         counted: dict[int, tuple[Scene | None, Int64[np.ndarray, "k"]]] = {}
-        answers = []
+        detections = []
         for image in images:
             if isinstance(image, Frame):
-                answers.append(self._on_image(image))
+                detections.append(self._on_image(image))
             elif isinstance(image, Region) and isinstance(image.of, Frame):
-                answers.append([box for whole in self._on_image(image.of) if (box := _on_region(image, whole))])
+                detections.append([box for whole in self._on_image(image.of) if (box := _on_region(image, whole))])
             elif isinstance(image, PseudoView):
                 known = counted.get(id(image.xyz_m))
                 if known is None:
                     known = counted[id(image.xyz_m)] = self._count(image.xyz_m)
-                answers.append(self._on_view(image, *known))
+                detections.append(self._on_view(image, *known))
             else:
                 raise DetectionError(
                     f"a perfect detector takes frames, regions of frames and pseudo-views, not {type(image).__name__}"
                 )
-        return answers
+        return detections
 
     def _on_image(self, frame: Frame) -> list[Box2D]:
         scene = self._scenes.get(frame.key)
@@ -160,7 +161,7 @@ class PerfectDetector:
                 continue
             span = np.array(box.xyxy).reshape(2, 2)
             rng = self._rng(frame.key.encode(), int(index))
-            boxes.append(_answer(truth.label, span, self._jitter * (span[1] - span[0]), size, rng))
+            boxes.append(_noisy_box(truth.label, span, self._jitter * (span[1] - span[0]), size, rng))
         return [box for box in boxes if box is not None]
 
     def _image_box(self, scene: Scene, truth: Truth) -> Box2D | None:
@@ -179,7 +180,7 @@ class PerfectDetector:
         scenes = list(self._scenes.values())
         if len(scenes) == 1 or not len(xyz_m):
             return scenes[0] if scenes else None
-        # Views draw unchanged points of their frame, so a few exact coordinates identify the frame.
+        # The points of a view are points of its frame, so a few exact coordinates identify the frame.
         probes = xyz_m[:: max(len(xyz_m) // 4, 1)]
         return next((s for s in scenes if all((s.xyz_m == probe).all(axis=1).any() for probe in probes)), None)
 
@@ -201,7 +202,7 @@ class PerfectDetector:
             px = (xyz @ view.axes[:2].T - view.origin_m) / view.metres_per_px
             span = np.stack([px.min(axis=0), px.max(axis=0)])
             rng = self._rng(geometry, int(index))
-            boxes.append(_answer(truth.label, span, self._jitter * size, (width_px, height_px), rng))
+            boxes.append(_noisy_box(truth.label, span, self._jitter * size, (width_px, height_px), rng))
         return [box for box in boxes if box is not None]
 
     def _rng(self, picture: bytes, index: int) -> np.random.Generator:
@@ -215,7 +216,7 @@ def _on_region(region: Region, box: Box2D) -> Box2D | None:
     return clip_to_image(box.shifted(-region.x_px, -region.y_px), region.width_px, region.height_px, MIN_SIDE_PX)
 
 
-def _answer(
+def _noisy_box(
     label: str,
     span: Float64[np.ndarray, "2 2"],
     sigma_px: Float[np.ndarray, "2"],

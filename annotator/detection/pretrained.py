@@ -12,7 +12,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.ultralytics_api import api, cache_dir, load_weights
 from annotator.types.errors import ConfigError, DetectionError
 
-# Last layers of ultralytics' detection models. Models for segmentation or poses, which derive from them, have others.
+# Last layers of ultralytics' detection models. Models for segmentation or poses have others.
 DETECTING_LAYERS = {"Detect", "v10Detect"}
 
 
@@ -23,7 +23,7 @@ class StartingPoint:
     Attributes:
         model: ultralytics' model argument: a weights file, or "NAME.yaml" for random weights.
         pretrained: whether the weights are pretrained.
-        note: the same in words, for the user.
+        note: description for the user.
     """
 
     model: str
@@ -44,7 +44,7 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
         return StartingPoint(str(config.pretrained.resolve()), True, f"starts from {config.pretrained}")
     scratch = f"{name}.yaml"
     if config.pretrained == "never":
-        return StartingPoint(scratch, False, "starts from random weights, as asked")
+        return StartingPoint(scratch, False, "starts from random weights, as configured")
     local = find_locally(f"{name}.pt")
     if local is not None:
         return StartingPoint(str(local), True, f"starts from published weights in {local}")
@@ -54,7 +54,7 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
         )
     try:
         path = within(config.download_timeout_s, lambda: download(f"{name}.pt"))
-    except Exception as error:  # without a download, whatever the reason, the training starts from random weights
+    except Exception as error:  # if the download fails for any reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         return StartingPoint(
             scratch, False, f"starts from random weights: {name}.pt is not cached and cannot be downloaded ({reason})"
@@ -63,10 +63,10 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
 
 
 def check_start(config: TrainingConfig) -> None:
-    """Checks the model and the weights before a long preparation; downloads and trains nothing.
+    """Checks the model name and the weights file, without a download, before the slow preparation of a training.
 
     Raises:
-        ConfigError: the model name is unknown, or the given or cached weights file is missing, damaged or holds no
+        ConfigError: the model name is unknown, or the given or cached weights file is missing, damaged or not a
             detection model.
         DetectionError: the packages cannot be loaded.
     """
@@ -83,7 +83,7 @@ def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
     """Reads a weights file as a training does.
 
     Raises:
-        ConfigError: it is missing, damaged or holds no detection model.
+        ConfigError: it is missing, damaged or not a detection model.
         DetectionError: the packages cannot be loaded.
     """
     api()
@@ -148,7 +148,7 @@ def download(file_name: str) -> Path:
 
 
 def within(timeout_s: float, work: Callable[[], Any]) -> Any:
-    """The result of `work`, or TimeoutError. Work that hangs is left running in a daemon thread."""
+    """The result of `work`, or TimeoutError; after a timeout, the work continues in a daemon thread."""
     outcome: list[Any] = []
 
     def run() -> None:

@@ -19,9 +19,9 @@ class TrainingProgress:
 
     Attributes:
         role: the detector's kind.
-        epoch, epochs: finished epochs, and all epochs.
-        batch, batches: finished batches of the current epoch, and all of its batches.
-        losses: mean losses of the current epoch by name, or of the last one.
+        epoch, epochs: number of finished epochs, and of all epochs.
+        batch, batches: number of finished batches of the current epoch, and of all its batches.
+        losses: mean losses by name, of the current epoch, or of the last one before its first batch.
         map50, map50_95: of the last validation; None before the first.
         seconds: since the run started or was resumed.
         seconds_left: an estimate; None before the first batch.

@@ -18,7 +18,7 @@ class Candidates:
     Attributes:
         picture: (k,) index of the image in its batch.
         boxes: (k, 4) x_min y_min x_max y_max, pixels from the corner of the batch's canvas.
-        scores: (k,)
+        scores: (k,) 0..1.
         numbers: (k,) class numbers.
     """
 
@@ -34,7 +34,7 @@ def candidates(prediction: Float32[np.ndarray, "n c a"], end2end: bool, confiden
     Args:
         prediction: one column per anchor: four numbers of its box, then the score of each class. The box is centre and
             size, or x_min y_min x_max y_max if `end2end`.
-        end2end: whether the network needs no suppression (YOLO26, YOLOv10).
+        end2end: whether the network works without suppression (YOLO26, YOLOv10).
         confidence: score threshold.
     """
     if end2end:  # as in ultralytics, one anchor may give boxes of two classes

@@ -1,6 +1,6 @@
 """Non-maximum suppression of 2D boxes, for a whole batch at once.
 
-torchvision has it, too, but takes as long to load as torch itself.
+torchvision also has this function, but takes as long to load as torch itself.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def suppress(
 
     Args:
         boxes: x_min y_min x_max y_max.
-        scores: of two overlapping boxes, the one with the higher score is kept; on a tie, the first.
+        scores: of two overlapping boxes, the one with the higher score is kept, or the first if they are equal.
         groups: only boxes of the same group (image and class) suppress each other.
         iou: a box is removed if its IoU with a better box exceeds this.
 
@@ -29,14 +29,14 @@ def suppress(
     order = np.lexsort((-scores, groups))
     kept = [np.empty(0, np.int64)]
     # Each step handles all groups at once: it keeps the best remaining box of each group and removes the boxes that it
-    # suppresses. The number of steps is the largest number of boxes kept in one group, whatever the batch size.
+    # suppresses. The number of steps is the largest number of boxes kept in one group, independent of the batch size.
     while len(order):
         group = groups[order]
         begins = np.concatenate([[True], group[1:] != group[:-1]])
         best = order[begins]
         kept.append(best)
-        beaten = _ious(boxes[best[np.cumsum(begins) - 1]], boxes[order]) > iou
-        order = order[~(begins | beaten)]
+        suppressed = _ious(boxes[best[np.cumsum(begins) - 1]], boxes[order]) > iou
+        order = order[~(begins | suppressed)]
     indices = np.concatenate(kept)
     return indices[np.lexsort((indices, -scores[indices]))]
 

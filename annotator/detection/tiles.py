@@ -1,8 +1,8 @@
 """Cuts images that a detector will see at a larger size than its training size into tiles of the training size.
 
-Objects in such an image are small: scaled down to the training size, they would cover a pixel or two. Tiles show them
-at the size at which the detector will see them. Each image gives one tile around each object and one at a random place.
-An object that is larger than a tile is scaled down to fill most of one.
+Objects in such an image are small: at the training size, they would cover one or two pixels. Tiles show them at the
+size at which the detector will see them. Each image gives one tile around each object and one at a random place.
+An object that is larger than a tile gets a larger tile, which is scaled down.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROOM = 1.15
 def tiled(samples: Iterable[TrainingSample], size_px: int) -> Iterator[TrainingSample]:
     """The samples, with each one whose `look_px` exceeds `size_px` replaced by its tiles.
 
-    The places of the tiles are random, and depend only on the image and its boxes.
+    The positions of the tiles are random, but depend only on the image and its boxes.
 
     Args:
         size_px: longer side of training images, pixels.
@@ -57,10 +57,10 @@ def _tiles(sample: TrainingSample, size_px: int) -> Iterator[TrainingSample]:
     yield _tile(sample, rgb, boxes, _corner_anywhere(rgb, size_px, rng))
 
 
-def _scaled(box: Box2D, across: float, along: float) -> Box2D:
+def _scaled(box: Box2D, scale_x: float, scale_y: float) -> Box2D:
     """The box on the scaled image. Box edges are measured from the centre of the first pixel, not from its corner."""
-    x_min, x_max = ((x + 0.5) * across - 0.5 for x in (box.x_min, box.x_max))
-    y_min, y_max = ((y + 0.5) * along - 0.5 for y in (box.y_min, box.y_max))
+    x_min, x_max = ((x + 0.5) * scale_x - 0.5 for x in (box.x_min, box.x_max))
+    y_min, y_max = ((y + 0.5) * scale_y - 0.5 for y in (box.y_min, box.y_max))
     return replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max)
 
 

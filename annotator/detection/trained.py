@@ -76,7 +76,7 @@ class RunRecord(BaseModel):
     """A training run that has started.
 
     Attributes:
-        fingerprint: hash of training set, settings and detector kind; a run is resumed only if it is equal.
+        fingerprint: hash of training set, settings and detector kind; only a run with the same hash is resumed.
         pretrained, note: what the run started from.
         seconds: time spent up to the last complete epoch.
     """
@@ -97,7 +97,7 @@ def read_trained(folder: Path) -> TrainedModel:
     """Reads a finished run.
 
     Raises:
-        FormatError: the folder holds none, or it cannot be read.
+        FormatError: the folder has no finished run, or it cannot be read.
     """
     path = folder / MODEL_NAME
     try:
@@ -110,7 +110,7 @@ def read_trained(folder: Path) -> TrainedModel:
 
 
 def read_run(folder: Path) -> RunRecord | None:
-    """Reads the run in a folder; None if there is none.
+    """Reads the run in a folder; None if the folder has no run.
 
     Raises:
         FormatError: the record cannot be read.

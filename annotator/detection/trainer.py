@@ -1,7 +1,7 @@
 """Ultralytics' detection trainer, adapted to small training sets and to a CPU.
 
 It differs from the original in these points: an optimiser step after every batch (the original accumulates 64 images,
-which leaves few steps on a set of 100); Muon in float32; all cores instead of all but one; channels-last memory;
+so a set of 100 gets few steps); Muon in float32; all cores instead of all but one; channels-last memory;
 validation every few epochs only; atomic checkpoints; quarter turns; no search for fonts and no network access.
 
 This module imports ultralytics; import it only to train.
@@ -30,13 +30,13 @@ HEAD_LR_FACTOR = 3.0
 # Momentum of the batch normalisation statistics. Ultralytics' 0.03 suits runs of many thousand steps; after a hundred
 # steps, the statistics would still be those of random weights.
 NORM_MOMENTUM = 0.1
-# Writing a checkpoint takes a second, which is longer than an epoch over a few small images.
+# Minimum time between checkpoints. Writing one takes a second, longer than an epoch over a few small images.
 SAVE_EVERY_S = 20.0
 
 
 @dataclass(frozen=True)
 class TrainerHooks:
-    """What a run needs beyond ultralytics' settings.
+    """Parameters of a run besides ultralytics' settings.
 
     Attributes:
         dataset: folder of the training set.
@@ -44,7 +44,7 @@ class TrainerHooks:
         device: torch device.
         measure_every: epochs between validations; the last epoch is always validated.
         quarter_turns: turn training images by random multiples of 90 degrees.
-        on_batch, on_epoch: called with the trainer after each batch, and after each epoch is saved.
+        on_batch, on_epoch: called with the trainer after each batch, and after each epoch.
     """
 
     dataset: Path
@@ -181,7 +181,7 @@ class ViewTrainer(_Trainer):
         return dict.fromkeys(self.metrics, float("nan")), None
 
     def save_model(self) -> bool:
-        """As in the base class, but not after every short epoch, and atomic."""
+        """Saves as the base class does, but atomically, and not after every short epoch."""
         measured, last = self.fitness is not None, self.epoch + 1 >= self.epochs
         if measured or last or time.monotonic() - self.saved_at_s > SAVE_EVERY_S:
             self._save_whole()

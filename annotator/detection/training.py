@@ -56,7 +56,7 @@ def train_detector(
         FormatError: `dataset` is not a training set.
         TrainingStoppedError: `stop` returned true.
     """
-    if "?" in str(out.resolve()):  # ultralytics fails on it, but only after the training
+    if "?" in str(out.resolve()):  # ultralytics would fail, but only after the training
         raise ConfigError(f"{out.resolve()}: a detector cannot be kept in a folder with a question mark; rename it")
     manifest = read_manifest(dataset)
     device = pick_device(config.device)
@@ -111,7 +111,7 @@ def _run(
     else:
         settings["model"] = settings["resume"] = str(checkpoint)
         _trim_curves(out / "results.csv", _epochs_done(checkpoint))
-    # The trainer checks that its data file exists before it calls get_dataset.
+    # The trainer checks that this file exists before it calls get_dataset.
     settings["data"] = str(dataset.resolve() / "data.yaml")
     with _unchanged_torch():
         try:
@@ -122,7 +122,7 @@ def _run(
 
 def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, device: str, out: Path) -> dict[str, Any]:
     """The settings under ultralytics' names."""
-    change = config.augmentation_for(role)
+    augmentation = config.augmentation_for(role)
     # Unlike ultralytics' other mixed precision, bfloat16 needs no trial run with downloaded weights.
     mixed = "bf16" if device.startswith("cuda") and api().torch.cuda.is_bf16_supported() else False
     return {
@@ -144,18 +144,18 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "box": config.box_gain,
         "cls": config.class_gain,
         "dfl": config.edge_gain,
-        "fliplr": change.flip_horizontal,
-        "flipud": change.flip_vertical,
-        "translate": change.shift,
-        "scale": change.scale,
+        "fliplr": augmentation.flip_horizontal,
+        "flipud": augmentation.flip_vertical,
+        "translate": augmentation.shift,
+        "scale": augmentation.scale,
         "degrees": 0.0,
         "shear": 0.0,
         "perspective": 0.0,
-        "hsv_h": change.hue,
-        "hsv_s": change.saturation,
-        "hsv_v": change.brightness,
-        "mosaic": change.mosaic,
-        "close_mosaic": change.mosaic_off_epochs if change.mosaic else 0,
+        "hsv_h": augmentation.hue,
+        "hsv_s": augmentation.saturation,
+        "hsv_v": augmentation.brightness,
+        "mosaic": augmentation.mosaic,
+        "close_mosaic": augmentation.mosaic_off_epochs if augmentation.mosaic else 0,
         "seed": config.seed,
         "deterministic": False,
         "device": device.removeprefix("cuda:") if device != "cuda" else "0",
@@ -200,7 +200,7 @@ def _resumable(out: Path, fingerprint: str) -> RunRecord | None:
 
 
 def _epochs_done(checkpoint: Path) -> int:
-    """Finished epochs of a checkpoint; 0 if there is none to resume from."""
+    """Number of finished epochs of a checkpoint; 0 if a run cannot be resumed from it."""
     if not checkpoint.is_file():
         return 0
     try:

@@ -103,7 +103,7 @@ def _hide_repository(trainer: ModuleType) -> None:
 
 
 def _take_paths_as_they_are(downloads: ModuleType) -> None:
-    """Makes ultralytics use an existing weights file as it is.
+    """Makes ultralytics use an existing weights file unchanged.
 
     Its own search strips quotation marks and spaces from paths, and replaces a user's yolov5n.pt by yolov5nu.pt.
     """
@@ -155,17 +155,17 @@ def load_weights(path: Path, device: Any, remedy: str = "train the detector agai
     """Loads a detection model in eval mode.
 
     Args:
-        remedy: what the error message tells the user to do.
+        remedy: advice at the end of the error message.
 
     Raises:
-        DetectionError: the file is missing, unreadable or holds no detection model.
+        DetectionError: the file is missing, unreadable or not a detection model.
     """
     parts = api()
     if not path.is_file():
         raise DetectionError(f"{path}: no such weights file; train a detector first")
     try:
         model, _ = parts.load_checkpoint(str(path.resolve()), device=device)
-    except Exception as error:  # torch and ultralytics raise a dozen kinds for a damaged file
+    except Exception as error:  # torch and ultralytics raise many types for a damaged file
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise DetectionError(f"{path}: cannot be read as detector weights ({reason}); {remedy}") from error
     if not isinstance(model, parts.DetectionModel):

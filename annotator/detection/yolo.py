@@ -24,10 +24,10 @@ from annotator.detection.suppression import suppress
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
-# Most pixels of scaled images in one batch; bounds the memory.
+# Maximum number of pixels of scaled images in one call of the network; bounds the memory.
 MAX_CALL_PX = 64 * 320 * 320
 MIN_SIDE_PX = 0.5
-# Part of the fingerprint; increase it when the same weights and settings give other boxes.
+# Part of the fingerprint. Increase it when the same weights and settings give different boxes.
 REVISION = 2
 
 
@@ -68,7 +68,7 @@ class YoloDetector:
 
     @property
     def backend(self) -> Backend:
-        """What runs the network."""
+        """The backend that runs the network."""
         return self._network.backend
 
     @property
@@ -82,7 +82,7 @@ class YoloDetector:
 
         The backend is not part of it. All backends that `auto` chooses from give the same boxes, within a pixel and
         0.01 of the score (tests/detection/test_backends.py), so another machine may continue a batch. Boxes in bfloat16
-        differ little more (docs/detector_backends.md), so such frames are not repeated either.
+        differ only slightly more (docs/detector_backends.md), so such frames are not repeated either.
         """
         return self._fingerprint
 
@@ -95,7 +95,7 @@ class YoloDetector:
         pictures = [_checked(image.rgb) for image in images]
         stride = self._network.facts.stride
         placements = [
-            place(picture.shape[:2], self._looked_at(image), stride)
+            place(picture.shape[:2], self._scaled_side_px(image), stride)
             for picture, image in zip(pictures, images, strict=True)
         ]
         boxes: list[list[Box2D]] = [[] for _ in pictures]
@@ -112,7 +112,7 @@ class YoloDetector:
                 boxes[index].append(box)
         return boxes
 
-    def _looked_at(self, image: Image) -> int:
+    def _scaled_side_px(self, image: Image) -> int:
         """The longer side of an image after scaling for the network, pixels."""
         if isinstance(image, Region):
             return max(round(self._config.image_size_px * image.share), 1)

@@ -1,1 +1,1 @@
-"""Evaluation of boxes against true boxes."""
+"""Evaluation of boxes against the ground truth."""

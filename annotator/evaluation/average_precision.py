@@ -1,7 +1,7 @@
 """Average precision as the area under the precision envelope (PASCAL VOC since 2010), over all frames together.
 
-Detections are processed by falling score. Each is compared only with the true box of its frame that it overlaps most.
-It is a true positive if the IoU is above the threshold and the box has not been matched before.
+Detections are processed in order of descending score. Each is compared only with the true box of its frame that it
+overlaps most. It is a true positive if the IoU is above the threshold and the box has not been matched before.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from annotator.evaluation.boxes import BoxPairs
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """Precision and recall after each detection, in order of falling score; both 0..1."""
+    """Precision and recall after each detection, in order of descending score; both 0..1."""
 
     recall: Float64[np.ndarray, "n"]
     precision: Float64[np.ndarray, "n"]
@@ -43,8 +43,8 @@ def precision_recall(
     Args:
         score: of each detection; equal scores are processed in the order of the rows.
         pairs: the overlapping pairs of detections and true boxes.
-        counts: whether each true box counts; a detection of an ignored one is neither a true nor a false positive. At
-            least one must count.
+        counts: whether each true box counts; at least one must. Detections of the others are neither true nor false
+            positives.
         iou_threshold: a match needs a larger IoU.
     """
     best = pairs.best()

@@ -28,7 +28,7 @@ def draw_curves(diagrams: Sequence[Diagram], folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for diagram in diagrams:
-            # class names may contain any characters
+            # class names may contain characters that are invalid in file names
             path = folder / (re.sub(r"[^\w.-]+", "_", diagram.name).lstrip(".") + ".png")
             if path in written:
                 path = path.with_stem(f"{path.stem}-{len(written)}")

@@ -16,7 +16,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox, PointCloud
 
 THRESHOLDS = (0.25, 0.5, 0.7)
-# Minimum IoU of pairs whose poses are compared; below, an angle is meaningless.
+# Minimum IoU of pairs whose poses are compared; below it, angles are meaningless.
 POSE_IOU = 0.25
 
 
@@ -27,7 +27,7 @@ class OrientedClass:
     Attributes:
         curves: by IoU threshold.
         objects, detections: number of true boxes and of detections.
-        matched: number of pairs whose poses were compared: assigned to each other, IoU above `POSE_IOU`.
+        matched: number of assigned pairs with an IoU above `POSE_IOU`, whose poses were compared.
         mean_iou: mean over all true boxes, 0 for those without a detection.
         center_error_m, rotation_error_rad, size_error: means over the matched pairs (see `pose_errors`); NaN
             without pairs.
@@ -93,8 +93,8 @@ class FrameResult:
     Attributes:
         boxes, scores: detections.
         truth: true boxes.
-        ignored: true boxes that do not count, such as objects with too few points. A detection of one is neither a true
-            nor a false positive, as in KITTI's evaluation.
+        ignored: true boxes that do not count, such as objects with too few points. Their detections are neither
+            true nor false positives, as in KITTI's evaluation.
     """
 
     boxes: Sequence[OrientedBox]
@@ -118,12 +118,12 @@ def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> f
         0..1; NaN without true boxes.
     """
     detections = _table([result.boxes for result in results])
-    known = _table([[*result.truth, *result.ignored] for result in results])
+    true_boxes = _table([[*result.truth, *result.ignored] for result in results])
     counts = [flag for r in results for flag in (*(True for _ in r.truth), *(False for _ in r.ignored))]
     if not any(counts):
         return float("nan")
     scores = np.array([score for result in results for score in result.scores], np.float64)
-    pairs = overlapping(detections, known)
+    pairs = overlapping(detections, true_boxes)
     return precision_recall(scores, pairs, np.array(counts, bool), iou_threshold).area
 
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
 
-# Labellings whose size misfit is within this factor of the best one count as equivalent: a nearly square footprint
-# looks the same after a quarter turn.
+# Labellings whose size misfit is within this factor of the best one are equivalent: a nearly square footprint looks the
+# same after a quarter turn.
 SAME_LENGTHS = 1.1
 
 # The 24 labellings of a box's axes: which axis, with which sign, becomes x, y, z.
@@ -37,7 +37,7 @@ class PoseErrors:
 def pose_errors(boxes: BoxTable, truth: BoxTable) -> PoseErrors:
     """Compares the i-th box with the i-th true box.
 
-    The same box can be written with 24 labellings of its axes. Among the labellings whose sizes fit the true ones best
+    24 labellings of the axes describe the same box. Among the labellings whose sizes fit the true ones best
     (within `SAME_LENGTHS`), the one with the smallest rotation counts. So front and back are equivalent, and length and
     width are equivalent if they are similar.
     """

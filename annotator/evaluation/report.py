@@ -209,5 +209,5 @@ def _oriented_class(one: OrientedClass) -> OrientedClassContent:
 
 
 def _or_none(value: float) -> float | None:
-    """The value, or None for NaN and infinity, which JSON does not have."""
+    """The value, or None for NaN and infinity, which JSON cannot represent."""
     return value if np.isfinite(value) else None

@@ -20,7 +20,7 @@ CONVERGED = 1e-10
 
 
 def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """Distorted image coordinates of ideal ones (x/z, y/z).
+    """The distorted image coordinates of ideal coordinates (x/z, y/z).
 
     Args:
         coefficients: as in `Camera.distortion`.
@@ -28,7 +28,7 @@ def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[n
 
     Returns:
         distorted normalised coordinates, with the dtype of `xy`; NaN beyond the radius up to which the radial model is
-        monotonic. Further out its polynomials decrease again, and points far off the image would project into it.
+        monotonic. Beyond it, the polynomials decrease again, and points far outside the image would project into it.
     """
     return np.stack(distort_planes(coefficients, xy[:, 0], xy[:, 1]), axis=1)
 
@@ -46,7 +46,7 @@ def distort_planes(coefficients: Coefficients, x: Plane, y: Plane) -> tuple[Plan
 
 
 def undistort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-    """Ideal coordinates (x/z, y/z) of distorted ones, by Newton's method; NaN if the model has no inverse."""
+    """Ideal coordinates (x/z, y/z) of distorted coordinates, by Newton's method; NaN if the model has no inverse."""
     full = _padded(coefficients)
     x_goal, y_goal = xy[:, 0], xy[:, 1]
     if full[12] or full[13]:
@@ -72,20 +72,20 @@ def undistort(coefficients: Coefficients, xy: Float64[np.ndarray, "n 2"]) -> Flo
 
 @lru_cache(maxsize=32)
 def radius_limit_squared(coefficients: Coefficients) -> float:
-    """The squared radius up to which the radial part of the model is monotonic; infinite if it always is."""
+    """The squared radius up to which the radial part of the model is monotonic; infinite if there is no limit."""
     k1, k2, _, _, k3, k4, k5, k6 = _padded(coefficients)[:8]
     above = np.polynomial.Polynomial([1.0, k1, k2, k3])
     below = np.polynomial.Polynomial([1.0, k4, k5, k6])
     # d/dr of r * above(r^2) / below(r^2), times below^2, as a polynomial in q = r^2
     growth = above * below + np.polynomial.Polynomial([0.0, 2.0]) * (above.deriv() * below - above * below.deriv())
-    # trimmed, because tiny leading coefficients overflow; their roots are far beyond any lens
+    # trimmed, because tiny leading coefficients overflow; their roots are far outside the field of view of any lens
     roots = np.concatenate([polynomial.trim(1e-12).roots() for polynomial in (growth, below)])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * np.maximum(np.abs(roots), 1.0)) & (roots.real > 0)]
     return float(real.min(initial=np.inf))
 
 
 def _keep_within(x: Plane, y: Plane, limit: float) -> None:
-    """Moves points, in place, back inside the radius within which the model is invertible."""
+    """Moves points beyond the radius up to which the model is invertible back inside, in place."""
     radius = x * x + y * y
     outside = radius > limit
     if outside.any():

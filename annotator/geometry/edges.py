@@ -1,7 +1,7 @@
 """The projected edges of 3D boxes: the wire frames that are drawn over a camera image.
 
 An edge is clipped to the half-spaces in front of the camera and within its field of view (Liang and Barsky, 1984). The
-rest is projected; on a distorted image in several pieces, because straight edges are curved there.
+rest is projected. On a distorted image, it is divided into several pieces, because straight edges are curved there.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[
 def cut_segments(
     ends: Float64[np.ndarray, "n 2 3"], half_spaces: Float64[np.ndarray, "k 4"]
 ) -> tuple[Float64[np.ndarray, "n 2 3"], Bool[np.ndarray, "n"]]:
-    """Line segments clipped to half-spaces, and a mask of those of which a part is left.
+    """Line segments clipped to half-spaces, and a mask of the segments that are at least partly inside.
 
     Args:
         ends: both ends of each segment.

@@ -14,7 +14,7 @@ from annotator.types import Box2D
 
 
 def clip_to_image(box: Box2D, width_px: int, height_px: int, min_side_px: float = 0.0) -> Box2D | None:
-    """The box clipped to the image; None if nothing is left, or if it is smaller than `min_side_px`."""
+    """The box clipped to the image; None if it is outside, or if a side is shorter than `min_side_px`."""
     x_min, x_max = (min(max(x, -0.5), width_px - 0.5) for x in (box.x_min, box.x_max))
     y_min, y_max = (min(max(y, -0.5), height_px - 0.5) for y in (box.y_min, box.y_max))
     if x_max <= x_min or y_max <= y_min or min(x_max - x_min, y_max - y_min) < min_side_px:

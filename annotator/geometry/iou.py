@@ -7,13 +7,13 @@ pairs of planes each give 60 such lines. The divergence theorem, applied twice, 
     V = 1/3 sum_faces d_i A_i,   A_i = 1/2 sum_edges e_ij L_ij,   e_ij = (d_j - c_ij d_i) / s_ij
 
 where d is a plane's distance from the origin along its outward normal, c and s are the cosine and sine of the angle
-between two normals, and L_ij is the length of the line inside the slabs. No face polygons are built, and every pair
-of boxes takes the same steps.
+between two normals, and L_ij is the length of the line inside the slabs. No face polygons are built, and the steps
+are the same for every pair of boxes.
 
-Nearly coplanar faces need care. The point where three planes meet is computed once and used for all three lines, so
-that a line which ends at a nearly parallel plane ends exactly where the other plane's line begins. Coinciding edges
-could still be counted twice or not at all. So axes that are parallel up to rounding are made exactly parallel, and one
-of the boxes is enlarged by a share (`TIE`) that is far above rounding and far below the claimed accuracy.
+Nearly coplanar faces are critical. The point where three planes meet is computed once and used for all three lines, so
+that the lines of two nearly parallel planes end and begin at exactly the same point. Coinciding edges could still be
+counted twice or not at all. So axes that are parallel up to rounding are made exactly parallel, and one of the boxes is
+enlarged by a share (`TIE`) that is far above the rounding error and far below the stated accuracy.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def iou_3d_chosen(
     rows: Int[np.ndarray, "k"],
     columns: Int[np.ndarray, "k"],
 ) -> Float64[np.ndarray, "k"]:
-    """Exact IoU of the pairs that are given as indices into both lists."""
+    """Exact IoU of pairs, given as indices into both lists."""
     a = [values[rows] for values in _stacked(boxes_a)]
     b = [values[columns] for values in _stacked(boxes_b)]
     volume = intersection_volume_pairs(*a, *b)

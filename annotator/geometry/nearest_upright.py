@@ -12,7 +12,7 @@ from annotator.types import OrientedBox
 
 
 def nearest_upright(box: OrientedBox, up: Float[np.ndarray, "3"]) -> tuple[OrientedBox, float]:
-    """The nearest box with the same centre and sides and a vertical z axis, and the angle between the two, radians.
+    """The nearest box with the same centre and sides and a vertical z axis, and the angle between both, radians.
 
     The box's z axis becomes vertical, unless another axis is closer to the vertical; that axis then becomes the height.
     The length axis stays the length if it is still horizontal. Among these boxes, the one with the smallest rotation
@@ -21,12 +21,12 @@ def nearest_upright(box: OrientedBox, up: Float[np.ndarray, "3"]) -> tuple[Orien
     Args:
         up: unit vector against gravity, in the box's frame.
     """
-    candidates = [_held(box, up, order) for order in _orders(box, up)]
+    candidates = [_made_upright(box, up, order) for order in _orders(box, up)]
     return min(candidates, key=lambda pair: pair[1])
 
 
 def _orders(box: OrientedBox, up: np.ndarray) -> list[tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]]:
-    """Candidate labellings (rotation, size): the given one, or, for a box on its side, those with a vertical z axis."""
+    """Candidate labellings (rotation, size): the given one; for a box on its side, those with a vertical z axis."""
     R, size = box.rotation, box.size_m
     rise = R.T @ up
     vertical = int(np.argmax(np.abs(rise)))
@@ -44,12 +44,14 @@ def _orders(box: OrientedBox, up: np.ndarray) -> list[tuple[Float64[np.ndarray, 
 
 
 def _turned_over(R: np.ndarray) -> np.ndarray:
-    """The rotation after half a turn about the length axis: same solid and heading, upside down."""
+    """The rotation after half a turn about the length axis: the same heading, upside down."""
     return R * np.array([1.0, -1.0, -1.0])
 
 
-def _held(box: OrientedBox, up: np.ndarray, candidate: tuple[np.ndarray, np.ndarray]) -> tuple[OrientedBox, float]:
-    """The upright box nearest to a candidate, and the angle between the two."""
+def _made_upright(
+    box: OrientedBox, up: np.ndarray, candidate: tuple[np.ndarray, np.ndarray]
+) -> tuple[OrientedBox, float]:
+    """The upright box nearest to a candidate, and the angle between both, radians."""
     R, size_m = candidate
     tilt = math.acos(min(1.0, max(-1.0, float(R[:, 2] @ up))))
     if tilt < 1e-12:

@@ -17,8 +17,8 @@ def nms_3d(
 ) -> Int[np.ndarray, "kept"]:
     """Greedy non-maximum suppression within each class, by exact 3D IoU.
 
-    Boxes are processed in order of falling score. A box is dropped if its IoU with a kept box of its class is larger
-    than `iou_threshold`. For equal scores the lower index comes first, so the result is deterministic.
+    Boxes are processed in order of descending score. A box is dropped if its IoU with a kept box of its class is larger
+    than `iou_threshold`. Of equal scores, the lower index comes first, so the result is deterministic.
 
     Args:
         boxes: in one frame.
@@ -39,10 +39,10 @@ def nms_3d(
     if not np.isfinite(scores).all():
         raise GeometryError("scores must be finite")
     order = np.argsort(-np.asarray(scores, np.float64), kind="stable")
-    rivals = _overlapping(boxes, labels, order, iou_threshold)
+    overlapping = _overlapping(boxes, labels, order, iou_threshold)
     kept: list[int] = []
     for index in order.tolist():
-        if not any((better, index) in rivals for better in kept):
+        if not any((better, index) in overlapping for better in kept):
             kept.append(index)
     return np.array(kept, np.int64)
 

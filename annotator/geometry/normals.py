@@ -12,8 +12,8 @@ from annotator.geometry.projection import pixel_rays, require_image_size
 from annotator.types import Camera
 from annotator.types.errors import GeometryError
 
-# The window of the plane fit: 5 x 5 samples at every second pixel, so 9 x 9 pixels. Wide enough to average out a depth
-# camera's millimetre steps, narrow enough for a finger at half a metre.
+# The window of the plane fit: 5 x 5 samples at every second pixel, 9 x 9 pixels in total. It is wide enough to average
+# a depth camera's millimetre steps, and narrow enough for a finger at half a metre.
 OFFSETS_PX = (-4, -2, 0, 2, 4)
 REACH_PX = max(OFFSETS_PX)
 
@@ -34,7 +34,7 @@ def normals_from_depth(camera: Camera, depth_m: Float[np.ndarray, "h w"]) -> Flo
     """Normals of a depth image, from a plane fitted to each pixel's neighbourhood.
 
     On a plane, the inverse depth is linear in the image coordinates. So the least-squares slope of 1/z over a window
-    gives the plane. Neighbours across a depth jump are left out, which keeps edges sharp.
+    gives the plane. Neighbours across a depth step are left out, which keeps edges sharp.
 
     Args:
         camera: the camera to which the depth is registered; distortion is taken into account.

@@ -1,4 +1,4 @@
-"""Occlusion of a box: the share of lines of sight towards it that end in front of it."""
+"""Occlusion of a box: the share of the lines of sight towards the box that end in front of it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Hidden:
 
     Attributes:
         rays: number of measured points whose ray meets the box; they lie in front of it, inside it or behind it.
-        nearer: number of those in front of it.
+        nearer: number of these points that lie in front of the box.
     """
 
     rays: int
@@ -44,7 +44,7 @@ class Sight:
         self._plane = self._xyz_m[:, :2] / self._xyz_m[:, 2:]
 
     def hidden(self, box: OrientedBox, margin_m: float = 0.0) -> Hidden:
-        """The numbers of rays towards a box, and of those that end in front of it (slab test of Kay and Kajiya, 1986).
+        """Counts the rays towards a box, and those that end in front of it (slab test of Kay and Kajiya, 1986).
 
         Args:
             box: camera frame.
@@ -52,7 +52,7 @@ class Sight:
         """
         xyz = self._xyz_m[self._near(box)]
         R = box.rotation.astype(np.float32)
-        # camera and rays in the box's axes; each ray's point has the parameter 1
+        # camera and rays in the box's axes; along each ray, the measured point has the parameter 1
         eye = (-box.center_m.astype(np.float32)) @ R
         along = xyz @ R
         half = (0.5 * box.size_m).astype(np.float32)
@@ -69,5 +69,5 @@ class Sight:
         corners = box_corners(box)
         if (corners[:, 2] <= NEAREST_M).any():
             return np.ones(len(self._xyz_m), np.bool_)
-        seen = corners[:, :2] / corners[:, 2:]
-        return np.asarray(((self._plane >= seen.min(axis=0)) & (self._plane <= seen.max(axis=0))).all(axis=1))
+        projected = corners[:, :2] / corners[:, 2:]
+        return np.asarray(((self._plane >= projected.min(axis=0)) & (self._plane <= projected.max(axis=0))).all(axis=1))

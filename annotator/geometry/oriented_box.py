@@ -68,7 +68,7 @@ def contains_parts(
 def contains(box: OrientedBox, xyz_m: Float[np.ndarray, "n 3"], margin_m: float = 0.0) -> Bool[np.ndarray, "n"]:
     """Which points (camera frame) lie in a box with all faces moved outwards by `margin_m` metres.
 
-    A negative margin shrinks the box; a box without extent contains no points.
+    A negative margin shrinks the box; a box that is shrunk to nothing contains no points.
     """
     return contains_parts(box.center_m, box.rotation, box.size_m + 2.0 * margin_m, xyz_m)
 
@@ -101,7 +101,7 @@ def aligned_box(xyz_m: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "3 
 
 
 def canonical_box(box: OrientedBox, up: Float64[np.ndarray, "3"] | None) -> OrientedBox:
-    """The same box with its axes relabelled in a unique way; a box can be written with 24 labellings.
+    """The same box with one unique labelling of its axes; 24 labellings describe the same box.
 
     With `up` (unit vector), z points up and length >= width; otherwise length >= width >= height. Among the remaining
     labellings, the one whose axes point away from the camera and to its right is chosen.

@@ -3,7 +3,8 @@
 Each face of the box is a convex polygon. In 3D, it is clipped to the half-spaces in front of the camera and within its
 field of view (Sutherland and Hodgman, 1974). The rest is projected and clipped to the image. So a box that extends
 behind the camera or beyond the image border gets the 2D box of its visible part. Clipping at the near plane opens the
-box, but this loses nothing: every ray that meets the box in front of the camera leaves it through a remaining face.
+box without an effect on the result: every ray that meets the box in front of the camera leaves it through a remaining
+face.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import CameraKey, camera_key, project, undistort_px
 from annotator.types import Box2D, Camera, OrientedBox
 
-# Minimum distance in front of the camera, metres; closer parts are not on the image.
+# Minimum distance in front of the camera, metres; closer parts are ignored.
 NEAR_M = 0.1
 # Minimum width and height of a 2D box, pixels.
 MIN_SIDE_PX = 2.0
@@ -141,11 +142,11 @@ def _last_px(camera: Camera) -> Float64[np.ndarray, "2"]:
 
 @lru_cache(maxsize=8)
 def field_of_view(key: CameraKey) -> Float64[np.ndarray, "k 4"]:
-    """Half-spaces of the camera frame that contain everything that can be on the image."""
+    """Half-spaces of the camera frame that contain all points that can be visible on the image."""
     camera = Camera(*key)
     planes = [[0.0, 0.0, 1.0, NEAR_M]]
     rays = undistort_px(camera, _border_px(camera))
-    # if the distortion model does not reach the image border, only the model's own radius bounds the view
+    # if the distortion model is invalid at the image border, only its maximum radius bounds the view
     if np.isfinite(rays).all():
         low, high = rays.min(axis=0), rays.max(axis=0)
         margin = 0.0 if camera.is_ideal else FIELD_MARGIN * (high - low)

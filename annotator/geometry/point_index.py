@@ -44,7 +44,7 @@ class PointIndex:
         order = np.argsort(xyz_m[:, first])
         starts = np.arange(0, n + POINTS_A_SLAB, POINTS_A_SLAB).clip(max=n) if n else np.zeros(1, np.int64)
         lows = xyz_m[order[starts[:-1]], first]
-        # one sort key: slab number before the decimal point, position within the slab behind it
+        # one sort key: the integer part is the slab, the fraction is the position within the slab
         along = xyz_m[order, second].astype(np.float64)
         width = float(np.ptp(along)) * 1.001 + 1e-9 if n else 1.0
         order = order[np.argsort(np.arange(n) // POINTS_A_SLAB + (along - along.min(initial=np.inf)) / width)]
@@ -62,7 +62,7 @@ class PointIndex:
     def _near(self, box: OrientedBox, margin_m: float) -> Int64[np.ndarray, "m"]:
         """Indices into `xyz_m` of candidates: the points within the box's extent along both axes, and a few more."""
         reach = box_corners(box)[:, self.axes]
-        # a corner moves by at most the margin along each box axis; the rest is for float32 rounding
+        # the margin moves a corner by at most sqrt(3) times its value; the second term is for float32 rounding
         slack = np.sqrt(3.0) * abs(margin_m) + 1e-5 * float(np.abs(reach).max())
         (low, low_in), (high, high_in) = reach.min(axis=0) - slack, reach.max(axis=0) + slack
         first = max(int(np.searchsorted(self.lows, low)) - 1, 0)
@@ -72,6 +72,6 @@ class PointIndex:
             begin, end = int(self.starts[slab]), int(self.starts[slab + 1])
             along = self.xyz_m[begin:end, self.axes[1]]
             a, b = np.searchsorted(along, np.array([low_in, high_in], np.float32))
-            # one more point on each side, because the limits are rounded
+            # one additional point on each side, because the limits are rounded
             parts.append(np.arange(begin + max(int(a) - 1, 0), begin + min(int(b) + 1, end - begin)))
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)

@@ -32,7 +32,7 @@ def project(camera: Camera, xyz_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarr
     """
     z = np.asarray(xyz_m[:, 2], np.float64)
     z = np.where(z > 0, z, np.nan)
-    # by columns, which is faster than by rows of two and three numbers
+    # column by column, which is faster than with rows of two or three numbers
     xy = np.stack([xyz_m[:, 0] / z, xyz_m[:, 1] / z]).T
     if not camera.is_ideal:
         xy = distort(camera.distortion, xy)
@@ -100,7 +100,7 @@ def unproject_depth(
 
 
 def straightened(camera: Camera, rgb: UInt8[np.ndarray, "h w 3"]) -> tuple[Camera, UInt8[np.ndarray, "h w 3"]]:
-    """The ideal camera with the same matrix and size, and the image resampled for it (bilinear).
+    """The ideal camera with the same matrix and size, and the image resampled for this camera (bilinear).
 
     Rays outside the original image, or outside the range of its distortion model, are black. Without distortion the
     arguments are returned unchanged.

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64, Int64
 
-# Arbitrary but fixed, so that a frame always looks the same.
+# Arbitrary, but fixed, so that a frame is always drawn with the same points.
 SEED = 20231
 
 

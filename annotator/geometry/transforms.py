@@ -18,7 +18,7 @@ MAX_STEEPNESS = 0.99
 
 
 def unit(vector: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
-    """The direction of a vector.
+    """The unit vector in the direction of a vector.
 
     Raises:
         GeometryError: the vector is zero or not finite.
@@ -51,7 +51,7 @@ def right_handed_axes(major: Float[np.ndarray, "3"], hint: Float[np.ndarray, "3"
     y = wide - (wide @ x) * x
     if np.linalg.norm(y) <= 1e-9 * np.linalg.norm(wide):
         y = np.eye(3)[np.argmin(np.abs(x))]
-    # twice is enough (Kahan): the first pass leaves an error if hint is nearly parallel to major
+    # two passes are enough (Kahan); the first one is inaccurate if `hint` is nearly parallel to `major`
     for _ in range(2):
         y = y - (y @ x) * x
         y = y / np.linalg.norm(y)

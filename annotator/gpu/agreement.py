@@ -1,7 +1,7 @@
 """Compares views, normals and clusters that a device computes with those of the CPU.
 
-The device does the same arithmetic in the same precision, but sums in another order. So nearly all results are equal
-except for rounding errors. In a few places, a rounding error reverses a comparison; the bounds limit their share.
+The device computes in the same precision, but sums in another order. So nearly all results are equal except for
+rounding errors. In a few places, a rounding error reverses a comparison; the bounds limit the share of these places.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from annotator.types import Frame, PointCloud, PseudoView
 from annotator.types.errors import GeometryError
 
 VIEWS, CLUSTERS, SEED = 6, 6, 0
-# Every seventh normal of the frame is clustered: about as many as a large object has.
+# Every seventh normal of the frame is clustered, about as many as a large object has.
 EACH = 7
 # A point midway between two pixels may be drawn at either; of two points at equal depth, either may be visible.
 PIXELS_BOUND = 2e-3
-# A neighbour at the limit of a surface may be counted on one device only, which changes the fitted plane.
+# A neighbour at the edge of a surface may be included on one device only, which changes the fitted plane.
 NORMALS_BOUND = 1e-3
 SAME_RAD = 1e-3
-# A direction midway between two centres may join either. A centre is the mean of hundreds: one more hardly turns it.
+# A direction midway between two centres may belong to either cluster. A centre is the mean of hundreds of directions,
+# so one more hardly changes it.
 MEMBERS_BOUND = 1e-3
 CENTRES_BOUND_RAD = 1e-3
 
@@ -62,7 +63,7 @@ class Difference:
 
 def drawing(device: Compute, frame: Frame) -> Iterator[Difference]:
     """Compares views of coloured points, of points shaded by depth (large images), and of a subset of the points."""
-    frames = list(Rotation.random(VIEWS, rng=np.random.default_rng(SEED)).as_matrix())
+    axes = list(Rotation.random(VIEWS, rng=np.random.default_rng(SEED)).as_matrix())
     bare = replace(frame, cloud=PointCloud(frame.cloud.xyz_m))
     part = np.arange(0, len(frame.cloud), 5)
     for kind, shown, keep, config in (
@@ -70,29 +71,29 @@ def drawing(device: Compute, frame: Frame) -> Iterator[Difference]:
         ("shaded by depth", bare, None, ViewConfig(size_px=224)),
         ("a part of the points", frame, part, ViewConfig()),
     ):
-        found, found_s = _timed(partial(_draw, device, device.hold(shown), keep, frames, config))
-        expected, expected_s = _timed(partial(_draw, NUMPY, shown, keep, frames, config))
-        share = _pixels_apart(found, expected)
-        yield Difference(f"drawing, {kind}", "share of pixels", share, PIXELS_BOUND, found_s, expected_s)
+        computed, device_s = _timed(partial(_draw, device, device.hold(shown), keep, axes, config))
+        expected, processor_s = _timed(partial(_draw, NUMPY, shown, keep, axes, config))
+        share = _pixels_apart(computed, expected)
+        yield Difference(f"drawing, {kind}", "share of pixels", share, PIXELS_BOUND, device_s, processor_s)
 
 
 def _draw(
     compute: Compute,
     frame: Frame,
     keep: np.ndarray | None,
-    frames: Sequence[Float64[np.ndarray, "3 3"]],
+    axes: Sequence[Float64[np.ndarray, "3 3"]],
     config: ViewConfig,
 ) -> list[PseudoView]:
     cloud = frame.cloud if keep is None else frame.cloud.select(keep)
-    return compute.render_pairs(cloud, frames, config)
+    return compute.render_pairs(cloud, axes, config)
 
 
-def _pixels_apart(found: list[PseudoView], expected: list[PseudoView]) -> float:
-    """The share of pixels that differ; 1 if the views do not show the same part of space."""
+def _pixels_apart(computed: list[PseudoView], expected: list[PseudoView]) -> float:
+    """The share of pixels that differ; 1 if the views show different parts of space."""
     different = pixels = 0
-    if len(found) != len(expected):
+    if len(computed) != len(expected):
         return 1.0
-    for view, other in zip(found, expected, strict=True):
+    for view, other in zip(computed, expected, strict=True):
         same_window = view.rgb.shape == other.rgb.shape and np.allclose(
             [*view.origin_m, view.metres_per_px], [*other.origin_m, other.metres_per_px], rtol=1e-5, atol=1e-5
         )
@@ -106,25 +107,25 @@ def _pixels_apart(found: list[PseudoView], expected: list[PseudoView]) -> float:
 def normals(device: Compute, frame: Frame) -> Iterator[Difference]:
     """Compares the normals of the frame's depth image."""
     depth_m = _depth(frame)
-    found, found_s = _timed(lambda: device.normals_from_depth(frame.camera, depth_m))
-    expected, expected_s = _timed(lambda: NUMPY.normals_from_depth(frame.camera, depth_m))
-    # the distance between two unit vectors is about their angle, radians; if only one normal is known, it is 1
-    apart = ~(np.linalg.norm(found - expected, axis=2) <= SAME_RAD)
-    yield Difference("normals", "share of pixels", float(apart.mean()), NORMALS_BOUND, found_s, expected_s)
+    computed, device_s = _timed(lambda: device.normals_from_depth(frame.camera, depth_m))
+    expected, processor_s = _timed(lambda: NUMPY.normals_from_depth(frame.camera, depth_m))
+    # the distance between two unit vectors is about their angle, radians; the distance to an unknown normal (0) is 1
+    apart = ~(np.linalg.norm(computed - expected, axis=2) <= SAME_RAD)
+    yield Difference("normals", "share of pixels", float(apart.mean()), NORMALS_BOUND, device_s, processor_s)
 
 
 def clusters(device: Compute, frame: Frame) -> Iterator[Difference]:
     """Compares the clusters of the frame's normals."""
     known = NUMPY.normals_from_depth(frame.camera, _depth(frame)).reshape(-1, 3).astype(np.float64)
     directions = known[(known != 0).any(axis=1)][::EACH]
-    (centres, counts), found_s = _timed(lambda: device.axial_kmeans(directions, CLUSTERS, SEED))
-    (expected, wanted), expected_s = _timed(lambda: NUMPY.axial_kmeans(directions, CLUSTERS, SEED))
-    moved = float(np.abs(counts - wanted).sum() / 2 / len(directions))
-    yield Difference("clusters, members", "share of directions", moved, MEMBERS_BOUND, found_s, expected_s)
+    (centres, counts), device_s = _timed(lambda: device.axial_kmeans(directions, CLUSTERS, SEED))
+    (expected, expected_counts), processor_s = _timed(lambda: NUMPY.axial_kmeans(directions, CLUSTERS, SEED))
+    moved = float(np.abs(counts - expected_counts).sum() / 2 / len(directions))
+    yield Difference("clusters, members", "share of directions", moved, MEMBERS_BOUND, device_s, processor_s)
     # the sign of a centre is arbitrary
     chords = np.minimum(np.linalg.norm(centres - expected, axis=1), np.linalg.norm(centres + expected, axis=1))
     most = float(chords.max())
-    yield Difference("clusters, centres", "radians", most, CENTRES_BOUND_RAD, found_s, expected_s)
+    yield Difference("clusters, centres", "radians", most, CENTRES_BOUND_RAD, device_s, processor_s)
 
 
 # Each takes a device and a frame with depth and colours, and raises ComputeError if the device fails.

@@ -30,7 +30,7 @@ class TorchCompute:
             device: a device with double precision (CUDA, CPU).
 
         Raises:
-            ComputeError: there is no such device.
+            ComputeError: the device does not exist or lacks double precision.
         """
         import torch
 
@@ -41,10 +41,10 @@ class TorchCompute:
             raise ComputeError(_problem(device, error)) from error
 
     def hold(self, frame: Frame) -> Frame:
-        """The frame with its points uploaded; clouds selected from its cloud refer to the same points on the device.
+        """The frame with its points uploaded; clouds selected from its cloud use the same points on the device.
 
         Raises:
-            ComputeError: the device fails, for example for lack of memory. The other methods raise this, too.
+            ComputeError: the device fails, for example because it is out of memory; also in the other methods.
         """
         with self._running():
             return replace(frame, cloud=DeviceCloud.of(frame.cloud, self.device))
@@ -93,6 +93,6 @@ def torch_compute(device: str) -> TorchCompute:
     """The cached instance for a device.
 
     Raises:
-        ComputeError: there is no such device.
+        ComputeError: the device does not exist or lacks double precision.
     """
     return TorchCompute(device)

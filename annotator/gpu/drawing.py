@@ -1,7 +1,7 @@
 """Rendering of pseudo-views on a device, all views of a step at once, as in `annotator.rcv.drawing`.
 
-The keys are the same as there: a point's depth and index packed into one integer, which is also the bit pattern of a
-positive float. A scattered minimum finds the nearest point of each pixel in all images. A maximum filter over negative
+The keys are the same: a point's depth and index packed into one integer, which is also the bit pattern of a positive
+float. A scattered minimum finds the nearest point of each pixel in all images. A maximum filter over negative
 floats draws the points as squares. There are two synchronisations: for the extents, which determine the windows, and
 for the images.
 """
@@ -30,16 +30,16 @@ def render_pairs(
     config: ViewConfig,
     show: Float[np.ndarray, "m 3"] | None = None,
 ) -> list[PseudoView]:
-    """As `annotator.rcv.pseudo_view.render_pairs`; points between two pixels may be drawn at the other one."""
+    """As `annotator.rcv.pseudo_view.render_pairs`; a point midway between two pixels may be drawn at either."""
     import torch
 
     keep = drawn_points(len(cloud), config)
     drawn = cloud if keep is None else cloud.select(keep)
     points = drawn.on_device()
-    together = max(MAX_AT_ONCE // (2 * max(len(drawn), config.size_px**2)), 1)
+    axes_per_pass = max(MAX_AT_ONCE // (2 * max(len(drawn), config.size_px**2)), 1)
     views: list[PseudoView] = []
-    for begin in range(0, len(axes), together):
-        part = axes[begin : begin + together]
+    for begin in range(0, len(axes), axes_per_pass):
+        part = axes[begin : begin + axes_per_pass]
         along = _along(points, part)
         least, most = torch.stack([along.amin(dim=2), along.amax(dim=2)]).cpu().numpy()
         front_axes = np.stack(part)
@@ -54,7 +54,7 @@ def render_pairs(
 
 
 def _along(points: DevicePoints, axes: Sequence[Float64[np.ndarray, "3 3"]]) -> Any:
-    """Coordinates (k, 3, n) of the points along the rows of each axes.
+    """Coordinates (k, 3, n) of the points along the rows of each set of axes.
 
     Computed as a sum of products, since a GPU may use reduced precision for matrix products.
     """
@@ -119,7 +119,7 @@ def _pixels(along: Any, windows: Sequence[Window], shape: tuple[int, int, int]) 
     left, top = (_to(corner[:, i].reshape(-1, 2, 1), along) for i in (0, 1))
     last_column, last_row = (_to(last[:, i].reshape(-1, 2, 1), along) for i in (0, 1))
     per_m = _to(scale.reshape(-1, 2, 1), along)
-    # truncation rounds to the nearest pixel, since `corner` includes the half pixel and no value is negative
+    # truncation rounds to the nearest pixel, since `corner` includes the half pixel and all values are at least 0
     right, down = torch.stack([along[:, 0], along[:, 2]], dim=1), along[:, 1:2]
     column = torch.minimum(((right - left) * per_m).to(torch.int64), last_column)
     row = torch.minimum(((down - top) * per_m).to(torch.int64), last_row)

@@ -54,7 +54,7 @@ def cuda_devices() -> list[CudaDevice]:
 
     Raises:
         ImportError, OSError: torch is missing or broken.
-        RuntimeError: there is a device, but it cannot be used.
+        RuntimeError: a device exists, but cannot be used.
     """
     import torch
 

@@ -40,7 +40,7 @@ class DevicePoints:
 
 @dataclass(frozen=True, eq=False)
 class DeviceCloud(PointCloud):
-    """A cloud of some of a frame's points, all of which are on a device; so are clouds selected from it.
+    """A selection of a frame's points. All points of the frame stay on a device, and further selections share them.
 
     Attributes:
         held: all points of the frame.

@@ -29,7 +29,7 @@ class NoAxesError(Exception):
 
 @dataclass(frozen=True)
 class FoundAxes:
-    """Projection axes, the strategy that gave them, and why each richer strategy failed."""
+    """Projection axes, the strategy that gave them, and why each more complex strategy failed."""
 
     axes: Float64[np.ndarray, "3 3"]
     strategy: Strategy
@@ -37,7 +37,7 @@ class FoundAxes:
 
 
 def _signed_permutations() -> Float64[np.ndarray, "24 3 3"]:
-    """The 24 rotations that turn a box into itself with its axes relabelled."""
+    """The 24 rotations that map a box onto itself and relabel its axes."""
     matrices = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -57,7 +57,7 @@ def match_axes(
     reference: Float64[np.ndarray, "3 3"],
     symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
 ) -> Float64[np.ndarray, "3 3"]:
-    """The relabelling of axes that is nearest to a reference, so that a quarter turn counts as no rotation."""
+    """The relabelling of axes that is nearest to a reference; it removes quarter turns."""
     return match_all_axes(axes[None], reference, symmetries)[0]
 
 
@@ -66,14 +66,14 @@ def match_all_axes(
     reference: Float64[np.ndarray, "3 3"],
     symmetries: Float64[np.ndarray, "k 3 3"] = BOX_SYMMETRIES,
 ) -> Float64[np.ndarray, "n 3 3"]:
-    """`match_axes` of several axes at once."""
+    """`match_axes` for several sets of axes at once."""
     candidates = symmetries @ axes[:, None]
     best = np.argmax(np.einsum("nkij,ij->nk", candidates, reference), axis=1)
     return candidates[np.arange(len(axes)), best]
 
 
 def axes_angle_rad(a: Float64[np.ndarray, "3 3"], b: Float64[np.ndarray, "3 3"]) -> float:
-    """The smallest rotation between two axes, radians; relabelled axes count as equal."""
+    """The smallest rotation between two sets of axes, radians; relabelled axes count as equal."""
     matched = match_axes(a, b)
     return float(np.arccos(np.clip((np.einsum("ij,ij->", matched, b) - 1) / 2, -1, 1)))
 
@@ -89,7 +89,7 @@ def upright_axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]
     """The axes with a2 = -up whose a3 is nearest to `forward`."""
     down = -up / np.linalg.norm(up)
     level = forward - down * (forward @ down)
-    if np.linalg.norm(level) < 1e-6:  # looking straight up or down: any heading will do
+    if np.linalg.norm(level) < 1e-6:  # looking straight up or down: the heading is arbitrary
         level = np.cross(down, [1.0, 0.0, 0.0])
     a3 = level / np.linalg.norm(level)
     return np.stack([np.cross(down, a3), down, a3])
@@ -98,7 +98,7 @@ def upright_axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]
 def eigenvector_axes(
     xyz_m: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None, config: RcvConfig
 ) -> Float64[np.ndarray, "3 3"]:
-    """Principal axes of the points; if `up` is given, of their footprint.
+    """Principal axes of the points; of their footprint if `up` is given.
 
     Raises:
         NoAxesError: too few points, or eigenvalues that are too similar.
@@ -133,7 +133,8 @@ def axial_kmeans(
     """
     rng = np.random.default_rng(seed)
     centres = [directions[rng.integers(len(directions))]]
-    for _ in range(clusters - 1):  # farthest-point initialisation: spreads the centres, and none starts empty
+    # farthest-point initialisation: the centres are spread, and every cluster starts with a member
+    for _ in range(clusters - 1):
         nearest = np.abs(directions @ np.array(centres).T).max(axis=1)
         centres.append(directions[np.argmin(nearest)])
     centre = np.array(centres)
@@ -156,10 +157,10 @@ def normal_axes(
     config: RcvConfig,
     clustering: Clustering = axial_kmeans,
 ) -> Float64[np.ndarray, "3 3"]:
-    """Axes with a3 along the largest cluster of normals, completed by the next cluster (or, upright, by gravity).
+    """Axes with a3 along the largest cluster of normals; the next cluster (or gravity, if upright) gives the others.
 
     Args:
-        normals: unit vectors, or zero where unknown; antipodal ones are one direction.
+        normals: unit vectors, or zero where unknown; opposite vectors count as one direction.
         clustering: finds the clusters.
 
     Raises:
@@ -189,7 +190,7 @@ def _second_direction(centres: np.ndarray, counts: np.ndarray, major: np.ndarray
     for index in np.argsort(-counts, kind="stable"):
         if np.abs(centres[index] @ major) < np.cos(min_angle_rad):
             return centres[index]
-    # Only one direction, such as a wall: the most nearly perpendicular camera axis completes it.
+    # Only one direction, as on a wall: use the camera axis that is most nearly perpendicular to it.
     return np.eye(3)[np.argmin(np.abs(major))]
 
 
@@ -205,7 +206,7 @@ def find_axes(
 
     Args:
         strategy: camera, eigenvectors or normals.
-        up: unit vector along which an axis is held (against gravity), from `held_direction`; None leaves them free.
+        up: unit vector against gravity, to which one axis stays parallel, from `held_direction`; None: free axes.
         clustering: finds the clusters of normals.
     """
     symmetries = UPRIGHT_SYMMETRIES if up is not None else BOX_SYMMETRIES

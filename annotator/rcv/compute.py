@@ -1,4 +1,4 @@
-"""The interface to the device that works on many points: pseudo-views, normals and clusters.
+"""The interface of compute devices, which render pseudo-views and compute normals and clusters.
 
 `NumpyCompute` runs on the CPU; `annotator.gpu` implements the same interface on torch.
 """
@@ -20,10 +20,10 @@ from annotator.types import Camera, Frame, PointCloud, PseudoView
 
 @runtime_checkable
 class Compute(Protocol):
-    """A device for the work on many points; thread-safe."""
+    """A compute device for point clouds; thread-safe."""
 
     def hold(self, frame: Frame) -> Frame:
-        """The frame with its cloud on the device; clouds selected from it are on the device, too."""
+        """The frame with its cloud on the device; clouds selected from this cloud stay on the device."""
 
     def render_pairs(
         self,

@@ -12,12 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.types import BoxKind
 
-# Part of the fingerprint that marks a frame as annotated. Raise it when the same settings give different boxes.
+# Part of the fingerprint of annotated frames. Increase it when the same settings give different boxes.
 REVISION = 6
 
 
 class Strategy(StrEnum):
-    """How the projection axes of a step are found, from simple to rich."""
+    """How the projection axes of a step are found, from the simplest to the most complex strategy."""
 
     CAMERA = "camera"
     EIGENVECTORS = "eigenvectors"
@@ -51,7 +51,7 @@ class ViewConfig(BaseModel):
 
 
 class AxesConfig(BaseModel):
-    """How axes are found in a cloud and its normals."""
+    """How axes are estimated from a cloud and its normals."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -93,7 +93,7 @@ class FitConfig(BaseModel):
     huber_sigmas: float = Field(
         1.5, gt=0, description="residual above which an edge is down-weighted (Huber), multiples of its expected error"
     )
-    min_size_m: float = Field(1e-3, gt=0, description="a fit with a side this short is rejected, metres")
+    min_size_m: float = Field(1e-3, gt=0, description="a fit with a side of at most this length is rejected, metres")
     min_determinacy: float = Field(
         0.02,
         gt=0,
@@ -170,13 +170,13 @@ class WarmConfig(BaseModel):
     seed_doubt: float = Field(
         0.05,
         gt=0,
-        description="expected error of the start box's faces, share of its mean side; smaller values trust it more",
+        description="expected error of the start box's faces, share of its mean side; smaller values raise its weight",
     )
     max_steps: int = Field(2, ge=1, le=20, description="maximum number of steps after a warm start")
 
 
 class RcvConfig(BaseModel):
-    """Settings of the recursion. The defaults measured best (docs/benchmarks.md)."""
+    """Settings of the recursion. The defaults gave the best results (docs/benchmarks.md)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -192,7 +192,7 @@ class RcvConfig(BaseModel):
     max_steps: int = Field(
         5, ge=1, le=20, description="maximum number of steps, including the first one along the camera axes"
     )
-    min_points: int = Field(5, ge=1, description="the recursion ends if fewer points are left, points")
+    min_points: int = Field(5, ge=1, description="minimum number of points; with fewer, the recursion ends")
     axes_tolerance_rad: float = Field(
         0.02, gt=0, description="the recursion has converged if the axes turn by less than this, radians"
     )
@@ -209,7 +209,7 @@ class RcvConfig(BaseModel):
     stranger_weight: float = Field(
         0.1,
         ge=0,
-        description="weight of a detection that does not overlap the last box; one that matches it weighs 1 more",
+        description="weight of a detection that does not overlap the last box; its IoU with that box is added",
     )
     border_px: float = Field(
         1.0, ge=0, description="an edge within this distance of the view's border counts as cut off, pixels"
@@ -234,7 +234,7 @@ class RcvConfig(BaseModel):
         description="propose a coarse box for a lost object: its last box, or one around the frustum's points",
     )
     nms_iou: float = Field(
-        0.3, ge=0, le=1, description="of two boxes of one class with a higher IoU, only the better one is kept"
+        0.3, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
 
     def with_box_kind(self, kind: BoxKind) -> RcvConfig:

@@ -1,4 +1,4 @@
-"""Cross-View: a front and a side box that agree on their shared axis make one 3D box (RCV paper, section II.C)."""
+"""Cross-View: a front and a side box that agree on their shared axis give one 3D box (RCV paper, section II.C)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-# Lower bound of scores in the expected error of an edge, which is divided by the square root of the score.
+# Lower bound of the score by whose square root the expected error of an edge is divided.
 LEAST_SCORE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A front and a side detection, as indices into the views' boxes, and the 3D box that they make.
+    """A front and a side detection, as indices into the views' boxes, and the 3D box that they give.
 
     Attributes:
         axes: rows = axes of the front view.
@@ -84,10 +84,10 @@ def pair_all(
     cloud: PointCloud,
     config: RcvConfig,
 ) -> list[Pair]:
-    """The pairs of several objects in one frustum, best first; each detection is used once.
+    """The pairs of several objects in one frustum, best first; each detection is used at most once.
 
-    Objects that stand on one floor overlap on the shared axis in every combination. A pair is therefore also ranked
-    by its support: the IoU of the sets of points in its front box and in its side box.
+    Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
+    the IoU of the sets of points in its front box and in its side box.
     """
     from annotator.rcv.kernels.spans import count_within
 
@@ -122,7 +122,7 @@ def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, co
     """The detection that continues an object: the one with the best score times agreement with the last box.
 
     Args:
-        last: (8, 3) corners of the last step's box, camera frame; None compares the scores only.
+        last: (8, 3) corners of the last step's box, camera frame; None: only the scores are compared.
 
     Returns:
         an index into `boxes`, or None without detections.
@@ -165,7 +165,7 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
     scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
     is_cut = np.array([cut_edges(view, box, config) for view, box in zip(views, boxes, strict=True)])
     noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
-    # of a cut-off edge only a bound is known, so its expected error is larger
+    # a cut-off edge is only a bound, so its expected error is larger
     sigma_m = noise_m * np.where(is_cut.reshape(-1, 2, 2), config.fit.cut_doubt, 1.0)
     directions = np.concatenate([view.axes[:2] for view in views])
     return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))

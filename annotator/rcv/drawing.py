@@ -1,8 +1,8 @@
-"""Rendering of points: each is drawn at its pixel as a square that closes gaps, and the nearest one wins.
+"""Rendering of points: each is drawn as a square that closes gaps; a pixel shows the nearest point.
 
 One integer key per point holds its depth and its index. The minimum key over the points of a pixel gives the nearest
-point; the minimum over a neighbourhood draws points as squares. Read as the bits of a float, a key is positive and
-keeps its order, because the image filters on a GPU (`annotator.gpu`) only take floats.
+point; the minimum over a neighbourhood draws points as squares. The image filters on a GPU
+(`annotator.gpu`) only accept floats, so keys are chosen whose bits are also positive floats in the same order.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from jaxtyping import Float, Float32, Float64, UInt8, UInt32
 
 from annotator.rcv.config import ViewConfig
 
-# The grey that letterboxing pads with, so that a view's border is not visible to the detector.
+# The padding grey of letterboxing, so that the detector does not see the view's border.
 BACKGROUND = 114
 # The bits of the smallest and the largest normal positive float32: the range of keys.
 LEAST_KEY, LAST_KEY = 0x00800000, 0x7F7FFFFF
-# More levels than float32 can distinguish would overflow into the next level.
+# With more bits, float32 rounding would put points on a neighbouring level.
 DEPTH_BITS = 20
 
 
@@ -57,7 +57,7 @@ def splat_px(n_points: int, window: Window, largest: int) -> int:
 
 
 def pack_colors(colors: UInt8[np.ndarray, "n 3"] | None, n_points: int) -> UInt32[np.ndarray, "packed"] | None:
-    """One integer per colour, so that a view is one gather; the last entry is the background. None for None."""
+    """Colours as integers, so that a view is one gather; the last entry is the background. None without colours."""
     if colors is None:
         return None
     packed = np.empty((n_points + 1, 4), np.uint8)
@@ -73,7 +73,7 @@ class KeyLayout:
     Attributes:
         index_bits: number of low bits that hold the index.
         levels: number of depth levels; the last one is the background's.
-        empty: the key of a pixel without a point, larger than any point's.
+        empty: the key of a pixel without a point; larger than the key of any point.
     """
 
     index_bits: int
@@ -82,9 +82,9 @@ class KeyLayout:
 
     @classmethod
     def of(cls, n_points: int) -> KeyLayout:
-        """The layout for a number of points: depth gets the bits that the index does not need.
+        """The layout for a number of points; depth uses the bits that the index does not need.
 
-        For 50,000 points over 30 m one level is a millimetre.
+        For 50,000 points over a depth of 30 m, a level is a millimetre.
         """
         index_bits = n_points.bit_length()
         levels = min((LAST_KEY - LEAST_KEY) >> index_bits, 1 << DEPTH_BITS) - 1
@@ -103,7 +103,7 @@ def draw_views(
     depths_m: Float[np.ndarray, "v 2"],
     largest_splat_px: int,
 ) -> list[UInt8[np.ndarray, "_ _ 3"]]:
-    """Images of the same points, one per view; the nearest point wins a pixel. The images share one buffer.
+    """Images of the same points, one per view; each pixel shows the nearest point. The images share one buffer.
 
     Args:
         xyz_m: one row per coordinate.

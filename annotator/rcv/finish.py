@@ -30,8 +30,8 @@ class FrameProposals:
 def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> FrameProposals:
     """The proposals of a frame whose recursions have all ended.
 
-    Among overlapping boxes, and among several objects in one frustum, the agreement with the image box decides: if a
-    part of a neighbour reaches into a frustum, the neighbour's own frustum shows it completely.
+    The agreement with the image box decides among overlapping boxes and among several objects in one frustum. A
+    neighbour that is partly inside a frustum is completely inside its own, so its box there agrees better.
     """
     proposals: list[Proposal] = []
     lost: list[LostObject] = []
@@ -55,10 +55,10 @@ def image_agreement(camera: Camera, state: ObjectState, box: OrientedBox, config
     """IoU on the image between the projected 3D box (for silhouettes, the object's points) and the image box."""
     label = state.image_box.label
     if config.box_kind is BoxKind.SILHOUETTE:
-        seen = points_on_image(camera, state.cloud.xyz_m, label)
+        projected = points_on_image(camera, state.cloud.xyz_m, label)
     else:
-        seen = box_on_image(camera, box, label)
-    return 0.0 if seen is None else box_iou(seen, state.image_box)
+        projected = box_on_image(camera, box, label)
+    return 0.0 if projected is None else box_iou(projected, state.image_box)
 
 
 def _final_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:
@@ -82,9 +82,9 @@ def _agreeing_with_image(proposals: Iterable[Proposal], config: RcvConfig) -> li
     for proposal in proposals:
         by_frustum[id(proposal.image_box)].append(proposal)
     agreeing: list[Proposal] = []
-    for rivals in by_frustum.values():
-        best = max(rivals, key=_agreement)
-        agreeing += [p for p in rivals if p is best or _agreement(p) >= config.min_image_agreement]
+    for candidates in by_frustum.values():
+        best = max(candidates, key=_agreement)
+        agreeing += [p for p in candidates if p is best or _agreement(p) >= config.min_image_agreement]
     return agreeing
 
 

@@ -16,13 +16,13 @@ from annotator.types import PointCloud, PseudoView
 def frustum_views(
     cloud: PointCloud, axes: Float64[np.ndarray, "3 3"], config: RcvConfig, compute: Compute = NUMPY
 ) -> tuple[PseudoView, PseudoView]:
-    """Both views of a frustum's points; larger, and detected at a larger size, for a deep frustum.
+    """Both views of a frustum's points. For a deep frustum they are larger, also as the detector's input.
 
     Args:
         cloud: at least one point, camera frame.
         axes: as in `render_pairs`.
     """
-    # all points are drawn: thinning would leave too few of a far object among many near points
+    # all points are drawn, because thinning would leave too few points of a far object
     view = config.view.model_copy(update={"points_per_px": float(len(cloud))})
     if not is_deep(cloud, config):
         front, side = compute.render_pairs(cloud, [axes], view, None)
@@ -35,7 +35,7 @@ def frustum_views(
 def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
     """True if a frustum's depth is more than `config.view.deep` times its width and height.
 
-    The object is then small in the side view: a pedestrian in front of 60 m of street is two of 96 pixels wide.
+    The object is then small in the side view: with 60 m of street behind, a pedestrian is 2 of 96 pixels wide.
     Depth is measured along the frustum, which may lie at any angle to the camera's axis.
     """
     from annotator.rcv.kernels import drawing as kernel

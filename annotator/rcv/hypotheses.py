@@ -1,4 +1,4 @@
-"""The axis hypotheses of a consensus step: spread widely at first, then close to the last fit.
+"""The axis hypotheses of a consensus step: first spread widely, then close to the last fit.
 
 *Axes* are a (3, 3) matrix with rows a1, a2, a3, as in `axes`.
 """
@@ -47,9 +47,9 @@ def near_axes(
 def warm_axes(
     rotation: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None, step: int, config: RcvConfig
 ) -> list[Float64[np.ndarray, "3 3"]]:
-    """Axes around a nearly right rotation that determine a box without a wide step before them.
+    """Axes around a nearly correct rotation, which determine a box without a previous wide step.
 
-    In views along its own axes, the extent of a free box does not show in which direction it is rotated. If a view is
+    In views along a free box's own axes, its extent is the same for a small rotation in either direction. If a view is
     rotated about a diagonal, the extent along each of its axes depends on two rotations. So the hypotheses are rotated
     about the diagonals, and in the opposite direction in the next step. An upright box gets `near_axes`.
 
@@ -60,8 +60,8 @@ def warm_axes(
     if up is not None:
         return near_axes(rotation, up, config)
     count, spread = config.consensus.refine_hypotheses, config.warm.spread_rad
-    sense = 1.0 if step % 2 == 0 else -1.0
-    return _all_facing_camera((rotation @ rotation_matrices(sense * spread * _diagonals(count))).swapaxes(1, 2), up)
+    sign = 1.0 if step % 2 == 0 else -1.0
+    return _all_facing_camera((rotation @ rotation_matrices(sign * spread * _diagonals(count))).swapaxes(1, 2), up)
 
 
 def _diagonals(count: int) -> Float64[np.ndarray, "k 3"]:
@@ -74,7 +74,7 @@ def _diagonals(count: int) -> Float64[np.ndarray, "k 3"]:
 def face_camera(axes: Float64[np.ndarray, "3 3"], up: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
     """The relabelling of axes that is nearest to the camera's axes; level if `up` is given.
 
-    Every object is then viewed from the sensor's side and the right way up, however its own axes are labelled.
+    Every object is then viewed from the sensor's side and the right way up, independent of the labelling of its axes.
     """
     return _all_facing_camera(axes[None], up)[0]
 

@@ -17,11 +17,11 @@ from jaxtyping import Float64
 from annotator.rcv.config import FitConfig
 from annotator.rcv.rotation_search import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
 
-# How many rotations are refined, and how far apart they start; not settings, since they do not change what counts as
-# an object.
+# Number of rotations that are refined, and their minimum distance at the start. They are not settings, because they
+# only trade accuracy against time.
 STARTS = 6
 START_DISTANCE_RAD = float(np.deg2rad(10))
-# Keeps the equations of the centre solvable if no interval measures a direction.
+# Keeps the equations of the centre solvable if a direction is not measured.
 RIDGE = 1e-9
 
 DEFAULTS = FitConfig()
@@ -144,7 +144,7 @@ class Edges:
         """From the parts of `Intervals`."""
         known = np.isfinite(sigma_m)
         middle = np.where(known, ends_m, 0.0) @ (0.5, 0.5)
-        # any point near the object will do; the ridge handles directions that no interval measures
+        # any point near the object is sufficient; the ridge handles directions without an interval
         spread = direction.T @ direction + RIDGE * len(direction) * np.eye(3)
         shift = np.linalg.solve(spread, direction.T @ middle)
         ends = np.where(known, ends_m - (direction @ shift)[:, None], 0.0)
@@ -164,11 +164,11 @@ class Edges:
         return determined(self._measured, box, HELD if held else FREE, self.config.min_determinacy)
 
     def refine(self, rotation: Float64[np.ndarray, "k 3 3"], held: bool) -> Solution:
-        """The best box that Gauss-Newton steps from several rotations lead to.
+        """The best box that Gauss-Newton steps reach from several start rotations.
 
         Args:
-            rotation: where to start; columns = box axes.
-            held: turn about the boxes' z axes only.
+            rotation: start rotations; columns = box axes.
+            held: rotate about the boxes' z axes only.
         """
         from annotator.rcv.kernels.refinement import FREE, HELD, refine
 

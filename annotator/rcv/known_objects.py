@@ -1,7 +1,7 @@
 """The 2D boxes of known 3D boxes on a frame's image and pseudo-views (RCV paper, section III.A and Fig. 5).
 
 Each object goes through the two steps of manual labelling (`annotator.rcv.operator`), with its projected 3D box in
-place of each drawn box. Unlike manually labelled views, these carry the boxes of all objects that they show: a frustum
+place of each drawn box. Unlike manually labelled views, these have boxes for all visible objects: a frustum
 often contains neighbours, which would otherwise be unlabelled background in training.
 """
 
@@ -21,14 +21,13 @@ from annotator.rcv.operator import draw_object
 from annotator.rcv.teach import is_shown, project_box
 from annotator.types import Box2D, Frame, PseudoView, Truth
 
-# An object without points counts as hidden if at least this share of the points in its image box's frustum lie in front
-# of it.
+# An object without points counts as hidden if at least this share of the points in its frustum lie in front of it.
 HIDING_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class KnownView:
-    """A pseudo-view, the number of its step (from 0), and the boxes on it, that of its own object first."""
+    """A pseudo-view, the number of its step (from 0), and the boxes on it; the box of its own object is the first."""
 
     view: PseudoView
     step: int
@@ -86,11 +85,11 @@ def boxes_of_known(frame: Frame, truths: Sequence[Truth], config: RcvConfig) -> 
     frame = frame_with_normals(frame, [box for index, box in visible if known.points[index]], config)
     objects, without_views = [], []
     for index, image_box in visible:
-        followed = known.follow(frame, index, image_box, config) if known.points[index] else None
-        if followed is None:
+        known_object = known.follow(frame, index, image_box, config) if known.points[index] else None
+        if known_object is None:
             without_views.append(truths[index].label)
         else:
-            objects.append(followed)
+            objects.append(known_object)
     on_image = tuple(box for _, box in visible)
     return KnownFrame(on_image, tuple(objects), tuple(outside), tuple(hidden), tuple(without_views))
 
@@ -123,7 +122,7 @@ class _Known:
     def follow(self, frame: Frame, index: int, image_box: Box2D, config: RcvConfig) -> KnownObject | None:
         """Takes one object through both steps; None if too few points are left."""
         truth = self.truths[index]
-        # both views of a step have the same points; the ids stay valid because the dictionary keeps the arrays
+        # cached, since both views of a step have the same points; the array is kept so that its id stays valid
         shown: dict[int, tuple[np.ndarray, tuple[int, ...]]] = {}
 
         def objects_on(view: PseudoView) -> tuple[int, ...]:
@@ -151,7 +150,7 @@ class _Known:
         return [box for box in boxes if box is not None]
 
     def _shown(self, xyz_m: np.ndarray) -> tuple[int, ...]:
-        """Indices of the objects that a view of these points shows enough of to label."""
+        """Indices of the objects of which these points show enough for a label."""
         low, high = xyz_m.min(axis=0), xyz_m.max(axis=0)
         near = ((self.corners_m.min(axis=1) <= high) & (self.corners_m.max(axis=1) >= low)).all(axis=1)
         return tuple(

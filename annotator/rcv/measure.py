@@ -28,8 +28,8 @@ class Measurement:
         score: mean score of the detections used.
         used: per view, the index of the detection that was used.
         intervals: all intervals measured of the object so far.
-        fallback: what was tried first and failed, with the reason.
-        cut: a used detection touches the border of its view.
+        fallback: what failed before, with the reason.
+        cut: whether a used detection touches the border of its view.
     """
 
     box: OrientedBox
@@ -76,19 +76,19 @@ def measure_consensus(
     config: RcvConfig,
     start_box: OrientedBox | None = None,
 ) -> Measurement | None:
-    """The box fitted to the intervals of all detections of this and earlier steps.
+    """The box fitted to the intervals of all detections, of this and earlier steps.
 
     Args:
-        start_box: the box of a warm start, which counts as a weak measurement.
+        start_box: the box of a warm start; used as an additional measurement of low weight.
 
     Returns:
         the fit, or the pair of least volume if the intervals do not determine a box; None without detections.
     """
     used = choose_all(views, boxes, last, config)
-    seen = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
-    if not seen:
+    detected = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
+    if not detected:
         return None
-    parts = [cross_view.measured_intervals([view for view, _ in seen], [box for _, box in seen], config)]
+    parts = [cross_view.measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
     if start_box is not None:
         parts.append(_start_intervals(start_box, parts[0], config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
@@ -97,17 +97,17 @@ def measure_consensus(
         pairs = _pairs(axes, views, boxes, used)
         return _least_volume(pairs, used, intervals, (UNDETERMINED,))
     box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
-    score = float(np.mean([b.score for _, b in seen])) * len(seen) / len(views)
+    score = float(np.mean([b.score for _, b in detected])) * len(detected) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
     return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used, config))
 
 
-def _start_intervals(start_box: OrientedBox, seen: Intervals, config: RcvConfig) -> Intervals:
-    """The start box as three intervals, moved to the object's present centre, as the measured intervals give it.
+def _start_intervals(start_box: OrientedBox, measured: Intervals, config: RcvConfig) -> Intervals:
+    """The start box as three intervals around the centre of the measured intervals.
 
-    It stabilises sides that the few views of a warm start measure badly.
+    It stabilises sides that the few views of a warm start measure inaccurately.
     """
-    center = np.linalg.lstsq(seen.directions, seen.ends_m.mean(axis=1), rcond=None)[0]
+    center = np.linalg.lstsq(measured.directions, measured.ends_m.mean(axis=1), rcond=None)[0]
     axes, half = start_box.rotation.T, start_box.size_m / 2
     ends = (axes @ center)[:, None] + np.stack([-half, half], axis=1)
     return Intervals(axes, ends, np.full((3, 2), config.warm.seed_doubt * float(start_box.size_m.mean())))
@@ -158,10 +158,10 @@ def measure_tightest(
     cloud: PointCloud,
     config: RcvConfig,
 ) -> Measurement | None:
-    """The pair of least volume among the hypotheses: silhouettes fit tightly only along the object's own axes.
+    """The pair of least volume among the hypotheses, because silhouettes fit tightly only along the object's axes.
 
-    A hypothesis whose detections missed a part of the object would be the smallest. So hypotheses that contain clearly
-    fewer points than the median are discarded.
+    If detections miss a part of the object, their hypothesis is too small. So hypotheses that contain clearly fewer
+    points than the median are discarded.
     """
     used = choose_all(views, boxes, last, config)
     pairs = _pairs(axes, views, boxes, used)

@@ -1,7 +1,6 @@
 """The paper's labelling procedure (Fig. 6): image box -> two views -> two more views -> the object.
 
-The browser's operator and the simulated operator of the benchmarks follow the same steps, with five 2D boxes per
-object.
+Operators in the browser and the simulated operator of the benchmarks follow the same steps: five 2D boxes per object.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class DrawnObject:
 
 
 def draw_object(frame: Frame, image_box: Box2D, draw: DrawOnView, config: RcvConfig) -> DrawnObject | None:
-    """Takes one object through both steps.
+    """Draws one object's boxes in both steps.
 
     Args:
         frame: with normals (`frame_with_normals`) if several of its objects are drawn.
@@ -88,7 +87,7 @@ def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | No
 
 
 def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: RcvConfig) -> Views | None:
-    """The views of the next step: the points that the front and the side box cut out, along the axes of their normals.
+    """The views of the next step: the points inside the front and the side box, along the axes of their normals.
 
     Args:
         frame: see `draw_object`.
@@ -102,7 +101,7 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
     if mask.sum() < config.min_points:
         return None
     frustum = with_normals(frame, mask, config).select(mask)
-    # as in the recursion, so that the drawn views look like those that the detector will see
+    # as in the recursion, so that these views look like those that the detector will process
     front, side = frustum_views(frustum, axes, config)
     label = image_box.label
     drawn = [[front.box_px(front_span, label)], [side.box_px(side_span, label)]]
@@ -117,10 +116,10 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
 
 
 def cut_out(frame: Frame, image_box: Box2D, spans: Sequence[tuple[Span, float]]) -> Bool[np.ndarray, "n"]:
-    """Which points an object's 2D boxes select: those in the frustum and within the box on every view.
+    """Which points lie within all 2D boxes of an object: in the frustum, and in the box on every view.
 
     Args:
-        spans: of each view's box, with the inaccuracy of drawing that is allowed, metres.
+        spans: of each view's box, each with the allowed drawing error, metres.
     """
     mask = in_frustum(frame.camera, frame.cloud.xyz_m, image_box)
     for (axes, span), margin_m in spans:

@@ -30,12 +30,12 @@ def propose(
     objects that are still in recursion.
 
     Args:
-        warm_starts: for each frame, boxes that its objects had in an earlier frame. An object whose image box matches
-            one starts from it (`annotator.rcv.warm_start`).
+        warm_starts: for each frame, the boxes of its objects in an earlier frame. An object starts from the box that
+            matches its image box (`annotator.rcv.warm_start`).
         compute: the device that draws views and estimates and clusters normals.
 
     Returns:
-        one result per frame, in the order given.
+        one result per frame, in the order of `frames`.
     """
     image_boxes = image_detector.detect(frames)
     return propose_from_boxes(frames, image_boxes, view_detector, config, warm_starts, compute)

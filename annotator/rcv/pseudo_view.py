@@ -19,7 +19,7 @@ def side_axes(axes: Float64[np.ndarray, "*k 3 3"]) -> Float64[np.ndarray, "*k 3 
 
 
 def point_colors(cloud: PointCloud) -> UInt8[np.ndarray, "n 3"] | None:
-    """The cloud's colours, else grey values of its reflectance, else None: it is shaded by depth."""
+    """The cloud's colours, or grey values of its reflectance; None without both (then it is shaded by depth)."""
     if cloud.rgb is not None:
         return cloud.rgb
     if cloud.reflectance is None:
@@ -35,7 +35,7 @@ def render_pairs(
     config: ViewConfig,
     show: Float[np.ndarray, "m 3"] | None = None,
 ) -> list[PseudoView]:
-    """Front and side pseudo-views of a cloud along several axes: front 0, side 0, front 1, ...
+    """Front and side pseudo-views of a cloud along several sets of axes: front 0, side 0, front 1, ...
 
     Args:
         cloud: at least one point, camera frame.
@@ -79,7 +79,7 @@ def pair_windows(
     config: ViewConfig,
     show: Float[np.ndarray, "m 3"] | None,
 ) -> list[Window]:
-    """The windows of the front and the side view along each axes, in turn.
+    """The windows of the views along each set of axes: front 0, side 0, front 1, ...
 
     Args:
         axes: rows a1, a2, a3 of each front view.

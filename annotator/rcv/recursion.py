@@ -48,14 +48,14 @@ class ObjectState:
         axes: rows = axes of the last step.
         box: the last step's box.
         measured: intervals of all consensus steps so far.
-        is_cut: a detection of the last step touched its view's border, so the object may extend beyond it.
-        view_score: mean score of the detections that made the last box.
+        is_cut: whether a detection of the last step touched its view's border; the object may extend beyond it.
+        view_score: mean score of the detections that gave the last box.
         disagreement, last_change, kept_share: the quality signals of the last step.
         steps: the trace.
         stop: CONTINUES while the recursion runs.
         notes: how the object started, for the trace of the first step.
-        is_warm: the object started from its previous box (`warm_start`).
-        cold: until a warm start has been checked, the state without it.
+        is_warm: whether the object started from its previous box (`warm_start`).
+        cold: the state without the warm start; None after the warm start has been checked.
     """
 
     frame_index: int
@@ -88,7 +88,7 @@ class ObjectState:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """The pseudo-views of an object's next step: front and side view along each axes, in turn."""
+    """The pseudo-views of an object's next step: front and side view for each set of axes."""
 
     strategy: Strategy
     fallback: tuple[str, ...]
@@ -97,7 +97,7 @@ class StepPlan:
 
 
 def held_direction(up: np.ndarray | None, config: RcvConfig) -> np.ndarray | None:
-    """The direction along which a box axis is held: unit vector (3,), or None for free boxes."""
+    """The direction to which one box axis stays parallel: unit vector (3,), or None for free boxes."""
     if config.orientation is Orientation.FREE:
         return None
     # without a gravity direction, the camera is assumed to be level
@@ -125,8 +125,8 @@ def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -
         strategy = Strategy.CONSENSUS
         axes, fallback = _consensus_axes(state, config, compute)
     else:
-        found = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
-        strategy, fallback, axes = found.strategy, found.fallback, [found.axes]
+        chosen = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
+        strategy, fallback, axes = chosen.strategy, chosen.fallback, [chosen.axes]
     if not state.steps:
         fallback = state.notes + fallback
     views: Sequence[PseudoView]
@@ -151,7 +151,7 @@ def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], 
 def _consensus_axes(
     state: ObjectState, config: RcvConfig, compute: Compute
 ) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
-    """The axis hypotheses of a step, and why richer strategies failed."""
+    """The axis hypotheses of a step, and why more complex strategies failed."""
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
         return wide_axes(state.up, config), ()
     if state.is_warm:
@@ -168,7 +168,7 @@ def _consensus_axes(
 def absorb_step(
     state: ObjectState, plan: StepPlan, detections: Sequence[Sequence[Box2D]], config: RcvConfig
 ) -> list[ObjectState]:
-    """The object's state after a step; several states if the first step found several objects.
+    """The object's state after a step; several states if the first step finds several objects.
 
     Args:
         detections: per view of the plan, best first; classes other than the frustum's are ignored.
@@ -201,8 +201,8 @@ def _absorb_first(
     results = []
     for pair in pairs:
         used = (pair.front, pair.side)
-        # The first step's intervals are not kept for the consensus: the object is small in these views, and their edges
-        # have three times the error of later ones, with a bias to one side.
+        # The consensus does not use the first step's intervals: the object is small in these views, and their edges
+        # have a bias and three times the error of later ones.
         measured = Measurement(
             pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config)
         )
@@ -252,7 +252,7 @@ def _stop(
     if points < config.min_points:
         return StopReason.TOO_FEW_POINTS
     steps = len(state.steps) + 1
-    # The first step uses the camera's axes for any object, so agreement with them is no convergence. A cut-off object
+    # The first step uses the camera's axes for any object, so agreement with them is not convergence. A cut-off object
     # gets another step with larger views.
     first = 2 if config.strategy is Strategy.CONSENSUS and not state.is_warm else 1
     if steps > first and not is_cut and turned_rad < config.axes_tolerance_rad:
@@ -290,7 +290,7 @@ def _step_trace(
 
 
 def box_trace(box: OrientedBox | None) -> BoxTrace | None:
-    """The box as plain numbers; None for None."""
+    """The box as plain numbers; None without a box."""
     if box is None:
         return None
     center, size = box.center_m, box.size_m

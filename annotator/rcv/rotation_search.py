@@ -1,4 +1,4 @@
-"""The rotation search of the box fit: a grid of rotations, and what each costs given the intervals' lengths.
+"""The rotation search of the box fit: a grid of rotations, and the cost of each from the intervals' lengths.
 
 Half the length of an interval along d is `sum_i s_i / 2 |d.r_i|`: linear in the sizes s_i for a known rotation with
 axes r_i, and independent of the centre. Each rotation is therefore a least-squares problem with three unknowns, solved
@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from annotator.rcv.axes import BOX_SYMMETRIES
 from annotator.rcv.config import FitConfig
 
-# Resolution of the search; not settings, since they do not change what counts as an object.
+# Resolution of the search. These are not settings, because they only trade accuracy against time.
 GRID_SIZE = 400
 YAW_GRID = 36
-# Share of the rotations that is solved again: in the first round, a wrong interval raises the cost of all of them.
+# Share of the rotations that are solved again, because a wrong interval distorts all costs of the first round.
 SECOND_ROUND_SHARE = 0.25
 # Grids up to this size are solved again as a whole.
 SMALL_GRID = 64
@@ -42,7 +42,7 @@ def rotation_matrices(vectors: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray
 
 @lru_cache(maxsize=4)
 def spread_rotations(count: int) -> Float64[np.ndarray, "k 3 3"]:
-    """`count` rotations spread evenly over those that differ for a box; deterministic, the identity first.
+    """`count` rotations spread evenly over all orientations of a box; deterministic, the identity first.
 
     A super-Fibonacci spiral (Alexa, CVPR 2022) covers SO(3). Only rotations whose nearest box symmetry is the identity
     are kept.
@@ -94,7 +94,7 @@ def _grid_neighbours(up: tuple[float, ...] | None, angle_rad: float) -> Bool[np.
 
 
 def neighbours(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Bool[np.ndarray, "k k"]:
-    """Which rotations differ by less than `angle_rad`; rotations that turn a box into itself count as equal."""
+    """Which rotations differ by less than `angle_rad`; rotations that map a box onto itself count as equal."""
     # trace(A S B^T) for all pairs and symmetries: the columns of A, permuted and signed, against those of B
     flat = rotations.reshape(len(rotations), 9)
     best = np.full((len(rotations), len(rotations)), -np.inf)
@@ -106,7 +106,7 @@ def neighbours(rotations: Float64[np.ndarray, "k 3 3"], angle_rad: float) -> Boo
 def cheapest_distinct(
     costs: Float64[np.ndarray, "k"], near: Bool[np.ndarray, "k k"], count: int
 ) -> Int64[np.ndarray, "c"]:
-    """Indices of up to `count` lowest finite costs, in rising order, without neighbours of a cheaper one.
+    """Indices of up to `count` lowest finite costs, ascending, without neighbours of a cheaper rotation.
 
     Args:
         near: from `neighbours`.

@@ -1,7 +1,7 @@
 """Training images for the view detector: pseudo-views from random directions, labelled by known 3D boxes.
 
 The crops imitate the stages of the recursion: a frustum along the camera axes; the points in a first cross-view box,
-from any direction; and the points in a nearly correct box, from close to its own axes.
+from any direction; and the points in a nearly correct box, nearly along its own axes.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ def teach_views(
         kind: what the 2D boxes measure.
         draws: number of random crops per object; each gives two views.
         up: unit vector against gravity for upright objects, whose views are level; None for free ones.
-        doubtful: boxes of possible further objects. Views that show enough of one to label it are left out, because
-            without a label they would train the detector to treat it as background.
+        doubtful: boxes of possible further objects. Views that show enough of such an object for a label are left out,
+            because they would train the detector to treat it as background.
     """
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
     known = np.logical_or.reduce(masks) if masks else np.zeros(len(frame.cloud), bool)
@@ -106,7 +106,7 @@ def teach_views(
         if mask.sum() < MIN_POINTS:
             continue
         scene = _Scene(frame, objects, masks, doubts)
-        # all crops except the frustum are close to the object, so most of a large cloud can be skipped
+        # all crops except the frustum are close to the object, so most points of a large cloud can be skipped
         near = scene.near(target.box)
         for _ in range(draws):
             taught.extend(_draw(scene, near, target, kind, config, up, rng))
@@ -130,7 +130,7 @@ class _Scene:
         return _Scene(frame, self.objects, [mask[keep] for mask in self.masks], [mask[keep] for mask in self.doubts])
 
     def shows_doubtful(self, keep: np.ndarray, whole: _Scene) -> bool:
-        """True if the points of `keep` show enough of a doubtful object to label it."""
+        """True if the points of `keep` show enough of a doubtful object for a label."""
         pairs = zip(self.doubts, whole.doubts, strict=True)
         return any(is_shown(int((mask & keep).sum()), int(whole_mask.sum())) for mask, whole_mask in pairs)
 
@@ -154,7 +154,7 @@ def _draw(
         keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_axes(up), None
         target_mask = whole.masks[list(whole.objects).index(target)]
         if not is_shown(int((target_mask & keep).sum()), int(target_mask.sum())):
-            return []  # mostly behind the camera or outside the image: the visible rest would be unlabelled background
+            return []  # mostly behind the camera or outside the image; the visible rest would be unlabelled background
     elif choice < FRUSTUM_SHARE + WIDE_SHARE:
         crop = _camera_crop(target.box, up, rng)
         keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
@@ -188,7 +188,7 @@ def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[i
 
 
 def is_shown(points: int, total: int) -> bool:
-    """True if a view with `points` of an object's `total` points shows enough of it to label it."""
+    """True if `points` of an object's `total` points are enough for a label."""
     return points >= max(MIN_POINTS, MIN_SHARE * total)
 
 

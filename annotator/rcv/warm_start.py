@@ -1,8 +1,8 @@
-"""Warm starts: an object starts from the box that it had in an earlier frame.
+"""Warm starts: an object starts from its box in an earlier frame.
 
 The first steps of a recursion find an object's position and rotation. An earlier box gives both approximately, so the
-object starts with views close to that box's axes, on the points around it. After the first step the result is checked.
-It must lie within the points that were used, be similar to the start box in size and rotation, and agree with the image
+object starts with views close to that box's axes, on the points around it. After the first step, the result is checked:
+it must lie within the points that were used, be similar to the start box in size and rotation, and agree with the image
 box. Otherwise the start box is dropped, and the object is processed without it.
 """
 
@@ -34,11 +34,11 @@ BORDER_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """The box that an object had in an earlier frame, from which it starts in the present one.
+    """The box of an object in an earlier frame, from which it starts in the current frame.
 
     Attributes:
         label: class name.
-        box: in the camera frame of the present frame.
+        box: in the camera frame of the current frame.
     """
 
     label: str
@@ -53,7 +53,7 @@ def is_warm(proposal: Proposal) -> bool:
 def match_warm_starts(
     camera: Camera, image_boxes: Sequence[Box2D], warm_starts: Sequence[WarmStart], config: RcvConfig
 ) -> list[OrientedBox | None]:
-    """The start box of each image box, None without one; each warm start is used at most once.
+    """The start box of each image box, or None; each warm start is used at most once.
 
     The assignment maximises the total IoU of image boxes with the outlines (projected boxes) of warm starts of their
     class. Since objects move between frames, a start box is shifted so that its outline is centred on the image box.
@@ -141,7 +141,7 @@ def _dropped(cold: ObjectState, reason: str) -> ObjectState:
 def _disagreement(
     camera: Camera, start_box: OrientedBox, after: ObjectState, config: RcvConfig
 ) -> tuple[str | None, float]:
-    """Why a start box and the result are not the same object, or None; and their `shape_iou`, 0 if not computed."""
+    """Why the result does not match the start box, or None; and their `shape_iou`, 0 if not computed."""
     box = after.box
     if box is None or after.stop is StopReason.LOST:
         return "the views do not show the object", 0.0
@@ -155,13 +155,13 @@ def _disagreement(
 
 
 def _implausible(start_box: OrientedBox, box: OrientedBox, after: ObjectState, config: RcvConfig) -> str | None:
-    """Why the first step of a warm start is rejected before boxes are compared by IoU, or None."""
+    """Why the first step of a warm start is rejected before its boxes are compared by IoU; None if it is not."""
     warm, step = config.warm, after.steps[-1]
     if after.stop is StopReason.TOO_FEW_POINTS:
         return f"{len(after.cloud)} points in the box are too few"
-    seen = sum(view.used is not None for view in step.views) / len(step.views)
-    if seen < warm.min_seen:
-        return f"only {seen:.0%} of the views show the object"
+    seen_share = sum(view.used is not None for view in step.views) / len(step.views)
+    if seen_share < warm.min_seen:
+        return f"only {seen_share:.0%} of the views show the object"
     if UNDETERMINED in step.fallback:
         return UNDETERMINED
     if not contains(start_box, box_corners(box), _margin_m(start_box, config)).all():

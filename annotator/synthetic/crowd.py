@@ -74,7 +74,7 @@ class Walker:
         yaw: direction of the body, from +x towards +y, radians.
         phase: phase of the gait, radians.
         target: (2,) destination of the walk, metres.
-        until_s: end time of the present walk or gesture.
+        until_s: end time of the current walk or gesture.
         gesture: index of the gesture, or -1 while walking.
         started_s: start time of the gesture.
         facing: yaw to turn to while standing, radians.
@@ -101,7 +101,7 @@ class Walker:
 
 def crowd_moments(zone: Zone, count: int, random: np.random.Generator, period_s: float) -> Iterator[list[Walker]]:
     """Yields the walkers every `period_s` seconds, endlessly; the list is reused."""
-    walkers = _beginners(zone, count, random)
+    walkers = _initial_walkers(zone, count, random)
     steps = round(period_s / STEP_S)
     now = 0.0
     for _ in range(round(1.5 / STEP_S)):  # skips the transients at the start
@@ -112,7 +112,7 @@ def crowd_moments(zone: Zone, count: int, random: np.random.Generator, period_s:
             now = _advance(walkers, zone, random, now)
 
 
-def _beginners(zone: Zone, count: int, random: np.random.Generator) -> list[Walker]:
+def _initial_walkers(zone: Zone, count: int, random: np.random.Generator) -> list[Walker]:
     walkers: list[Walker] = []
     while len(walkers) < count:
         place = zone.random_place(random)

@@ -1,7 +1,7 @@
 """Simulation of hands in front of the camera: smooth translation, free rotation and changing gestures.
 
 Each arm extends from a shoulder to a moving wrist. The elbow follows from the lengths of two bones and a swivel angle.
-The hand bends and rolls relative to the forearm, so that it is seen from all sides.
+The hand bends and rolls relative to the forearm, so that all its sides become visible.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Reach:
 
 @dataclass
 class HandMotion:
-    """One hand's goal and present state; two low-pass filters keep the velocity continuous."""
+    """One hand's goal and current state; two low-pass filters keep the velocity continuous."""
 
     reach: Reach
     goal: np.ndarray

@@ -40,10 +40,10 @@ class RayScene:
 
     def first_hits(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
         """The nearest triangle on each ray; triangles are hit from both sides."""
-        answer = self._scene.cast_rays(self._rays(origins, directions))
-        t = answer["t_hit"].numpy()
-        triangle = answer["primitive_ids"].numpy().astype(np.int32)
-        return Hits(t, np.where(np.isfinite(t), triangle, np.int32(-1)), answer["primitive_uvs"].numpy())
+        hits = self._scene.cast_rays(self._rays(origins, directions))
+        t = hits["t_hit"].numpy()
+        triangle = hits["primitive_ids"].numpy().astype(np.int32)
+        return Hits(t, np.where(np.isfinite(t), triangle, np.int32(-1)), hits["primitive_uvs"].numpy())
 
     def blocked(
         self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.synthetic.materials import Palette
 from annotator.synthetic.mesh import Mesh, joined
 from annotator.synthetic.raycast import RayScene
-from annotator.synthetic.shading import Lights, Surface, developed, lamp_points, shaded, softened
+from annotator.synthetic.shading import Lights, Surface, lamp_points, shaded, softened, tone_mapped
 from annotator.synthetic.silhouette import silhouette
 from annotator.types import Camera
 
@@ -72,7 +72,7 @@ class _Layer:
 
 
 class Stage:
-    """A camera and the static part of its scene, onto which moving meshes are drawn, image by image.
+    """A camera and the static part of its scene; moving meshes are drawn onto it for each image.
 
     The static part is cast and shaded once. For each image, rays are cast only around the moving meshes, and shadows
     are tested only against them.
@@ -104,10 +104,10 @@ class Stage:
         self._draw(layer, scene, mesh, np.flatnonzero(region))
         lit = np.flatnonzero(layer.lit)
         layer.lit[lit] = ~scene.blocked(layer.start[lit], layer.to_lamp[lit])
-        return self._developed(layer)
+        return self._rendering(layer)
 
     def _draw(self, layer: _Layer, scene: RayScene, mesh: Mesh, pixels: np.ndarray) -> None:
-        """Draws `mesh` at `pixels` where it is nearer than the surface drawn before."""
+        """Draws `mesh` at those `pixels` where it is nearer than the surfaces drawn before."""
         directions = self._directions[pixels]
         hits = scene.first_hits(np.broadcast_to(self._origin, directions.shape), directions)
         drawn = layer.depth_m[pixels]
@@ -131,11 +131,11 @@ class Stage:
             return np.ones(self.camera.width_px * self.camera.height_px, bool)
         return np.asarray(cv2.dilate(outline, np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8)).ravel() > 0)
 
-    def _developed(self, layer: _Layer) -> Rendering:
+    def _rendering(self, layer: _Layer) -> Rendering:
         shape = (self.camera.height_px, self.camera.width_px)
         depth = layer.depth_m.reshape(shape)
         lit = softened(layer.lit.reshape(shape).astype(np.float32), depth)
-        rgb = developed(layer.base + layer.key * lit.reshape(-1, 1))
+        rgb = tone_mapped(layer.base + layer.key * lit.reshape(-1, 1))
         return Rendering(rgb.reshape(*shape, 3), depth, layer.track.reshape(shape), layer.facing.reshape(shape))
 
 

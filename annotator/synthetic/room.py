@@ -1,6 +1,6 @@
 """The furnished room, which is static.
 
-World frame: z up, origin on the floor below the camera's side of the room, y into the room. The side of the table, the
+World frame: z up, origin on the floor at the camera's end of the room, y into the room. The side of the table, the
 colours and the books on the shelf depend on the seed.
 """
 

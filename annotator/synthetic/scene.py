@@ -57,8 +57,8 @@ class Scene:
         palette: materials of all meshes.
         still: the static mesh.
         lights: lights of the room.
-        T_world_camera: pose of the camera, which is static, too.
-        moments: one every `PERIOD_S`, endless.
+        T_world_camera: pose of the static camera.
+        moments: an endless sequence, one every `PERIOD_S`.
     """
 
     palette: Palette
@@ -75,7 +75,7 @@ def people_scene(random: np.random.Generator) -> Scene:
     styles = random.permutation(HAIR_STYLES)
     looks = [random_looks(palette, random, str(style)) for style in styles[: int(random.integers(3, 5))]]
     zone = Zone(2.45, 4.5, 0.5, 0.3, room.obstacles)
-    pose = _looking(np.array([0.0, 0.0, random.uniform(1.5, 1.8)]), pitch=-0.2, roll=random.uniform(-0.03, 0.03))
+    pose = _camera_pose(np.array([0.0, 0.0, random.uniform(1.5, 1.8)]), pitch=-0.2, roll=random.uniform(-0.03, 0.03))
     return Scene(palette, room.mesh, room.lights, pose, _people(zone, looks, random))
 
 
@@ -87,7 +87,7 @@ def hands_scene(random: np.random.Generator) -> Scene:
     skin = palette.materials[looks.skin]
     nail = palette.add(Material(_paler(skin.colour), gloss=0.25, grain=0.02))
     camera = np.array([0.0, 1.0, random.uniform(1.2, 1.3)])
-    pose = _looking(camera, pitch=random.uniform(-0.12, 0.0), roll=random.uniform(-0.03, 0.03))
+    pose = _camera_pose(camera, pitch=random.uniform(-0.12, 0.0), roll=random.uniform(-0.03, 0.03))
     lights = Lights((random.uniform(-0.9, 0.9), 0.9, 2.5), key=0.8)
     both = random.random() < 0.6
     return Scene(palette, room.mesh, lights, pose, _hands(looks, nail, camera, both, random))
@@ -117,7 +117,7 @@ def _hands(looks: Looks, nail: int, camera: np.ndarray, both: bool, random: np.r
     reaches = [Reach(spans[side], depth, height) for side in sides]
     size = random.uniform(0.9, 1.06)
     turned = turn_z(-np.pi / 2)
-    # shoulders are at the same height on the image for tall and short persons
+    # tall and short persons have their shoulders at the same height on the image
     lift = np.array([0.0, 0.0, camera[2] - 0.12 - 0.775 * looks.height_m])
     for i, motions in enumerate(hand_moments(reaches, random, PERIOD_S)):
         sway = Pose(twist=0.06 * np.sin(0.11 * i), lean=0.02 * np.sin(0.07 * i), head_turn=0.2 * np.sin(0.05 * i))
@@ -152,8 +152,8 @@ def _arm(motion: HandMotion, start: np.ndarray, looks: Looks, side: float) -> tu
     return blobs.mesh(), np.asarray(forearm @ mirror @ motion.bend @ mirror)
 
 
-def _looking(place: np.ndarray, pitch: float, roll: float) -> RigidTransform:
-    """A camera that looks along world y, tilted up by `pitch` and rolled by `roll`, radians."""
+def _camera_pose(place: np.ndarray, pitch: float, roll: float) -> RigidTransform:
+    """The pose of a camera that looks along world y, tilted up by `pitch` and rolled by `roll`, radians."""
     level = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
     turn = level * Rotation.from_euler("xz", [pitch, roll])
     return RigidTransform.from_components(place, turn)

@@ -101,7 +101,7 @@ def softened(lit: Float32[np.ndarray, "h w"], depth_m: Float32[np.ndarray, "h w"
     return np.where(flat, total / np.maximum(count, 1), lit)
 
 
-def developed(linear: Float32[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
+def tone_mapped(linear: Float32[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
     """sRGB-like bytes of linear light; highlights are compressed smoothly."""
     steps = np.arange(CURVE_STEPS, dtype=np.float32) / (CURVE_STEPS - 1) * 2
     curve = np.where(steps < 0.7, steps, 0.7 + 0.3 * np.tanh((steps - 0.7) / 0.3))

@@ -1,4 +1,4 @@
-"""The exact truth of a generated frame: boxes, masks and visibility."""
+"""The exact ground truth of a generated frame: boxes, masks and visibility."""
 
 from __future__ import annotations
 

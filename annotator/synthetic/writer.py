@@ -1,8 +1,8 @@
-"""Generated recordings on disk: an RGB-D folder for `rgbd_folder`, with the truth in a folder of its own.
+"""Generated recordings on disk: an RGB-D folder for `rgbd_folder`, with the ground truth in a separate folder.
 
-color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json    the data of a camera
+color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json    as from a camera
 generated.json                                                       the parameters of the generator
-truth/boxes.json  truth/mask/KEY.png                                 the exact truth
+truth/boxes.json  truth/mask/KEY.png                                 the exact ground truth
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def write_generated(
     height: int = 480,
     report: Report | None = None,
 ) -> None:
-    """Writes a generated recording; the folder appears when it is complete.
+    """Writes a generated recording; the folder is created only when the recording is complete.
 
     Args:
         path: the folder to create; it must not exist.

@@ -10,14 +10,14 @@ class TrackingConfig(BaseModel):
 
     Attributes:
         reach: maximum distance from the predicted position, per frame.
-        reach_new: the same for an object with a single box, whose motion is unknown.
+        reach_new: the same for an object with only one box, whose motion is unknown.
         most_frames: maximum number of missed frames over which `reach` grows.
         max_gap: a track ends after this many missed frames.
         max_size_ratio: maximum ratio between a side of two boxes of one object.
         motion_boxes: number of last boxes from which the motion is estimated.
         window: boxes within this many frames before and after a box smooth its rotation.
-        change_ratio: a side varies in time, and gets no common length, if the mean squared successive difference of its
-            lengths is below this multiple of their variance (2 for independent values).
+        change_ratio: if the mean squared successive difference of a side's lengths is below this multiple of their
+            variance (2 for independent values), the side varies in time and gets no common length.
         least_for_change: minimum number of boxes for this test.
         reviewed_weight: weight of a reviewed box; a proposal has 1.
         least_motion: minimum distance travelled, in longest sides, for the motion to determine the front.

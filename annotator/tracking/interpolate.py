@@ -17,8 +17,8 @@ def between(
 ) -> list[OrientedBox]:
     """Boxes between two known boxes: centre and size by linear interpolation, the rotation by slerp.
 
-    The axes of the last box are first relabelled to be as similar to the first box as possible. Otherwise, a swapped
-    front and back would give half a turn.
+    The axes of the last box are first relabelled to be as similar to the first box as possible. Otherwise, if front and
+    back were swapped, the boxes in between would make half a turn.
 
     Args:
         times: strictly between `first_time` and `last_time`.

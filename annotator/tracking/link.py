@@ -1,7 +1,8 @@
 """Linking of boxes to tracks: frame by frame, by the assignment of least cost (Kuhn-Munkres).
 
 The cost of a box for a track depends on its distance from the track's predicted box, and on their overlap and
-difference in size. Boxes out of reach are never assigned. Ids given by people or files take precedence over costs.
+difference in size. Boxes that are out of reach are never assigned. Ids from operators or files take precedence
+over costs.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from annotator.tracking.config import TrackingConfig
 from annotator.tracking.motion import predicted
 from annotator.types import OrientedBox
 
-# The cost of a box out of reach; far above all others.
+# The cost of a box that is out of reach; far above all other costs.
 NEVER = 1e6
 
 
@@ -28,8 +29,8 @@ class Seen:
 
     Attributes:
         label: class name; only boxes of one class are linked.
-        box: camera frame; the camera is assumed to stand still or to move uniformly.
-        given: track id given by a person or a file, or None.
+        box: camera frame; the camera is assumed to be static or to move uniformly.
+        given: track id from an operator or a file, or None.
     """
 
     label: str
@@ -45,7 +46,7 @@ class Track:
         label: class name.
         members: index of the frame, and of the box within the frame, in order of time.
         boxes, times: boxes and times of the members.
-        given: track id given by a person or a file to one of the boxes, or None.
+        given: track id of one of the boxes from an operator or a file, or None.
     """
 
     label: str
@@ -65,7 +66,7 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
     tracks: list[Track] = []
     alive: list[Track] = []
     named: dict[tuple[str, int], Track] = {}
-    for place, (boxes, time) in enumerate(zip(frames, times, strict=True)):
+    for frame_index, (boxes, time) in enumerate(zip(frames, times, strict=True)):
         alive = [track for track in alive if time - track.times[-1] <= config.max_gap + 1]
         owner = {
             number: named[seen.label, seen.given]
@@ -73,8 +74,8 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
             if seen.given is not None and (seen.label, seen.given) in named
         }
         free = [number for number in range(len(boxes)) if number not in owner]
-        held = {id(track) for track in owner.values()}
-        owner |= _assigned(free, boxes, [track for track in alive if id(track) not in held], time, config)
+        assigned_tracks = {id(track) for track in owner.values()}
+        owner |= _assigned(free, boxes, [track for track in alive if id(track) not in assigned_tracks], time, config)
         for number, seen in enumerate(boxes):
             key = None if seen.given is None else (seen.label, seen.given)
             # two boxes with the same given id in one frame belong to one track
@@ -83,7 +84,7 @@ def link(frames: Sequence[Sequence[Seen]], times: Sequence[float], config: Track
                 track = Track(seen.label)
                 tracks.append(track)
             owner[number] = track
-            track.members.append((place, number))
+            track.members.append((frame_index, number))
             track.boxes.append(seen.box)
             track.times.append(time)
             if key is not None:
@@ -136,6 +137,6 @@ def _centers(boxes: Sequence[OrientedBox]) -> Float64[np.ndarray, "n 3"]:
 
 
 def _unlike(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> Float64[np.ndarray, "t n"]:
-    """The largest logarithm of the ratio of two sides, in the order of their lengths."""
+    """The largest absolute logarithm of the ratios of sides; sides are compared in the order of their lengths."""
     a, b = (np.log(np.sort([box.size_m for box in boxes], axis=1)) for boxes in (first, second))
     return np.abs(a[:, None] - b[None]).max(axis=2)

@@ -1,4 +1,4 @@
-"""Relabelling of box axes: a box can be written in 24 ways, and boxes of a track should be written alike."""
+"""Relabelling of box axes: 24 labellings describe the same box; those of a track should be consistent."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Detectors cannot distinguish a box's front from its back, and the axes of a free box can be labelled in 24 ways. So the
 axes of each box are first relabelled to match its neighbours in time. Then the labelling of the whole track is chosen:
-that of the reviewed boxes, or, without any, that of the majority. In the second case, upright boxes that move backwards
-swap front and back. The motion is only used if the camera stands still.
+that of the reviewed boxes, or, without reviewed boxes, that of the majority. In the second case, front and back
+of upright boxes that move backwards are swapped. The motion is only used if the camera is static.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ def smoothed(track: Sequence[TrackBox], config: TrackingConfig, is_still: bool =
 
     Args:
         track: at least one box, in order of time.
-        is_still: whether the camera stands still, so that motion is that of the object.
+        is_still: whether the camera is static, so that all motion is the object's.
 
     Returns:
-        one box for each of the track; fixed boxes are returned unchanged.
+        one box for each box of the track; fixed boxes are returned unchanged.
     """
     alike = _relabelled_alike(track, config, is_still)
     times = np.array([each.time for each in track])
@@ -70,7 +70,7 @@ def _relabelled_alike(track: Sequence[TrackBox], config: TrackingConfig, is_stil
     boxes = [each.box for each in track]
     is_upright = are_upright(boxes)
     changes = relabellings(is_upright)
-    # start from a reviewed box if there is one, since its labelling is right
+    # start from a reviewed box if there is one, since its labelling is correct
     start = max(range(len(track)), key=lambda place: (track[place].is_fixed, -place))
     applied = {start: changes[0]}
     for order in (range(start + 1, len(track)), range(start - 1, -1, -1)):
@@ -136,7 +136,7 @@ def _median(values: Float64[np.ndarray, "n *more"], weights: Float64[np.ndarray,
 
 
 def _changes_in_time(lengths_m: Float64[np.ndarray, "n"], config: TrackingConfig) -> bool:
-    """True for a side that really varies, such as that of a walking person; False for measurement noise.
+    """True for a side that really varies, such as the length of a walking person; False for measurement noise.
 
     Noise differs between successive lengths as much as between any two. Real variation differs less between successive
     lengths (von Neumann ratio: mean squared successive difference over variance, 2 for independent values).
@@ -158,7 +158,7 @@ def _smooth_rotations(
     smooth = []
     for place, time in enumerate(times):
         near = _around(times, place, config)
-        # boxes that people have labelled differently cannot be averaged
+        # reviewed boxes with different labellings cannot be averaged
         near = near[(rotations[near] * rotations[place].inv()).magnitude() < ANOTHER_RAD]
         fading = np.exp(-0.5 * (2 * (times[near] - time) / max(config.window, 1e-9)) ** 2)
         smooth.append(rotations[near].mean(weights[near] * fading) if len(near) > 1 else rotations[place])

@@ -1,4 +1,4 @@
-"""Track ids: given ids stay, and ids of an earlier linking are reused."""
+"""Track ids: given ids are kept, and ids of an earlier linking are reused."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first
     """An id for each track, unique except for given ids.
 
     Args:
-        given: the id that a person or a file has given to each track, or None.
-        before: the ids that an earlier linking gave to each track's boxes. The most frequent one is reused, by the
-            track with most boxes of this id.
+        given: the id of each track from an operator or a file, or None.
+        before: the ids of each track's boxes from an earlier linking. A track reuses its most frequent id; of several
+            tracks, the one with most boxes of this id.
         first: the lowest new id.
     """
     used = {number for number in given if number is not None}
@@ -23,14 +23,14 @@ def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first
         for number, count in Counter(numbers).items()
     ]
     ids: dict[int, int] = {}
-    for _, behind, number in sorted(candidates, reverse=True):
-        if -behind not in ids and number not in used:
-            ids[-behind] = number
+    for _, negative_place, number in sorted(candidates, reverse=True):
+        if -negative_place not in ids and number not in used:
+            ids[-negative_place] = number
             used.add(number)
     fresh = max([first - 1, *used])
-    for place, known in enumerate(given):
-        if known is not None:
-            ids[place] = known
+    for place, given_id in enumerate(given):
+        if given_id is not None:
+            ids[place] = given_id
         elif place not in ids:
             fresh += 1
             ids[place] = fresh

@@ -18,9 +18,10 @@ ORTHONORMAL = 1e-12
 
 
 def _distance_from_rotation(columns: list[list[float]]) -> float:
-    """The largest error of the axes' squared lengths and right angles; infinite for a reflection or a NaN.
+    """The largest deviation of a matrix from orthonormality; infinite for a reflection or NaN.
 
-    Computed with plain numbers, because numpy takes ten times as long for matrices this small.
+    Compares the columns' squared lengths with 1 and their scalar products with 0. Computed with plain numbers, because
+    numpy takes ten times as long for matrices this small.
     """
     (a, b, c), (d, e, f), (g, h, i) = columns
     if not all(abs(value) < 2 for value in (a, b, c, d, e, f, g, h, i)):
@@ -117,7 +118,7 @@ class OrientedBox:
             raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, center
-        # normalising takes three times as long as the rest, so it is skipped if only rounding errors are left
+        # normalising takes three times as long as the rest, so a matrix that is exact up to rounding skips it
         transform = RigidTransform(pose, normalize=bool(error > ORTHONORMAL), copy=False)
         return cls(transform, np.asarray(size_m, np.float64))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 
 def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | None, ...]) -> np.ndarray:
-    """`value` as a read-only array of the given dtype and shape; None in `shape` is any length.
+    """`value` as a read-only array of the given dtype and shape; None in `shape` matches any length.
 
     Raises:
         ValueError: another shape; the message contains `name`.

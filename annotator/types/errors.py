@@ -9,19 +9,19 @@
     │   ├── FormatError           a label or dataset file
     │   ├── ConfigError           a setting or a command-line value
     │   └── ArgumentError         an argument of the Python API; a ValueError too
-    ├── GeometryError         a computation that has no answer for this input
+    ├── GeometryError         a computation has no result for this input
     ├── DetectionError        training or running a 2D detector
     ├── ProjectError          the project store
-    │   ├── NotFoundError         there is no such project, recording, frame, label, view, model or job
+    │   ├── NotFoundError         the project, recording, frame, label, view, model or job does not exist
     │   ├── StaleRevisionError    the frame was changed by someone else first
     │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
-    │   └── FinalisedFrameError   an automatic pass cannot change a finalised frame
+    │   └── FinalisedFrameError   an automatic pass would change a finalised frame
     ├── ComputeError          the device that draws and clusters points is missing or fails
     ├── WorkerError           a batch's worker processes cannot be started, or crash repeatedly
     └── MissingExtraError     an optional package is not installed
 
-A message says what is wrong, where (path, frame) and what to do next. These errors are caught in three
-places only: the command line, the web layer and the batch loop (which stores the failed frame).
+A message says what is wrong, where (path, frame) and what to do next. These errors are caught in only three
+places: the command line, the web layer and the batch loop (which stores the failed frame).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class ArgumentError(InputError, ValueError):
 
 
 class GeometryError(AnnotatorError):
-    """A computation has no answer for this input, such as a box around no points."""
+    """A computation has no result for this input, such as a box around an empty cloud."""
 
 
 class DetectionError(AnnotatorError):
@@ -105,10 +105,10 @@ class NotFoundError(ProjectError):
 
 
 class StaleRevisionError(ProjectError):
-    """A write was based on an older revision of the frame than the stored one.
+    """A change was based on an older revision of the frame than the stored one.
 
     Attributes:
-        expected: the revision the writer had seen.
+        expected: the revision on which the change was made.
         actual: the revision that is stored.
     """
 
@@ -125,7 +125,7 @@ class HistoryError(ProjectError):
     """There is nothing to undo or redo, or someone else has changed it since.
 
     Attributes:
-        frame_id: the frame whose state prevents it, if there is one.
+        frame_id: the frame whose state prevents it; None if no single frame does.
     """
 
     def __init__(self, message: str, frame_id: int | None = None) -> None:

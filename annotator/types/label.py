@@ -41,7 +41,7 @@ class BoxKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """One 3D box of one frame, in its present state.
+    """One 3D box of one frame, in its current state.
 
     Attributes:
         uid: unique within a project and stable over edits.

@@ -11,7 +11,7 @@ Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[fl
 
 
 class StopReason(StrEnum):
-    """Why a recursion ended, or that it continues."""
+    """Why a recursion ended; CONTINUES if it has not."""
 
     AXES_CONVERGED = "axes converged"
     BOX_CONVERGED = "box converged"
@@ -29,7 +29,7 @@ class ViewTrace:
         axes: rows = the view's x, y, z axes in the camera frame.
         metres_per_px, origin_m, width_px, height_px: as in `PseudoView`.
         boxes: detections of the frustum's class, best first.
-        used: index into `boxes` of the detection that the 3D box was made from, or None.
+        used: index into `boxes` of the detection that contributed to the 3D box, or None.
     """
 
     axes: Matrix3
@@ -56,11 +56,11 @@ class StepTrace:
 
     Attributes:
         strategy: the projection axes that were used.
-        fallback: notes: strategies that were tried first and failed, with the reason, and use of a warm start.
+        fallback: strategies that failed before, each with the reason; and whether a warm start was used.
         views: all pseudo-views of the step, front and side of each hypothesis in turn.
         box: the step's box, or None if the object was lost.
-        points_in, points_kept: points before and after the step's box cut the cloud.
-        stop: why the recursion ended here, or that it continues.
+        points_in, points_kept: number of points before and after the cloud is cropped to the step's box.
+        stop: why the recursion ended after this step; CONTINUES if it did not.
     """
 
     strategy: str
@@ -82,8 +82,8 @@ class Quality:
         kept_share: share of the points of the last step's views that lie inside its box.
         last_change: 1 - IoU of the boxes of the last two steps.
         image_agreement: IoU on the camera image between the result (the projected box, or for silhouettes the kept
-            points) and its image box. Low if the object is partly hidden, or if the result is a neighbour of the
-            detected object. None for results stored before this signal existed.
+            points) and its image box. Low if the object is partly hidden, or if the result is another object
+            next to the detected one. None for results stored before this signal existed.
     """
 
     view_disagreement: float

@@ -24,9 +24,9 @@ class PseudoView:
         axes: (3, 3) rows = the view's x, y, z axes as unit vectors in the camera frame (= R_view_camera).
         metres_per_px: one uniform scale.
         origin_m: (2,) view coordinates, metres, of the centre of pixel (0, 0).
-        xyz_m: (N, 3) the points in the view, in the camera frame; of a dense cloud only some are drawn.
-        look_px: minimum longer side, pixels, to which a detector scales the image; used for views in which objects
-            are small. 0 means the detector's own size.
+        xyz_m: (N, 3) the points in the view, in the camera frame; a dense cloud is thinned for drawing.
+        look_px: a detector scales the longer side of the image to at least this, pixels; used for views in which
+            objects are small. 0 means the detector's own size.
     """
 
     rgb: UInt8[np.ndarray, "h w 3"]

@@ -299,7 +299,7 @@ def test_a_class_without_detections_has_an_ap_of_0(
     assert all(ap == {"R11": [0.0] * 3, "R40": [0.0] * 3} for ap in aps["Cyclist"].values())
     assert aps["Van"] is None, "a class without true objects has no AP"
     kitti_table(aps, 0.5).show()
-    assert "no truth" in capsys.readouterr().out
+    assert "no true objects" in capsys.readouterr().out
 
 
 def test_the_paper_preset_has_the_papers_settings() -> None:
@@ -342,7 +342,7 @@ def test_the_lists_of_sun_rgbd_are_used(tmp_path: Path) -> None:
     (tmp_path / "extracted" / "val_data_idx.txt").write_text("1\n2\n")
     split = split_of(open_recording(tmp_path / "extracted"), 0)
     assert (split.train, split.val) == (("005051",), ("000001", "000002"))
-    assert split.found() == "3 of 4 listed frames are present"
+    assert split.coverage() == "3 of 4 listed frames are present"
 
     raw = tmp_path / "SUNRGBD"
     names = ["kv1/NYUdata/NYU0001", "kv2/kinect2data/000002_2014", "xtion/a/b"]

@@ -1,15 +1,14 @@
 """Compares the output of a backend with torch in single precision on the CPU.
 
-How far two correct outputs may differ depends on the network and the CPU, so the bound is measured: torch runs the
-network in a second precision (the yardstick), and the distance from torch's single precision, times `TOLERANCE`, is
-the bound.
+The allowed difference depends on the network and the CPU, so it is measured: torch runs the network in a second
+precision (the yardstick). The bound is the yardstick's distance from torch's single precision, times `TOLERANCE`.
 
 - Single precision: the yardstick is double precision. The distance is the rounding error of single precision. The same
   sums in another order have an error of that size.
 - bfloat16 and float16: the yardstick is the whole network in that precision, on the CPU. Backends compute a part
   of it in single precision, so their error should be smaller.
 
-A wrong graph, a wrong kernel or lost weights cause errors far above rounding: boxes are off by pixels, which in single
+A wrong graph, a wrong kernel or lost weights cause much larger errors: boxes differ by pixels, which in single
 precision is thousands of times the bound.
 """
 
@@ -58,7 +57,7 @@ class Agreement:
 
     @property
     def holds(self) -> bool:
-        """Whether both differences are within their bounds; False where one is not finite."""
+        """Whether both differences are within their bounds; False for NaN and infinity."""
         return self.boxes_px <= self.boxes_bound_px and self.scores <= self.scores_bound
 
 
@@ -120,12 +119,12 @@ class Agreements:
 
 
 def openers(cuda_devices: Sequence[str]) -> dict[str, Callable[[Path], Network]]:
-    """For each backend except torch on the CPU: a function that opens a weights file. Exports stay in memory.
+    """For each backend except torch on the CPU: a function that opens a weights file. Exports are kept in memory only.
 
     Args:
         cuda_devices: names of CUDA devices to test torch on, such as "cuda:0".
     """
-    exported = lru_cache(export)  # both precisions of OpenVINO share one export
+    exported = lru_cache(export)  # used for both precisions of OpenVINO
 
     def openvino_network(weights: Path, *, bfloat16: bool) -> Network:
         from annotator.detection.backends.openvino_api import computes_bfloat16, openvino

@@ -19,10 +19,10 @@ LOG = logging.getLogger("annotator.detectors")
 
 
 def open_network(weights: Path, weights_sha256: str, config: DetectorConfig) -> Network:
-    """Opens a weights file on the configured backend; "auto" and "fastest" take the fastest usable one.
+    """Opens a weights file on the configured backend; for "auto" and "fastest", on the fastest usable one.
 
     The order is: torch with a CUDA device, OpenVINO on x86 processors, ONNX Runtime, torch. With "fastest", OpenVINO
-    computes in half precision where the CPU supports it. With "auto" and "fastest", a backend that cannot run this
+    computes in half precision if the CPU supports it. With "auto" and "fastest", a backend that cannot run this
     network is skipped, and the reason is logged.
 
     Raises:
@@ -48,7 +48,7 @@ def _open_and_log(weights: Path, weights_sha256: str, config: DetectorConfig, ba
 
 
 def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
-    # Imported where used, so that one backend does not load the packages of another.
+    # Imported here, so that only the packages of the backend in use are loaded.
     if backend in ("openvino", "openvino-bf16"):
         from annotator.detection.backends.openvino_api import computes_bfloat16
         from annotator.detection.backends.openvino_network import OpenVinoNetwork
@@ -92,7 +92,7 @@ def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
 def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
     """Backends to try, fastest first. Errors of the last one are raised, not logged.
 
-    With "fastest", openvino-bf16 is listed even where the CPU has no bfloat16; it is then replaced by openvino.
+    With "fastest", openvino-bf16 is listed even if the CPU does not support bfloat16; it is then replaced by openvino.
     """
     other_device = config.device not in ("auto", "cpu")
     if config.backend not in ("auto", "fastest"):
@@ -110,7 +110,7 @@ def _choices(config: DetectorConfig) -> tuple[Backend, ...]:
 
 
 def chosen(config: DetectorConfig) -> tuple[Backend, str]:
-    """The backend that `open_network` takes for a network that every backend can run, and the reason.
+    """The backend that `open_network` would choose for a network that all backends support, and the reason.
 
     Loads the packages of each candidate until one loads without an error.
 
@@ -160,7 +160,7 @@ def _loaded(backend: Backend, reasons: list[str]) -> Backend:
 def has_cuda() -> bool:
     """Whether torch can use an NVIDIA device.
 
-    Torch takes seconds to load, so it is loaded only where the NVIDIA driver lists a device.
+    Torch takes seconds to load, so it is loaded only if the NVIDIA driver lists a device.
     """
     if not driver_devices():
         return False

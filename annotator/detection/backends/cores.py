@@ -1,7 +1,7 @@
 """Distributes images over the cores of the CPU.
 
-Each image is computed alone, or in a batch where that is known to give the same bits. So the output for an image
-does not depend on the other images, and a runtime needs few input shapes per canvas size.
+Each image is computed alone, or in a batch if that gives exactly the same bits. So the output for an image does not
+depend on the other images, and a runtime needs few input shapes per canvas size.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ Image = UInt8[np.ndarray, "1 _ _ 3"]
 
 
 def usable_cores() -> int:
-    """Number of cores this process may use; fewer than the machine has where its CPU affinity is restricted."""
+    """Number of cores that this process may use; with a restricted CPU affinity, fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):  # not on Windows and macOS
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def side_by_side(images: int, threads: int) -> bool:
-    """Whether this number of images is done sooner with one core each than one after another on all cores."""
+    """Whether these images take less time with one core per image than one after another on all cores."""
     return threads > 1 and images > 1 and 4 * images > threads
 
 
@@ -35,7 +35,7 @@ def single(batches: Sequence[Batch]) -> list[Image]:
 
 
 def rejoined(answers: Iterable[Answer], batches: Sequence[Batch]) -> list[Answer]:
-    """Joins answers for consecutive parts of the batches into one answer per batch."""
+    """Joins the answers for consecutive parts of batches into one answer per batch."""
     remaining = iter(answers)
     whole: list[Answer] = []
     for batch in batches:

@@ -15,7 +15,7 @@ from annotator.detection.ultralytics_api import api
 
 BATCH_SIZES = (1, 2, 4, 8, 16, 32)
 MAX_GRAPHS = 32
-# Runs before a recording: the libraries select their kernels and allocate memory in them.
+# Runs before a recording, in which the libraries select kernels and allocate memory.
 WARM_UP_RUNS = 3
 
 Run = Callable[[Any], Any]
@@ -28,7 +28,7 @@ class CudaRunner:
         """
         Args:
             module: maps (n, height, width, 3) uint8 to the raw prediction.
-            record: records a module for the shape of an example input; None: as a CUDA graph.
+            record: records a module for the shape of an example input; None: `record_graph`.
         """
         self._module = module
         self._record = record or record_graph

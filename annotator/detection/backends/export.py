@@ -17,7 +17,7 @@ from annotator.types.errors import DetectionError
 
 # Input that the network is traced with. Its axes have different lengths, so that the tracer cannot confuse them.
 EXAMPLE_SHAPE = (2, 64, 96, 3)
-# The newest opset that every package version allowed by pyproject.toml reads and writes.
+# The newest opset that all package versions allowed by pyproject.toml support.
 ONNX_OPSET = 17
 # Deprecation warnings of TorchScript. Its successor cannot export these networks with dynamic sizes.
 DEPRECATION_WARNINGS = (
@@ -41,7 +41,7 @@ def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, byt
     module.model.model[-1].dynamic = True  # anchors follow the image's size instead of being recorded
     try:
         with TemporaryDirectory() as temporary, warnings.catch_warnings():
-            # Tracing runs Python code that branches on shapes; torch warns of each such place.
+            # Torch warns of all Python code that branches on shapes.
             warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
             for message in DEPRECATION_WARNINGS:
                 warnings.filterwarnings("ignore", message)

@@ -62,10 +62,10 @@ def export_key(kind: ExportKind, weights_sha256: str) -> str:
 
 @contextmanager
 def one_at_a_time() -> Iterator[None]:
-    """Lock that lets one process of the user convert at a time.
+    """A lock with which only one process of the user converts at a time.
 
     Workers start together, one per core. If each loaded torch at once, the machine could run out of memory. The
-    operating system releases the lock when a process dies. Without file locks (Windows), there is no waiting.
+    operating system releases the lock when a process dies. Without file locks (Windows), processes do not wait.
     """
     try:
         import fcntl
@@ -83,7 +83,7 @@ def one_at_a_time() -> Iterator[None]:
 
 
 def find_export(weights: Path, kind: ExportKind, key: str) -> Export | None:
-    """Reads the export from the folder beside the weights or from the user's cache; None if neither holds it intact."""
+    """Reads the export from the folder beside the weights or the user's cache; None if neither has a valid copy."""
     for folder in _places(weights, kind, key):
         export = _read(folder, key)
         if export is not None:
@@ -92,10 +92,10 @@ def find_export(weights: Path, kind: ExportKind, key: str) -> Export | None:
 
 
 def keep_export(weights: Path, kind: ExportKind, key: str, export: Export) -> None:
-    """Stores an export beside the weights, or in the user's cache where that folder is not writable.
+    """Stores an export beside the weights, or in the user's cache if that folder is not writable.
 
     If both fail, a warning is logged, and the export is repeated each time. If two processes store the same export at
-    once, the first one wins.
+    once, the first result is kept.
     """
     problems = []
     for folder in _places(weights, kind, key):

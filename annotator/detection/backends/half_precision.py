@@ -1,4 +1,4 @@
-"""Keeps parts of the detection head in single precision where OpenVINO computes a network in bfloat16.
+"""Keeps parts of the detection head in single precision while OpenVINO computes the network in bfloat16.
 
 OpenVINO keeps the layers after the last convolutions in single precision, and also layers that are marked as precise.
 The changes made here reduce the error of box edges to a third and that of scores to two thirds, at almost no cost in
@@ -19,7 +19,7 @@ LOG = logging.getLogger("annotator.detectors")
 # Attribute of a layer's `rt_info` in OpenVINO's files.
 PRECISE = {"name": "precise", "version": "0"}
 # Activations and biases take the precision of the convolution before them. They cannot be marked themselves: all
-# activations of the network share one name, since ultralytics has one module for all of them.
+# activations have the same name, since ultralytics uses one module for all of them.
 CONVOLUTIONS = ("Convolution", "GroupConvolution")
 # A layer's name begins with its path in the module. In the detection head, `cv2` predicts the box edges: three
 # convolutions per scale. The first two are the most expensive ones of the head and stay in half precision.
@@ -69,7 +69,7 @@ def marked(network: bytes, head: int) -> bytes:
         if layer.get("type") in CONVOLUTIONS and in_head.match(layer.get("name", ""))
     ]
     if not precise_layers:
-        LOG.warning("the detection head is not found in OpenVINO's file; boxes in bfloat16 are less exact")
+        LOG.warning("the detection head was not found in OpenVINO's file; boxes in bfloat16 are less accurate")
         return network
     for layer in precise_layers:
         runtime_info = layer.find("rt_info")

@@ -55,9 +55,9 @@ class Network(Protocol):
         """One raw prediction per batch, in the layout that `selection.candidates` reads.
 
         Args:
-            batches: one per canvas size, (n, height, width, RGB). Passed together, so that a core that has finished
-                its share of one size can start on the next.
+            batches: one per canvas size, (n, height, width, RGB). All in one call, so that idle cores can start
+                on the next size.
 
         Raises:
-            DetectionError: the backend fails, such as for lack of memory.
+            DetectionError: the backend fails, for example because it is out of memory.
         """

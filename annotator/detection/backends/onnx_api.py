@@ -7,7 +7,8 @@ from typing import Any
 
 from annotator.types.errors import MissingExtraError
 
-# Read on import. Unless it is set, the official builds send telemetry and keep an id and a database in the user's home.
+# Read on import. If it is not set, the official builds send telemetry and store an id and a database in the user's
+# home.
 SWITCH = "ORT_DISABLE_TELEMETRY"
 
 

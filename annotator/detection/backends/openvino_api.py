@@ -11,7 +11,7 @@ import numpy as np
 
 from annotator.types.errors import DetectionError
 
-# OpenVINO imports this package when it loads. The package sends telemetry and keeps an id in the user's home. OpenVINO
+# OpenVINO imports this package when it loads. The package sends telemetry and stores an id in the user's home. OpenVINO
 # works without it.
 TELEMETRY = "openvino_telemetry"
 
@@ -49,14 +49,14 @@ def _load() -> Any:
         sys.modules[TELEMETRY] = None  # type: ignore[assignment]  # None makes an import of it fail
     try:
         import openvino as module
-        import openvino.tools.ovc.convert_impl  # the first conversion would import it, after telemetry is unhidden
+        import openvino.tools.ovc.convert_impl  # else the first conversion imports it with telemetry
     except ImportError as error:
         raise DetectionError(f"OpenVINO cannot be loaded ({error}); run: pip install openvino") from error
     finally:
         if hidden:
             del sys.modules[TELEMETRY]
-    # The bindings initialise their use of numpy on first use. Two threads that do this at the same time deadlock: one
-    # holds Python's lock, the other the bindings' own. So it is done here.
+    # The bindings initialise their numpy support on first use. If two threads do this at once, they deadlock: one holds
+    # Python's lock, the other the bindings' own. So it is done here.
     module.Type.u8.to_dtype()
     _ = module.Tensor(np.zeros(1, np.uint8)).data
     return module

@@ -27,19 +27,18 @@ LOG = logging.getLogger("annotator.detectors")
 # Maximum number of cached compiled input shapes, about 30 MB each for a nano model; the least recently used one is
 # dropped.
 MAX_COMPILED = 24
-# Batch sizes for small images, which take 20 to 25 % less time in a batch than one by one. Larger images gain
-# nothing.
+# Batch sizes for small images, which take 20 to 25 % less time in a batch than one by one. Larger images do not.
 TOGETHER = (6, 3)
 SMALL_PX = 128 * 128
 # A stream computes one request at a time and has its own buffers. On machines with more cores, a stream gets several.
 MAX_STREAMS = 8
-# Requests in flight per stream: one that is computed and one that waits.
+# Requests in flight per stream: one in computation and one waiting.
 IN_FLIGHT = 2
 
 
 @dataclass(frozen=True, eq=False)
 class _Request:
-    """An inference request with numpy views of its buffers, created once: that takes longer than filling them."""
+    """An inference request with numpy views of its buffers; kept, because creating it takes longer than filling it."""
 
     request: Any
     pixels: np.ndarray
@@ -111,9 +110,9 @@ class OpenVinoNetwork:
         return lengths + [1] * left
 
     def _may_join(self, size: tuple[int, ...], streams: int) -> bool:
-        """Whether images of a size get the same output in a batch as alone, to the bit; tested once per size.
+        """Whether images of a size get exactly the same output in a batch as alone; tested once per size.
 
-        This holds where the runtime adds in the same order for one image as for several, which is not guaranteed.
+        This holds if the runtime adds in the same order for one image as for several, which is not guaranteed.
         """
         if size[0] * size[1] > SMALL_PX:
             return False
@@ -128,7 +127,7 @@ class OpenVinoNetwork:
         return self._joins[size, streams]
 
     def _run(self, parts: Sequence[Batch], streams: int) -> Iterator[Answer]:
-        """One answer per part, in order. Enough requests are in flight to keep all streams busy meanwhile."""
+        """One answer per part, in order; enough requests are in flight to keep all streams busy."""
         free = self._requests({part.shape for part in parts}, streams)
         in_flight: deque[tuple[tuple[int, ...], _Request]] = deque()
 
@@ -175,9 +174,9 @@ class OpenVinoNetwork:
             {
                 "NUM_STREAMS": streams,
                 "INFERENCE_NUM_THREADS": self._threads,
-                # Pinned threads of several compiled sizes and processes would share one core.
+                # Threads of several compiled sizes and processes would be pinned to the same core.
                 "ENABLE_CPU_PINNING": False,
-                # By default OpenVINO computes in half precision where the CPU supports it.
+                # By default, OpenVINO computes in half precision if the CPU supports it.
                 "INFERENCE_PRECISION_HINT": "bf16" if self.backend == "openvino-bf16" else "f32",
             },
         )

@@ -1,7 +1,7 @@
 """The part of a YOLO that all backends run: pixels in, raw prediction out.
 
 The input is uint8, so that the conversion to floats is part of the graph. The graph ends before ultralytics' selection
-of boxes: the selection does not need the network, and graphs without it are smaller and accept any size.
+of boxes, because a graph without the selection is smaller and accepts any size.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class TorchNetwork:
         Args:
             weights: weights file of an ultralytics detection model.
             device: a torch device, as returned by `pick_device`.
-            threads: CPU threads; None: torch's own number.
+            threads: CPU threads; None: torch's default.
 
         Raises:
             DetectionError: the weights cannot be used.
@@ -47,7 +47,7 @@ class TorchNetwork:
         self.device = str(device)
         self._threads = threads
         self._run = module.to(memory_format=api().torch.channels_last)
-        # The network caches the anchors of the last size, and torch's number of threads is global.
+        # Needed because the network caches the last size's anchors, and torch's number of threads is global.
         self._lock = threading.Lock()
         if device.type == "cuda":
             self._run = CudaRunner(decode_in_full_precision(module.half()))
@@ -56,7 +56,7 @@ class TorchNetwork:
         """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass.
 
         Raises:
-            DetectionError: torch fails, such as for lack of memory.
+            DetectionError: torch fails, for example because it is out of memory.
         """
         answers = []
         with self._lock, _threads(self._threads):

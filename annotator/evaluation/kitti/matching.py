@@ -1,9 +1,9 @@
 """The devkit's greedy assignment of detections to true boxes, for all frames and all score thresholds at once.
 
-In each frame, the true boxes are processed in the order of the file. Each takes its preferred detection among those not
-yet taken. The order of preference depends neither on earlier assignments nor on the score threshold, which only removes
-detections. So each true box has a fixed queue of candidates, and all frames and thresholds are processed in parallel:
-first the first candidate of each frame's first box, then its second candidate, and so on.
+In each frame, the true boxes are processed in the order of the file. Each takes its preferred detection among the
+remaining ones. The order of preference is independent of earlier assignments and of the score threshold, which only
+removes detections. So each true box has a fixed list of candidates, and all frames and thresholds are processed in
+parallel: the first candidate of each frame's first box, then its second candidate, and so on.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class KittiCurve:
             threshold. It is not interpolated at recall k / 40.
         recall: at each threshold.
         objects: number of true objects that count.
-        found: number of these with a detection of any score.
+        found: number of these objects that have a detection, of any score.
     """
 
     samples: Float64[np.ndarray, "41"]
@@ -89,8 +89,8 @@ class KittiCurve:
 class KittiResult:
     """The curves (easy, moderate, hard) by class and metric.
 
-    Classes without detections are not evaluated, nor are metrics for which no detection of the class has the required
-    values. AOS is missing if any detection, of any class, has no observation angle.
+    Classes without detections are omitted, and also metrics whose required values are missing in all detections of the
+    class. AOS is missing if any detection, of any class, has no observation angle.
     """
 
     curves: Mapping[str, Mapping[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]]
@@ -103,7 +103,7 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
 
     Args:
         detections: with scores. Detections without a real 2D box are ignored in all metrics, because KITTI uses the
-            height of the 2D box to decide what is too small to count.
+            height of the 2D box to ignore small objects.
         truth: labels, DontCare areas included.
     """
     detections, truth = detections.by_frame(), truth.by_frame()
@@ -115,10 +115,10 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
     oriented = bool((detections.alpha != NO_ALPHA).all())
     covered = covered_share(detections, truth.take(truth.is_of(DONT_CARE)))
     curves: dict[str, dict[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]] = {}
-    for metric, (measure, needed, has_it) in metrics.items():
+    for metric, (measure, needed, has_values) in metrics.items():
         overlaps = measure(detections, truth)
         for label in NEIGHBOURS:
-            if not (detections.is_of(label) & has_it).any():
+            if not (detections.is_of(label) & has_values).any():
                 continue
             excused = covered > needed[label] if metric is Metric.BBOX else np.zeros(len(detections), bool)
             evaluation = _ClassEvaluation(detections, truth, label, needed[label], overlaps, excused)
@@ -143,31 +143,31 @@ class _ClassEvaluation:
 
     def curves(self, level: int) -> tuple[KittiCurve, KittiCurve]:
         """Precision and orientation similarity at one difficulty."""
-        counts, exists = self._true_rows(level)
+        counts, takes_part = self._true_rows(level)
         valid, competes = self._detected_rows(level)
         rows, columns, iou = self.overlaps.detection, self.overlaps.truth, self.overlaps.iou
-        enough = (iou > self.needed) & competes[rows] & exists[columns]
+        enough = (iou > self.needed) & competes[rows] & takes_part[columns]
         rows, columns, iou = rows[enough], columns[enough], iou[enough]
         score, right = self.detections.score[rows], counts[columns] & valid[rows]
-        # first pass, without a threshold: the detection of highest score, including small ones of any class
+        # first pass, without a threshold: prefer the highest score, including small detections of any class
         chosen, _, _ = self._assigned(rows, columns, (-score, rows), (score > NO_DETECTION)[:, None])
         scores, objects = score[chosen[:, 0] & right], int(counts.sum())
         thresholds = score_thresholds(scores, objects)
-        # second pass: the largest overlap; small detections only if there is no other
+        # second pass: prefer the largest overlap; small detections come last
         preference = (~valid[rows], np.where(valid[rows], -iou, 0.0), rows)
         chosen, served, taken = self._assigned(rows, columns, preference, score[:, None] >= thresholds)
         hits = chosen & right[:, None]
         similarity = 0.5 * (1.0 + np.cos(self.truth.alpha[columns] - self.detections.alpha[rows]))
         wrong = self._wrong(valid & ~self.excused, taken, thresholds)
-        found, missed = hits.sum(axis=0), (counts[:, None] & ~served).sum(axis=0)
-        recall = _share(found, found + missed)
+        detected, missed = hits.sum(axis=0), (counts[:, None] & ~served).sum(axis=0)
+        recall = _share(detected, detected + missed)
         return (
-            KittiCurve(_samples(_share(found, found + wrong)), recall, objects, len(scores)),
-            KittiCurve(_samples(_share(similarity @ hits, found + wrong)), recall, objects, len(scores)),
+            KittiCurve(_samples(_share(detected, detected + wrong)), recall, objects, len(scores)),
+            KittiCurve(_samples(_share(similarity @ hits, detected + wrong)), recall, objects, len(scores)),
         )
 
     def _true_rows(self, level: int) -> tuple[Bool[np.ndarray, "g"], Bool[np.ndarray, "g"]]:
-        """Which true rows count, and which exist; ignored rows (existing, not counting) are neither TP nor FP."""
+        """Which true rows count, and which are matched; rows matched without counting are neither TP nor FP."""
         of_class, neighbour = self.truth.is_of(self.label), self.truth.is_of(*NEIGHBOURS[self.label])
         hard = (
             (self.truth.occluded > MAX_OCCLUSION[level])
@@ -177,9 +177,9 @@ class _ClassEvaluation:
         return of_class & ~hard, of_class | neighbour
 
     def _detected_rows(self, level: int) -> tuple[Bool[np.ndarray, "d"], Bool[np.ndarray, "d"]]:
-        """Which detections count, and which take part in the matching, including small ones of any class.
+        """Which detections count, and which take part in the matching (also small ones of any class).
 
-        A height equal to the limit is too small for a true row, but not for a detection.
+        A true row whose height equals the limit is too small; a detection is not.
         """
         small = np.abs(self.detections.height_px) < MIN_HEIGHT_PX[level]
         of_class = self.detections.is_of(self.label)

@@ -15,7 +15,7 @@ def points_in_box(
     rotation: Float[np.ndarray, "3 3"],
     half: Float[np.ndarray, "3"],
 ) -> Bool[np.ndarray, "n"]:
-    """Which points lie in a box or on its surface; NaN points do not.
+    """Which points lie in a box or on its surface; NaN points are outside.
 
     Args:
         xyz: points, contiguous rows.
@@ -24,13 +24,13 @@ def points_in_box(
         half: half the lengths of the box.
     """
     inside = np.empty(len(xyz), np.bool_)
-    # scalars, so that the compiler need not reload them in the loop
+    # scalars, so that the compiler does not reload them in the loop
     cx, cy, cz = center[0], center[1], center[2]
     xx, yx, zx = rotation[0, 0], rotation[1, 0], rotation[2, 0]
     xy, yy, zy = rotation[0, 1], rotation[1, 1], rotation[2, 1]
     xz, yz, zz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
     hx, hy, hz = half[0], half[1], half[2]
-    # a constant stride, and `&` in place of `and`, so that the loop vectorises
+    # a constant stride, and `&` instead of `and`, so that the loop vectorises
     flat = xyz.reshape(-1)
     for i in range(len(xyz)):
         x, y, z = flat[3 * i] - cx, flat[3 * i + 1] - cy, flat[3 * i + 2] - cz

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from annotator.compiled import compiled
 
-# Shift of each face of the box with the longer diagonal, outwards, as a share of that diagonal.
+# Each face of the box with the longer diagonal is moved outwards by this share of that diagonal.
 TIE = 1e-13
 
 # Axes with a smaller sine between them count as parallel; the volume of their line is negligible.
@@ -38,7 +38,7 @@ def intersection_volumes(
         diagonal_a, diagonal_b, apart = _length(a[2]), _length(b[2]), _length(a[0] - b[0])
         if apart > 0.5 * (diagonal_a + diagonal_b):
             continue
-        # the origin is put into the smaller box: better precision, and a result that is symmetric in a and b
+        # the origin is the centre of the smaller box: this is more precise and makes the result symmetric in a and b
         if diagonal_a < diagonal_b:
             _slabs(b, a, diagonal_b, normals, offsets)
         else:
@@ -82,7 +82,7 @@ def _slabs(
         middle, half = _dot(normals[i], shift), 0.5 * large[2][i] + TIE * diagonal
         offsets[i, 0], offsets[i, 1] = middle - half, middle + half
         offsets[3 + i, 0], offsets[3 + i, 1] = -0.5 * small[2][i], 0.5 * small[2][i]
-    # axes of the second box that are parallel to one of the first, up to rounding, are set to its direction
+    # axes of the smaller box that are parallel to an axis of the larger one up to rounding are set to its direction
     for j in range(3, 6):
         parallel, across = -1, 0
         for i in range(3):
@@ -98,7 +98,7 @@ def _slabs(
 
 @compiled
 def _clip_lines(normals: np.ndarray, offsets: np.ndarray, crosses: np.ndarray, lines: np.ndarray) -> None:
-    """Fills in where each line enters and leaves the four other slabs, along the cross product of its normals.
+    """Fills in where each line enters and leaves the four other slabs, measured along its cross product.
 
     Args:
         crosses: (6, 6, 3) cross products, for i < j.

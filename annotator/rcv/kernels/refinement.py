@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from annotator.compiled import compiled
 
-# Limits of the iteration; not settings, since they do not change what counts as an object.
+# Limits of the iteration. They are not settings, because they only trade accuracy against time.
 ROUNDS = 12
 # After FIRST_ROUNDS rounds, only the best SURVIVORS starts are refined further.
 FIRST_ROUNDS, SURVIVORS = 4, 2
@@ -33,10 +33,10 @@ Box = tuple[np.ndarray, np.ndarray, np.ndarray]
 def refine(
     measured: Measured, rotations: Float64[np.ndarray, "k 3 3"], unknowns: int, delta: float, least: float
 ) -> tuple[Box, float]:
-    """The best box that steps from several rotations lead to.
+    """The best box that steps reach from several start rotations.
 
     Args:
-        rotations: where to start; columns = box axes.
+        rotations: start rotations; columns = box axes.
         unknowns: `HELD` or `FREE`.
         delta: residual, in expected errors, above which Huber's cost is linear.
         least: lower bound of the sizes, metres.
@@ -82,9 +82,9 @@ def refine(
 
 @compiled
 def determined(measured: Measured, box: Box, unknowns: int, limit: float) -> bool:
-    """True if the smallest singular value of a box's equations, each unknown scaled to one, is above a limit.
+    """True if the smallest singular value of a box's equations, with columns of unit length, is above a limit.
 
-    This holds if the Gram matrix minus the squared limit on its diagonal is still positive definite.
+    That is the case if the Gram matrix is positive definite after subtracting the squared limit from its diagonal.
     """
     direction, _, inverse = measured
     _, rotation, size = box
@@ -155,7 +155,7 @@ def _cost(measured: Measured, box: Box, delta: float) -> float:
 
 @compiled
 def _derivative(direction: np.ndarray, i: int, rotation: np.ndarray, size: np.ndarray, row: np.ndarray) -> None:
-    """Fills in the derivatives of the middle by the centre, and of the reach by sizes and rotation, along a direction.
+    """Fills in, for one direction, the derivatives of the middle (by centre) and of the reach (by sizes and rotation).
 
     In box axes the direction is a. A rotation by u changes it by a x u, and so the reach by u . (g x a) with
     g_i = s_i / 2 sign(a_i).
@@ -176,7 +176,7 @@ def _derivative(direction: np.ndarray, i: int, rotation: np.ndarray, size: np.nd
 
 @compiled
 def _middle_and_reach(row: np.ndarray, center: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """A box's middle and half-extent along the direction that `row` is the `_derivative` of, metres."""
+    """A box's middle and half-extent along a direction, metres, from the direction's `_derivative`."""
     middle = row[0] * center[0] + row[1] * center[1] + row[2] * center[2]
     return middle, row[3] * size[0] + row[4] * size[1] + row[5] * size[2]
 
@@ -201,7 +201,7 @@ def _add(normal: np.ndarray, row: np.ndarray, low: float, high: float) -> None:
 
 @compiled
 def _factorised(matrix: np.ndarray) -> bool:
-    """Overwrites the lower triangle of a symmetric matrix by its Cholesky factor; False if not positive definite."""
+    """Overwrites a symmetric matrix's lower triangle with its Cholesky factor; False if not positive definite."""
     for a in range(len(matrix)):
         for b in range(a + 1):
             rest = matrix[a, b]

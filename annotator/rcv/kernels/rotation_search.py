@@ -33,7 +33,7 @@ def size_costs(
         rotations: columns = box axes in the frame of the directions.
         delta: residual above which Huber's cost is linear.
         least: lower bound of the sizes, metres.
-        rounds: how often the sizes are solved for: first with weights of one, then with Huber's weights.
+        rounds: number of solutions for the sizes: the first with weights of one, the others with Huber's weights.
     """
     m, k, turned = len(target), len(rotations), rotations.transpose(1, 2, 0).copy()
     reach, weighted, sizes, sums = np.empty((3, k)), np.empty((3, k)), np.empty((3, k)), np.empty((9, k))
@@ -71,7 +71,7 @@ def size_costs(
 
 @compiled
 def _reach(direction: np.ndarray, turned: np.ndarray, reach: np.ndarray) -> None:
-    """Fills in the extent of a unit of each size (3, k) along a direction, for rotations (3, 3, k)."""
+    """Fills in the derivatives (3, k) of the extent along a direction by the sizes, for rotations (3, 3, k)."""
     x, y, z = direction
     for a in range(3):
         for j in range(turned.shape[2]):
@@ -88,7 +88,7 @@ def _solve(sums: np.ndarray, least: float, sizes: np.ndarray) -> None:
         cx, cy, cz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
         dy, dz, ez = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
         determinant = xx * cx + xy * cy + xz * cz
-        # the last term is for a trace of zero: nothing is measured
+        # the last term avoids a division by zero if nothing is measured
         inverse = 1.0 / max(determinant, LEAST_DETERMINANT * trace**3 + 1e-300)
         sizes[0, j] = max((cx * bx + cy * by + cz * bz) * inverse, least)
         sizes[1, j] = max((cy * bx + dy * by + dz * bz) * inverse, least)

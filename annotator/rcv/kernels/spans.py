@@ -25,14 +25,14 @@ def count_within(
     Returns:
         the numbers of points within all three pairs of planes, within the first two pairs, and within the last two.
     """
-    # scalars, so that the compiler need not reload them in the loop
+    # scalars, so that the compiler does not reload them in the loop
     xx, xy, xz = axes[0, 0], axes[0, 1], axes[0, 2]
     yx, yy, yz = axes[1, 0], axes[1, 1], axes[1, 2]
     zx, zy, zz = axes[2, 0], axes[2, 1], axes[2, 2]
     low_x, low_y, low_z = low[0], low[1], low[2]
     high_x, high_y, high_z = high[0], high[1], high[2]
     every, first, last = 0, 0, 0
-    # a constant stride, and `&` in place of `and`, so that the loop vectorises
+    # a constant stride, and `&` instead of `and`, so that the loop vectorises
     flat = xyz.reshape(-1)
     for i in range(len(xyz)):
         a, b, c = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
