@@ -108,8 +108,9 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
         request = ImportRequest(kind="import", recordings=with_labels) if with_labels else None
         job = None if request is None else ctx.jobs.add(project, opened.path, request, operator)
     except InputError as error:
-        # the recordings were added nevertheless
-        note = f"Its 3D boxes were not imported: {ctx.public_message(str(error))}. Then add it again."
+        # the recordings have been added
+        reason = ctx.public_message(str(error))
+        note = f"Its 3D boxes were not imported: {reason}. To import them, add the recording again."
         return AddedRecordings(added=added, note=note)
     return AddedRecordings(added=added, job=job)
 

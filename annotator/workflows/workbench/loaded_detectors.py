@@ -83,9 +83,9 @@ class ReadyDetectors:
         Args:
             wait_s: how long to wait while it loads, seconds; None = until it is loaded.
         """
-        return self.look(project, role, wait_s).detector
+        return self.readiness(project, role, wait_s).detector
 
-    def look(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> Readiness:
+    def readiness(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> Readiness:
         """As `get`, with the state and the reason of a failure.
 
         A failure does not raise, since labels can be drawn without a detector. It stays until another model is active.
