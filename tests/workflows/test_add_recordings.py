@@ -19,8 +19,8 @@ from annotator.types.errors import ConfigError, FormatError, FrameError, Project
 from annotator.workflows.add_recordings import add_recordings, move_recording
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.recorded.take_over import import_own_labels
 
 
 def remove_frame(folder: Path, key: str) -> None:

@@ -19,7 +19,7 @@ from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, ex
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.sources import trained_detectors
-from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
 

@@ -14,7 +14,7 @@ from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId
 from annotator.workflows.add_recordings import add_recordings, move_recording
-from annotator.workflows.recorded.take_over import brings_labels
+from annotator.workflows.recorded.own_labels import has_own_labels
 
 router = APIRouter(tags=["recordings"])
 
@@ -104,7 +104,7 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
     if not body.labels:
         return AddedRecordings(added=added)
     try:
-        with_labels = [result.recording.id for result in results if brings_labels(opened, result.recording.id)]
+        with_labels = [result.recording.id for result in results if has_own_labels(opened, result.recording.id)]
         request = ImportRequest(kind="import", recordings=with_labels) if with_labels else None
         job = None if request is None else ctx.jobs.add(project, opened.path, request, operator)
     except InputError as error:

@@ -91,7 +91,7 @@ def import_labels(
             else:
                 done.other_classes.update(t.label for t in truths if t.label not in classes)
                 new = [NewLabel(t.label, t.box, t.score, t.track_id) for t in truths if t.label in classes]
-                if create_where_none(project, stored.id, new, AUTHOR):
+                if create_if_unlabelled(project, stored.id, new, AUTHOR):
                     done.frames += 1
                     done.labels.update(label.label for label in new)
                     behind = found.left_behind(name)
@@ -161,7 +161,7 @@ def _place(name: str) -> tuple[str, str]:
     return recording, key
 
 
-def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
+def create_if_unlabelled(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
     """Stores imported labels; returns False if the frame has labels or is finalised, even by a concurrent edit.
 
     A finalised frame without labels is confirmed as empty.

@@ -14,9 +14,9 @@ from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
-from annotator.workflows.importing.boxes_3d import AUTHOR, create_where_none
+from annotator.workflows.importing.boxes_3d import AUTHOR, create_if_unlabelled
 from annotator.workflows.importing.label_set import LeftBehind
-from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
 
@@ -122,7 +122,7 @@ def test_a_finalised_frame_keeps_what_it_has(people: Project) -> None:
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
     done = import_labels(people, given)
     assert (done.frames, done.already) == (1, 1) and people.labels.of_frame(first.id) == ()
-    assert not create_where_none(people, first.id, [NewLabel("person", BOX)], AUTHOR)
+    assert not create_if_unlabelled(people, first.id, [NewLabel("person", BOX)], AUTHOR)
     assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
 
 
