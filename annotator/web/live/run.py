@@ -25,7 +25,7 @@ from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.rates import Figures
 from annotator.workflows.live.recorder import Recorder
 from annotator.workflows.live.source import Source
-from annotator.workflows.live.store_session import Stored, require_unknown, store
+from annotator.workflows.live.store_session import Stored, require_unused_path, store
 from annotator.workflows.settings import rcv_config
 
 # Maximum number of unreadable frames that are logged one by one.
@@ -80,7 +80,7 @@ def run_live(
     settings = with_token(settings)
     check_settings(settings)
     if options.record is not None:
-        require_unknown(project, options.record)
+        require_unused_path(project, options.record)
     # opened before the detectors are loaded, which takes seconds, so that an invalid source is reported at once
     source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
     try:

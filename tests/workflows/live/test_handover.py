@@ -21,14 +21,14 @@ def test_the_first_frame_is_wanted_at_once_and_the_next_when_detection_is_about_
     wanted = Demand()
     assert wanted._left_s() <= 0
     for _ in range(3):
-        wanted.given(read_s=0.01)
+        wanted.frame_read(read_s=0.01)
         assert wanted._left_s() == float("inf"), "one waits to be taken"
-        wanted.begins()
+        wanted.detection_begins()
         clock[0] += 0.06
-        wanted.ends()
+        wanted.detection_ends()
         assert wanted._left_s() <= 0, "nothing is worked on"
-    wanted.given(read_s=0.01)
-    wanted.begins()
+    wanted.frame_read(read_s=0.01)
+    wanted.detection_begins()
     assert wanted._left_s() == pytest.approx(0.06 - 0.01 - SPARE_S)
     clock[0] += 0.05
     assert wanted._left_s() < 0
@@ -36,15 +36,15 @@ def test_the_first_frame_is_wanted_at_once_and_the_next_when_detection_is_about_
 
 def test_nothing_is_guessed_before_a_detection_has_ended(clock: list[float]) -> None:
     wanted = Demand()
-    wanted.given(read_s=0.01)
-    wanted.begins()
+    wanted.frame_read(read_s=0.01)
+    wanted.detection_begins()
     assert wanted._left_s() <= 0
 
 
 @pytest.mark.parametrize("wake", ["begins", "close"])
 def test_who_waits_is_woken(wake: str) -> None:
     wanted = Demand()
-    wanted.given(read_s=0.01)
+    wanted.frame_read(read_s=0.01)
     waits = threading.Thread(target=wanted.wait)
     waits.start()
     waits.join(0.05)
