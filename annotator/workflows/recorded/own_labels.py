@@ -23,7 +23,7 @@ class OwnLabels:
     Attributes:
         labels: imported labels, by class.
         other_classes: labels left out because the project does not have their class, by class.
-        unreadable: frames that could not be read, or whose labels could not, as `key: reason`.
+        unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
     """
 
     labels: Counter[str] = field(default_factory=Counter)
@@ -47,7 +47,7 @@ def import_own_labels(
     """Imports the true boxes beside a recording, for every frame without labels.
 
     Unreadable frames, and frames whose own label file is broken, are left out and reported. Frames that are labelled or
-    finalised during the import are left alone.
+    finalised during the import are not changed.
 
     Args:
         progress: called with (frames done, frames).
