@@ -78,7 +78,7 @@ class ReadyDetectors:
         self._loading: dict[tuple[Path, DetectorKind], tuple[str, Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
-        """Returns the active detector of a role, or None: no active model, loading failed, or not loaded yet.
+        """Returns the active detector of a role, or None if there is none, or it is not loaded.
 
         Args:
             wait_s: how long to wait while it loads, seconds; None = until it is loaded.
