@@ -95,7 +95,7 @@ class YoloDetector:
         pictures = [_checked(image.rgb) for image in images]
         stride = self._network.facts.stride
         placements = [
-            place(picture.shape[:2], self._looked_at(image), stride)
+            place(picture.shape[:2], self._input_side_px(image), stride)
             for picture, image in zip(pictures, images, strict=True)
         ]
         boxes: list[list[Box2D]] = [[] for _ in pictures]
@@ -112,7 +112,7 @@ class YoloDetector:
                 boxes[index].append(box)
         return boxes
 
-    def _looked_at(self, image: Image) -> int:
+    def _input_side_px(self, image: Image) -> int:
         """The longer side of an image after scaling for the network, pixels."""
         if isinstance(image, Region):
             return max(round(self._config.image_size_px * image.share), 1)

@@ -265,7 +265,7 @@ def test_a_frame_that_vanished(make_project: Callable[..., Project], own_copy: C
     folder = own_copy("people")
     project = make_project(folder)
     remove_frame(folder, "000002")
-    with pytest.raises(FrameError, match="people: frame 000002 is no longer there; restore it, or add the folder"):
+    with pytest.raises(FrameError, match="people: frame 000002 no longer exists; restore it, or add the folder"):
         FrameSource(project).read(project.frames.of()[2])
 
 

@@ -122,7 +122,7 @@ class _Images:
         images: dict[int, ImageBoxes],
     ) -> None:
         self._choose, self._labels, self._images = choose, labels, images
-        # all states except rejected, because an object whose state was not chosen is not background either
+        # all states except rejected: an object is not background, even if its state was not chosen
         existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
         self._with_object = {entry.frame_id for entry in existing}
         waiting = [entry for entry in existing if entry.label.state is ReviewState.PROPOSED]

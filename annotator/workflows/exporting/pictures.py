@@ -51,7 +51,7 @@ def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable
 
     Raises:
         FormatError: `job.out` exists, or writing fails.
-        ConfigError: parts that the format does not have.
+        ConfigError: the format does not support these parts.
         RecordingError: a frame cannot be read.
         ProjectError: the image of a pseudo-view is damaged.
     """
@@ -149,9 +149,9 @@ class _Tally:
         return LabelledPicture(name, content, width_px, height_px, kept, part)
 
     def write_places(self, folders: Mapping[str, Path]) -> None:
-        whole = next(iter(folders))
+        only_part = next(iter(folders))
         for part, places in self.places.items():
-            write_places(folders[part or whole], places)
+            write_places(folders[part or only_part], places)
 
 
 def _fit(boxes: Sequence[Box2D], width_px: int, height_px: int, kind: BoxKind, losses: Losses) -> tuple[Box2D, ...]:

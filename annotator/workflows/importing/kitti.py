@@ -38,8 +38,8 @@ class KittiLabels:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         shift = self.shifts.get(name)
         T = label_frame(frame) if shift is None else RigidTransform.from_translation(shift)
-        found = self.objects[name]
-        return list(found) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in found]
+        truths = self.objects[name]
+        return list(truths) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
     def left_behind(self, name: str) -> LeftBehind:
         return LeftBehind(scores=self.lost_scores.get(name, 0))
@@ -50,10 +50,10 @@ def read(path: Path) -> KittiLabels:
     return labels_of(path, read_kitti_labels(path), read_kitti_shifts(path))
 
 
-def labels_of(path: Path, found: Frames, shifts: Mapping[str, Float64[np.ndarray, "3"]]) -> KittiLabels:
+def labels_of(path: Path, objects: Frames, shifts: Mapping[str, Float64[np.ndarray, "3"]]) -> KittiLabels:
     """Returns the labels read from `path`; removes scores that are not confidences."""
-    if are_confidences(truth.score for truths in found.values() for truth in truths):
-        return KittiLabels(path, found, {}, shifts)
-    lost = {name: sum(truth.score is not None for truth in truths) for name, truths in found.items()}
-    bare = {name: tuple(replace(truth, score=None) for truth in truths) for name, truths in found.items()}
+    if are_confidences(truth.score for truths in objects.values() for truth in truths):
+        return KittiLabels(path, objects, {}, shifts)
+    lost = {name: sum(truth.score is not None for truth in truths) for name, truths in objects.items()}
+    bare = {name: tuple(replace(truth, score=None) for truth in truths) for name, truths in objects.items()}
     return KittiLabels(path, bare, lost, shifts)

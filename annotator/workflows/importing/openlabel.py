@@ -54,5 +54,5 @@ def _is_imported(box: OpenLabelBox) -> bool:
 
 def read(path: Path) -> OpenLabelLabels:
     """Raises FormatError: not an OpenLABEL document, or one that does not follow the standard."""
-    found = read_openlabel(path)
-    return OpenLabelLabels(path, found, are_confidences(box.score for each in found.values() for box in each.boxes))
+    frames = read_openlabel(path)
+    return OpenLabelLabels(path, frames, are_confidences(box.score for each in frames.values() for box in each.boxes))

@@ -141,7 +141,7 @@ def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> 
     both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)
     assert (done.frames, done.unmatched, done.renamed) == (1, (f"street/{second}",), None)
-    with pytest.raises(FormatError, match="none of its frames"):
+    with pytest.raises(FormatError, match="none of the dataset's frames"):
         import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
     done = import_labels(people, Given({f"other/{second}": [Truth("person", BOX)]}))
     assert (done.frames, done.renamed) == (1, Renamed("other", ("people",)))
@@ -150,8 +150,8 @@ def test_frames_of_other_recordings_are_none_of_the_project(people: Project) -> 
 @pytest.mark.parametrize(
     ("names", "problem"),
     [
-        (["x/1", "x/2"], r"none of its frames \(x/1, x/2\) is a frame of the project"),
-        (["people/000001", "000001"], "people/000001 and 000001 are both the frame 000001"),
+        (["x/1", "x/2"], r"the project has none of the dataset\'s frames \(x/1, x/2\)"),
+        (["people/000001", "000001"], "people/000001 and 000001 both match frame 000001"),
         ([], "it has none"),
     ],
 )
