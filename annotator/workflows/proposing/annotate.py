@@ -113,7 +113,7 @@ def require_limit(limit: int | None) -> None:
         ConfigError: it is below 1.
     """
     if limit is not None and limit < 1:
-        raise ConfigError(f"the limit of frames is {limit}; give 1 or more")
+        raise ConfigError(f"a limit of {limit} frames is too small; give 1 or more")
 
 
 def _description(identity: Identity, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> dict[str, str]:
