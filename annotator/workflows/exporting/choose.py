@@ -6,10 +6,12 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from annotator.project import Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting.split import Split, assign
+
+NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
 
 
 @dataclass(frozen=True)

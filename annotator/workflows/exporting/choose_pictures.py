@@ -11,9 +11,8 @@ from annotator.formats.losses import Losses, Lost
 from annotator.project import ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.types import Box2D, ReviewState
 from annotator.types.errors import ConfigError
-from annotator.workflows.exporting.choose import Chosen, ExportFilter, divided, labels_by_frame
+from annotator.workflows.exporting.choose import NOT_REJECTED, Chosen, ExportFilter, divided, labels_by_frame
 from annotator.workflows.exporting.split import Split
-from annotator.workflows.exporting.table import NOT_REJECTED
 
 Pictures = Literal["images", "views", "both"]
 
