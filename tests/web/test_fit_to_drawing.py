@@ -34,7 +34,7 @@ def taught(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.Mo
     """A server whose project has a view detector with ground-truth detections."""
     ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
     answer = lambda project, role, wait_s=None: ready if role is DetectorKind.VIEW else Readiness("none")  # noqa: E731
-    monkeypatch.setattr(live.context.caches.detectors, "look", answer)
+    monkeypatch.setattr(live.context.caches.detectors, "readiness", answer)
     return live
 
 

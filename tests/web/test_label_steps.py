@@ -41,7 +41,7 @@ def test_the_detector_is_called_only_for_suggestions(
 ) -> None:
     detector = Counting(knowing("people", kind=BoxKind.SILHOUETTE).view)
     ready = Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
-    monkeypatch.setattr(live.context.caches.detectors, "look", lambda project, role, wait_s=None: ready)
+    monkeypatch.setattr(live.context.caches.detectors, "readiness", lambda project, role, wait_s=None: ready)
     scene = Scene.of(generated / "people", 0, ["person"])
     body = {"image_box": scene.image_box(0), "boxes": []}
     views = live.client.post(STEPS, json={**body, "suggest": False}).json()

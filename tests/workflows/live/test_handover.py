@@ -41,7 +41,7 @@ def test_nothing_is_guessed_before_a_detection_has_ended(clock: list[float]) -> 
     assert wanted._left_s() <= 0
 
 
-@pytest.mark.parametrize("wake", ["begins", "close"])
+@pytest.mark.parametrize("wake", ["detection_begins", "close"])
 def test_who_waits_is_woken(wake: str) -> None:
     wanted = Demand()
     wanted.frame_read(read_s=0.01)
