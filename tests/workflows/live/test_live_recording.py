@@ -296,7 +296,7 @@ def test_what_a_killed_process_recorded_is_put_in_order(generated: Path, tmp_pat
     assert None not in times
     assert sorted(times) == times  # type: ignore[type-var]
     assert any(f"{len(rescued)} frames of an interrupted recording" in line for line in lines)
-    assert any("interrupted recording without frames; it is removed" in line for line in lines)
+    assert any("removed; it is from an interrupted recording without frames" in line for line in lines)
 
 
 def test_nothing_is_left_where_the_place_is_taken_at_the_end(frames: list[Frame], tmp_path: Path) -> None:
