@@ -14,7 +14,7 @@ from annotator.cli.projects import open_named
 from annotator.project import REVIEWED
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import Added, add_recordings
-from annotator.workflows.recorded.take_over import OwnLabels, import_own_labels
+from annotator.workflows.recorded.own_labels import OwnLabels, import_own_labels
 
 
 def run(

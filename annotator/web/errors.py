@@ -41,7 +41,7 @@ class ErrorBody(BaseModel):
 
 
 class ErrorAnswer(BaseModel):
-    """The answer to a failed request; some have further fields beside `error`."""
+    """The response to a failed request; some have further fields beside `error`."""
 
     error: ErrorBody
 
@@ -58,7 +58,7 @@ STATUS: list[tuple[type[AnnotatorError], int]] = [
     (AnnotatorError, 400),
 ]
 
-# An absolute path up to its first blank; the group is its last component.
+# An absolute path up to its first space; the group is its last component.
 _ABSOLUTE = re.compile(r"""(?<![\w./:…\-])(?:/[^/\s:;,'"()\[\]]+)*/([^/\s:;,'"()\[\]]+)""")
 
 
@@ -66,8 +66,8 @@ def hide_paths(text: str, path_names: Iterable[tuple[Path, str]]) -> str:
     """Replaces absolute paths in a message, so that it names files but not their folders on this computer.
 
     Args:
-        path_names: folders with their replacements; the first match applies. Of a path in none of them, only the last
-            component stays.
+        path_names: folders with their replacements; the first match applies. Any other path is shortened to its last
+            component.
     """
     for folder, name in path_names:
         if not has_absolute_path(text):
@@ -88,20 +88,20 @@ def status_of(error: AnnotatorError) -> int:
 
 
 def error_response(kind: str, message: str, status: int, **more: object) -> JSONResponse:
-    """The answer to a failed request; `more` are further fields beside "error"."""
+    """The response to a failed request; `more` are further fields beside "error"."""
     # a lone surrogate quoted from a request cannot be encoded
     readable = message.encode("utf-8", "replace").decode()
     return JSONResponse({"error": {"kind": kind, "message": readable}, **more}, status)
 
 
 def internal_error(connection: HTTPConnection, error: Exception) -> JSONResponse:
-    """The answer to an unexpected exception; its details go to the log only."""
+    """The response to an unexpected exception; its details go to the log only."""
     LOG.error("%s failed", connection.url.path, exc_info=error)
     return error_response("InternalError", INTERNAL, 500)
 
 
 def add_error_handlers(app: FastAPI) -> None:
-    """Registers handlers that answer every error of a route in this form."""
+    """Registers handlers that turn every error of a route into this form."""
     app.add_exception_handler(AnnotatorError, _annotator_error)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
@@ -131,7 +131,7 @@ def _field(location: tuple[int | str, ...]) -> str:
 async def _http(connection: HTTPConnection, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     kind = "NotFoundError" if error.status_code == 404 else "HTTPError"
-    message = f"there is nothing at {connection.url.path}" if error.status_code == 404 else str(error.detail)
-    answer = error_response(kind, message, error.status_code)
-    answer.headers.update(error.headers or {})
-    return answer
+    message = f"{connection.url.path} does not exist" if error.status_code == 404 else str(error.detail)
+    response = error_response(kind, message, error.status_code)
+    response.headers.update(error.headers or {})
+    return response

@@ -65,7 +65,7 @@ class Folders:
         return tuple((root, name) for name, root in nested_first)
 
     def find(self, path: str) -> Path:
-        """The real path of something below a root.
+        """The real path of a file or folder below a root.
 
         Raises:
             NotFoundError: no such path, or it leads outside the roots, such as through a link.

@@ -1,4 +1,4 @@
-"""The JSON of frames, labels and views, and the answers that contain it."""
+"""The JSON of frames, labels and views, and the responses that contain it."""
 
 from __future__ import annotations
 
@@ -47,22 +47,22 @@ class ModelResponse(JSONResponse):
 
 
 class BothVersions(BaseModel):
-    """The answer to a stale change: the error, the present state, and the changes of the request."""
+    """The response to a stale change: the error, the present state, and the changes of the request."""
 
     error: ErrorBody
     state: FrameStateJson
     changes: Any
 
 
-def frame_answer(ctx: Context, name: str, frame_id: int, operator: str) -> ModelResponse:
-    """The answer with the present state of a frame; errors as in `frame_state`."""
+def frame_response(ctx: Context, name: str, frame_id: int, operator: str) -> ModelResponse:
+    """The response with the present state of a frame; errors as in `frame_state`."""
     return ModelResponse(frame_state(ctx, name, frame_id, operator))
 
 
-def stale_answer(
+def stale_response(
     ctx: Context, name: str, frame_id: int, operator: str, error: StaleRevisionError, changes: Any
 ) -> ModelResponse:
-    """The answer to a stale change (409) with both versions of a frame; errors as in `frame_state`."""
+    """The response to a stale change (409) with both versions of a frame; errors as in `frame_state`."""
     body = ErrorBody(kind=type(error).__name__, message=str(error))
     state = frame_state(ctx, name, frame_id, operator)
     return ModelResponse(BothVersions.model_construct(error=body, state=state, changes=changes), 409)

@@ -21,7 +21,7 @@ class MissingRecording(BaseModel):
 
 
 class ProjectSummary(BaseModel):
-    """One project in a list; `problem` is why it cannot be opened, `missing` are recordings whose path is gone."""
+    """One project in a list; `problem`: why it cannot be opened; `missing`: recordings whose path is gone."""
 
     name: str
     classes: list[str]

@@ -86,7 +86,7 @@ class Box3DJson(Schema):
 
 
 class Box2DOut(Schema):
-    """A box on an image, in an answer."""
+    """A box on an image, in a response."""
 
     label: str
     x_min: float
@@ -103,7 +103,7 @@ class Box2DOut(Schema):
 
 
 class Box3DOut(Schema):
-    """A 3D box in an answer; the columns of `rotation` are its axes."""
+    """A 3D box in a response; the columns of `rotation` are its axes."""
 
     center: list[float]
     size: list[float]
@@ -140,7 +140,7 @@ class ViewJson(Schema):
 
 
 class QualityJson(Schema):
-    """The recursion's signals; null for one without a value."""
+    """The recursion's signals; null if a signal has no value."""
 
     view_disagreement: float | None
     kept_share: float | None

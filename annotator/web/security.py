@@ -1,4 +1,4 @@
-"""The checks before every route: host, token, origin and size of a request; and the security headers of its answer.
+"""The checks before every route: host, token, origin and size of a request; and the security headers of the response.
 
 - On a loopback address no token is needed, but a request's `Host` must be a name of this computer. This refuses a
   foreign page whose name resolves to this computer (DNS rebinding).
@@ -50,8 +50,8 @@ HEADERS: Mapping[str, str] = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-# A page with a refresh instead of a redirect: a browser sends no strict cookie along a redirect that began elsewhere.
 PLACE = re.compile(r"[a-z0-9_-]{1,64}/(label|review)")
+# A refresh, not a redirect: browsers do not send SameSite=Strict cookies with a redirect from another site.
 WELCOME = (
     '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={url}"><title>annotator</title>'
 )
@@ -78,11 +78,11 @@ def check_settings(settings: ServerSettings) -> None:
     if settings.token is None and not is_loopback(settings.host):
         raise ConfigError(f"{settings.host} can be reached from other computers: set a token to serve there")
     if settings.token is not None and (len(settings.token) < TOKEN_LENGTH or not settings.token.isascii()):
-        raise ConfigError(f"a token has {TOKEN_LENGTH} ASCII characters or more; leave it out to generate one")
+        raise ConfigError(f"a token needs at least {TOKEN_LENGTH} ASCII characters; leave it out to generate one")
 
 
 class Guard:
-    """The outermost layer of the application."""
+    """The ASGI middleware that checks each request before the application gets it."""
 
     def __init__(self, app: ASGIApp, settings: ServerSettings) -> None:
         self.app, self.settings = app, settings
@@ -110,7 +110,7 @@ class Guard:
         await self._pass_on(connection, receive if body is None else _replay(body, receive), send)
 
     async def _pass_on(self, connection: HTTPConnection, receive: Receive, send: Send) -> None:
-        """Passes a request on to the routes; an unexpected exception there is answered without its details."""
+        """Passes a request on to the routes; the response to an unexpected exception contains no details."""
         begun = False
 
         async def noticing(message: Message) -> None:
@@ -128,7 +128,7 @@ class Guard:
     def _check_host(self, connection: HTTPConnection) -> None:
         """On a loopback address, `Host` must be a name of this computer; elsewhere the token is checked instead."""
         if self.local and _host_name(connection.headers.get("host", "")) not in (*LOCAL_NAMES, self.settings.host):
-            raise ForbiddenError("this server answers only to names of this computer, such as localhost")
+            raise ForbiddenError("the request's Host must be a name of this computer, such as localhost")
 
     def _check_token(self, connection: HTTPConnection) -> None:
         token = self.settings.token
@@ -136,7 +136,7 @@ class Guard:
             raise NotSignedInError("sign in with the link that the server printed when it started")
 
     def _welcome(self, connection: HTTPConnection) -> Response | None:
-        """The answer to the printed link: it moves the token from the URL to a cookie."""
+        """The response to the printed link, which moves the token from the URL to a cookie."""
         token, scope = self.settings.token, connection.scope
         query = parse_qsl(connection.url.query, keep_blank_values=True)
         tokens = [value for name, value in query if name == "token"]
@@ -148,9 +148,9 @@ class Guard:
             )
         place = dict(query).get("go", "")
         url = f"/#/{place}" if PLACE.fullmatch(place) else "/"
-        answer = HTMLResponse(WELCOME.format(url=url), headers={"Cache-Control": "no-store"})
-        answer.set_cookie(cookie_name(token), token, httponly=True, samesite="strict", path="/")
-        return answer
+        response = HTMLResponse(WELCOME.format(url=url), headers={"Cache-Control": "no-store"})
+        response.set_cookie(cookie_name(token), token, httponly=True, samesite="strict", path="/")
+        return response
 
 
 def cookie_name(token: str) -> str:
@@ -191,7 +191,7 @@ async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes
     declared = headers.get("content-length", "0")
     size, parts, more = 0, list[bytes](), True
     too_large = not declared.isdecimal() or int(declared) > BODY_LIMIT
-    # reads on up to READ_ON: a browser does not see the answer if the connection is closed while it sends
+    # reads on up to READ_ON: a browser loses the response if the connection is closed while it still sends
     while more and size <= READ_ON:
         message = await receive()
         if message["type"] == "http.disconnect":
@@ -209,7 +209,7 @@ async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Returns the body that was read, and then further messages."""
+    """A `receive` that returns the body already read, then further messages."""
     pending: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def next_message() -> Message:
@@ -219,7 +219,7 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
 
 def _with_headers(scope: Scope, send: Send) -> Send:
-    """Adds the security headers that an answer lacks."""
+    """A `send` that adds missing security headers to the response."""
     is_api = scope["path"].startswith("/api/")
 
     async def sending(message: Message) -> None:
@@ -243,13 +243,13 @@ async def _refuse(error: AnnotatorError, scope: Scope, receive: Receive, send: S
             return
     wants_page = "text/html" in Headers(scope=scope).get("accept", "") and status == 401
     if wants_page and not scope["path"].startswith("/api/"):
-        answer: Response = HTMLResponse(LOCKED, status)
+        response: Response = HTMLResponse(LOCKED, status)
     else:
-        answer = error_response(type(error).__name__, str(error), status)
-    answer.headers["Cache-Control"] = "no-store"
+        response = error_response(type(error).__name__, str(error), status)
+    response.headers["Cache-Control"] = "no-store"
     # closes the connection: an unread rest of the body must not be parsed as the next request
-    answer.headers["Connection"] = "close"
-    await answer(scope, receive, send)
+    response.headers["Connection"] = "close"
+    await response(scope, receive, send)
 
 
 def link(address: str, token: str | None, place: str | None = None) -> str:

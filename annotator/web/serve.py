@@ -78,7 +78,7 @@ def bind(host: str, port: int) -> socket.socket:
         ConfigError: the address does not belong to this computer, or is in use.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # explicitly TCP: otherwise asyncio does not disable Nagle's algorithm, which delays every answer by some 40 ms
+    # explicitly TCP: otherwise asyncio does not disable Nagle's algorithm, which delays every response by some 40 ms
     bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -134,5 +134,5 @@ def _open(server: Running, address: str) -> None:
     while not server.started:
         time.sleep(0.05)
     if not has_display() or not webbrowser.open(address):
-        sys.stdout.write("no browser could be opened here: open the link in one\n")
+        sys.stdout.write("no browser could be opened; open the link in one yourself\n")
         sys.stdout.flush()

@@ -17,7 +17,7 @@ def web_assets() -> Path:
     """The folder `web_assets`: within the package in a wheel, beside it in a clone.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: the folder is missing.
     """
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "web_assets", package.parent / "web_assets"):
@@ -30,10 +30,10 @@ def plotly_script() -> Path:
     """The browser script in plotly's Python package."""
     import importlib.util
 
-    found = importlib.util.find_spec("plotly")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("plotly")
+    if spec is None or spec.origin is None:
         raise ConfigError("plotly is not installed; run pip install plotly")
-    return Path(found.origin).parent / "package_data" / "plotly.min.js"
+    return Path(spec.origin).parent / "package_data" / "plotly.min.js"
 
 
 def add_static(app: FastAPI) -> None:

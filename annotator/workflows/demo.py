@@ -41,7 +41,7 @@ class DemoPlan:
         preset: people or hands.
         frames: length of the recording.
         every: every `every`-th frame is labelled; boxes are proposed on the others.
-        image_pictures, view_pictures: lengths of the two trainings, images shown.
+        image_pictures, view_pictures: number of images shown in each training.
     """
 
     preset: str = "people"

@@ -39,11 +39,11 @@ class OpenedRecording:
         """Reads a frame, with the project's up direction if it sets one.
 
         Raises:
-            FrameError: the frame cannot be read, or is no longer there.
+            FrameError: the frame cannot be read, or no longer exists.
         """
         if key not in self.indices:
             raise FrameError(
-                Path(self.recording.path), f"frame {key} is no longer there", "restore it, or add the folder again"
+                Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
             )
         frame = self.recording.frame(self.indices[key])
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
@@ -96,7 +96,7 @@ class FrameSource:
         """Reads a frame, with the project's up direction if it sets one.
 
         Raises:
-            FrameError: the frame cannot be read, or is no longer there.
+            FrameError: the frame cannot be read, or no longer exists.
             RecordingError: the recording is missing or cannot be read.
         """
         return self._open(frame.recording_id).read(frame.key)

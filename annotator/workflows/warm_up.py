@@ -1,7 +1,7 @@
 """Precompiles the numba kernels: `python -m annotator.workflows.warm_up`.
 
 Numba compiles a function on its first call and caches the code on disk (`annotator.compiled`). Compiling all of them
-takes half a minute on one core, which the first frame would otherwise wait for.
+takes half a minute on one core, which otherwise delays the first frame.
 """
 
 from __future__ import annotations

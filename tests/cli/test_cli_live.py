@@ -47,7 +47,7 @@ def test_frames_are_shown_recorded_and_added_to_the_project(
     assert "live at http://127.0.0.1:" in said.out
     assert "3 shown" in said.out
     assert "3 frames, 6 proposals; in room as seen, ready for review" in said.out
-    assert "storing what was found on the 3 frames" in said.err
+    assert "storing the detections of the 3 frames" in said.err
     assert len(open_recording(tmp_path / "seen")) == 3
     with open_project(tmp_path / "projects" / "room") as project:
         frames = project.frames.of([project.recordings.find("seen").id])
@@ -173,8 +173,8 @@ def test_source_errors_are_reported_and_recorded_frames_kept(
     said = capsys.readouterr()
     assert said.err.count("000001.png") == 1
     assert said.err.splitlines()[2:] == [
-        "further ones are counted only",
-        f"storing what was found on the 1 frames of {tmp_path / 'seen'}",
+        "further unreadable frames are only counted",
+        f"storing the detections of the 1 frames in {tmp_path / 'seen'}",
     ]
     assert "4 unreadable" in said.out
     assert "1 frames, 2 proposals" in said.out
@@ -186,7 +186,7 @@ def test_source_errors_are_reported_and_recorded_frames_kept(
         ((), "/no/such", "no such file or folder"),
         (("--rate", 0), None, "cannot play at 0 frames per second; give more than 0"),
         (("--limit", 0), None, "cannot show 0 frames"),
-        (("--host", "0.0.0.0", "--token", "short"), None, "a token has 16"),
+        (("--host", "0.0.0.0", "--token", "short"), None, "a token needs at least 16"),
         (("--port", 99999), None, "cannot listen on 127.0.0.1 port 99999"),
         (("--record", "."), None, "exists already"),
         ((), "kinect", "an Azure Kinect needs pyk4a, which is not installed"),

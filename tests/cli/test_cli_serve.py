@@ -82,7 +82,7 @@ def test_another_address_prints_a_link_with_a_token(root: Path) -> None:
         (["--folder", "/no/such"], "--folder /no/such: no such folder"),
         (["--host", "999.1.1.1", "--token", "x" * 20], "cannot listen on 999.1.1.1"),
         (["--port", "99999"], "cannot listen on 127.0.0.1 port 99999"),
-        (["--token", "short"], "a token has 16"),
+        (["--token", "short"], "a token needs at least 16"),
     ],
 )
 def test_unusable_arguments_are_errors(root: Path, capsys: Capture, words: list[str], said: str) -> None:

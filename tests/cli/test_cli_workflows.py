@@ -260,9 +260,15 @@ def test_demo_passes_its_options_on_and_checks_them(
         (["views", "room", "file.txt"], "exists already"),
         (["import", "room", "nothing.json"], "nothing.json"),
         (["import", "room", "file.txt"], "file.txt"),
-        (["import", "room", "dogs.json"], "the project has none of its classes: they are dog"),
-        (["import", "room", "dogs.json", "--recording", "x"], "the project has none of its classes: they are dog"),
-        (["import", "room", "dogs.json", "--pictures", "nowhere"], "the project has none of its classes: they are dog"),
+        (["import", "room", "dogs.json"], "none of the dataset's classes is in the project: the dataset has dog"),
+        (
+            ["import", "room", "dogs.json", "--recording", "x"],
+            "none of the dataset's classes is in the project: the dataset has dog",
+        ),
+        (
+            ["import", "room", "dogs.json", "--pictures", "nowhere"],
+            "none of the dataset's classes is in the project: the dataset has dog",
+        ),
         (
             ["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"],
             "--recording is for boxes on camera images",

@@ -34,7 +34,7 @@ def taught(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.Mo
     """A server whose project has a view detector with ground-truth detections."""
     ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
     answer = lambda project, role, wait_s=None: ready if role is DetectorKind.VIEW else Readiness("none")  # noqa: E731
-    monkeypatch.setattr(live.context.caches.detectors, "look", answer)
+    monkeypatch.setattr(live.context.caches.detectors, "readiness", answer)
     return live
 
 
@@ -73,8 +73,8 @@ def test_a_drawn_box_is_fitted_and_its_label_counts_as_drawn(taught: Live, scene
     ("box", "label", "reason"),
     [
         ((0.0, 0.0, 3.0, 3.0), "person", "points lie in this box"),
-        ((60.0, 2.0, 110.0, 40.0), "person", "does not see the object"),
-        ((60.0, 2.0, 110.0, 40.0), "chair", "has not learned chair"),
+        ((60.0, 2.0, 110.0, 40.0), "person", "found no object"),
+        ((60.0, 2.0, 110.0, 40.0), "chair", "was not trained on chair"),
     ],
 )
 def test_without_an_object_there_is_a_reason(taught: Live, box: tuple[float, ...], label: str, reason: str) -> None:

@@ -15,7 +15,7 @@ from annotator.recordings import open_recording
 from annotator.web.jobs.records import WORK
 from annotator.web.settings import ServerSettings
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 
 EXAMPLES = 6
 PATIENT = settings(

@@ -41,7 +41,7 @@ def test_the_detector_is_called_only_for_suggestions(
 ) -> None:
     detector = CountingDetector(knowing("people", kind=BoxKind.SILHOUETTE).view)
     ready = Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
-    monkeypatch.setattr(live.context.caches.detectors, "look", lambda project, role, wait_s=None: ready)
+    monkeypatch.setattr(live.context.caches.detectors, "readiness", lambda project, role, wait_s=None: ready)
     scene = Scene.of(generated / "people", 0, ["person"])
     body = {"image_box": scene.image_box(0), "boxes": []}
     views = live.client.post(STEPS, json={**body, "suggest": False}).json()
@@ -65,7 +65,7 @@ def test_a_failed_detector_is_reported_with_its_problem(live: Live, generated: P
         project.models.register(
             role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=f"broken {role.value}"
         )
-    live.context.caches.detectors.look(project, DetectorKind.VIEW)
+    live.context.caches.detectors.readiness(project, DetectorKind.VIEW)
     body = {"image_box": Scene.of(generated / "people", 0, ["person"]).image_box(0), "boxes": []}
     for suggest in (False, True):
         found = live.client.post(STEPS, json={**body, "suggest": suggest}).json()

@@ -22,7 +22,7 @@ from annotator.project.labels import NewLabel
 from annotator.project.writing import WriteContext
 from annotator.types import OrientedBox, ReviewState
 from annotator.web.viewport.server import start_viser
-from annotator.web.viewport.viewports import MOST_AN_OPERATOR, Viewports
+from annotator.web.viewport.viewports import MOST_PER_OPERATOR, Viewports
 
 PROTOCOL = f"viser-v{viser.__version__}"
 
@@ -154,8 +154,8 @@ def test_a_viewport_is_accessible_to_its_operator_only(live: Any, frame_id: int)
 
 
 def test_the_oldest_viewport_of_an_operator_closes_beyond_the_limit(live: Any) -> None:
-    ids = [opened(live) for _ in range(MOST_AN_OPERATOR + 1)]
-    assert [show(live, viewport, frame=None).status_code for viewport in ids] == [404, *[200] * MOST_AN_OPERATOR]
+    ids = [opened(live) for _ in range(MOST_PER_OPERATOR + 1)]
+    assert [show(live, viewport, frame=None).status_code for viewport in ids] == [404, *[200] * MOST_PER_OPERATOR]
 
 
 def test_the_proxy_adds_a_content_security_policy_to_viser_s_page(live: Any) -> None:
@@ -233,7 +233,7 @@ def test_viser_s_port_accepts_only_the_proxy(live: Any, origin: str | None) -> N
 def test_an_unprotectable_viser_server_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     started = Mock()
     monkeypatch.setattr(viser, "ViserServer", lambda *_, **__: started)
-    with pytest.raises(RuntimeError, match="cannot be protected"):
+    with pytest.raises(RuntimeError, match="cannot be restricted"):
         start_viser("127.0.0.1", "secret")
     started.stop.assert_called_once()
 

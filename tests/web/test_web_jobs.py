@@ -85,7 +85,7 @@ def test_a_job_runs_and_reports_progress_and_result(server: Live) -> None:
     [
         (fake_jobs.REFUSED, "project room has no image detector yet"),
         (fake_jobs.BUG, "internal error, see the server's log"),
-        (fake_jobs.KILLED, "the worker ended unexpectedly (it was killed, possibly for lack of memory)"),
+        (fake_jobs.KILLED, "the worker ended unexpectedly (killed, possibly out of memory)"),
     ],
 )
 def test_a_job_fails_and_the_next_one_runs(server: Live, what: int, message: str) -> None:

@@ -19,8 +19,8 @@ from annotator.types.errors import ConfigError, FormatError, FrameError, Project
 from annotator.workflows.add_recordings import add_recordings, move_recording
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.recorded.take_over import import_own_labels
 
 
 def remove_frame(folder: Path, key: str) -> None:
@@ -269,7 +269,7 @@ def test_a_missing_frame_is_an_error(make_project: Callable[..., Project], own_c
     folder = own_copy("people")
     project = make_project(folder)
     remove_frame(folder, "000002")
-    with pytest.raises(FrameError, match="people: frame 000002 is no longer there; restore it, or add the folder"):
+    with pytest.raises(FrameError, match="people: frame 000002 no longer exists; restore it, or add the folder"):
         FrameSource(project).read(project.frames.of()[2])
 
 

@@ -25,7 +25,7 @@ class JobContext:
         project: open.
         folder: for the job's results; initially empty.
         send: sends a message to the server.
-        stopped: returns True once the job is to stop.
+        stopped: returns True once a stop is requested.
     """
 
     project: Project
@@ -34,10 +34,10 @@ class JobContext:
     stopped: Callable[[], bool]
 
     def progress(self, stage: str, done: float = 0.0, total: float = 0.0, eta_s: float | None = None) -> None:
-        """Reports the progress. Jobs stop at these calls.
+        """Reports the progress. A job stops at its next call of this method.
 
         Raises:
-            JobStoppedError: the job is to stop.
+            JobStoppedError: a stop was requested.
         """
         if self.stopped():
             raise JobStoppedError("stopped")

@@ -24,15 +24,15 @@ class _Journal(BaseModel):
 
 
 def read_journal(folder: Path) -> list[Job]:
-    """The jobs of former servers, oldest first; unfinished ones become failed. Empty without a readable journal."""
+    """The jobs in the journal, oldest first; unfinished ones become failed. Empty if it is missing or unreadable."""
     path = folder / FILE
     try:
         jobs = _Journal.model_validate_json(path.read_bytes()).jobs
     except FileNotFoundError:
         return []
     except (OSError, ValidationError) as error:
-        # former jobs are dispensable: the server starts without them
-        LOG.warning("%s: cannot be read, former jobs are not listed: %s", path, error)
+        # the server can start without the list of earlier jobs
+        LOG.warning("%s: cannot be read, earlier jobs are not listed: %s", path, error)
         return []
     return [_ended(job) for job in jobs]
 

@@ -55,7 +55,7 @@ class WorkerProcess:
             try:
                 yield WORKER_MESSAGE.validate_json(line)
             except ValidationError:
-                LOG.warning("invalid message of a worker: %s", line[:200])
+                LOG.warning("invalid message from a worker: %s", line[:200])
         self._process.wait()
         for timer in self._timers:
             timer.cancel()
@@ -70,7 +70,7 @@ class WorkerProcess:
         return self._process.poll()
 
     def stop(self, grace_s: float = GRACE_S) -> None:
-        """Asks the worker to stop; terminates it after `grace_s`, and kills it after further `KILL_AFTER_S` seconds."""
+        """Asks the worker to stop; terminates it after `grace_s`, and kills it `KILL_AFTER_S` seconds later."""
         self._write(STOP)
         self._later(grace_s, signal.SIGTERM)
         self._later(grace_s + KILL_AFTER_S, signal.SIGKILL)
@@ -89,7 +89,7 @@ class WorkerProcess:
 
     def _write(self, text: str) -> None:
         assert self._process.stdin is not None
-        # an ended worker is handled by `messages`
+        # `messages` handles a worker that has ended
         with suppress(BrokenPipeError, ValueError):
             self._process.stdin.write(text)
             self._process.stdin.flush()

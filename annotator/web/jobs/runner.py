@@ -21,7 +21,7 @@ from annotator.web.jobs.records import WORK, Job, JobRequest, JobState
 
 LOG = logging.getLogger("annotator.web")
 
-# JOBS_KEPT jobs are listed in all, and EXPORTS_KEPT downloads are kept per project; MOST_WAITING jobs may wait.
+# Number of listed jobs, of downloads kept per project, and of jobs that may wait.
 JOBS_KEPT, EXPORTS_KEPT, MOST_WAITING = 50, 3, 20
 WORK_LOG = "worker.log"
 # Shorter than GRACE_S, so that the server ends quickly.
@@ -55,7 +55,7 @@ class JobRunner:
         self._thread = threading.Thread(target=self._run, name="jobs", daemon=True)
 
     def start(self) -> None:
-        """Starts the thread, and removes folders of forgotten jobs."""
+        """Starts the thread, and removes folders of jobs that are no longer listed."""
         self._tidy()
         self._thread.start()
 
@@ -120,7 +120,7 @@ class JobRunner:
         job = self.get(job_id)
         path = self._export_file(job)
         if path is None or job.download == "gone" or not path.is_file():
-            raise NotFoundError("there is nothing to download, or it was removed; export again")
+            raise NotFoundError("this job has no file to download, or its file was removed; export again")
         return path
 
     def _export_file(self, job: Job) -> Path | None:
@@ -146,7 +146,7 @@ class JobRunner:
         while (entry := self._next()) is not None:
             job_id, path, request = entry
             try:
-                self._do(job_id, path, request)
+                self._run_job(job_id, path, request)
             except Exception:  # a job that cannot be started must not block the next ones
                 LOG.exception("job %s failed", job_id)
                 self._update(job_id, state=JobState.FAILED, message=INTERNAL)
@@ -163,7 +163,7 @@ class JobRunner:
             self._stopping = None
             return entry
 
-    def _do(self, job_id: str, path: Path, request: JobRequest) -> None:
+    def _run_job(self, job_id: str, path: Path, request: JobRequest) -> None:
         began = time.monotonic()
         self._update(job_id, stage="starting")
         folder = self.folder / job_id
@@ -231,7 +231,7 @@ class JobRunner:
             write_journal(self.folder, reversed(self.all()))
 
     def _tidy(self) -> None:
-        """Forgets the oldest jobs, marks outdated exports as gone, and removes their files."""
+        """Removes the oldest jobs from the list, marks outdated exports as gone, and deletes their files."""
         with self._lock:
             exports = self._latest_exports()
             old = [job.id for job in self.all() if job.state.ended and job.id not in exports][JOBS_KEPT:]
@@ -282,5 +282,5 @@ def _public(value: Any, public_message: PublicMessage) -> Any:
 
 def _reason(exit_code: int | None) -> str:
     if exit_code == -9:
-        return "it was killed, possibly for lack of memory"
+        return "killed, possibly out of memory"
     return f"exit code {exit_code}; see the server's log"

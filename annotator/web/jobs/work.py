@@ -19,7 +19,7 @@ from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, ex
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.sources import trained_detectors
-from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
 
@@ -32,8 +32,8 @@ RESUMES = "stopped; training again with the same boxes continues from here"
 def train_work(job: JobContext, request: TrainRequest) -> Outcome:
     """Trains detectors; each becomes the active one of its role when it is done."""
     plan = TrainPlan(
-        image=_with(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
-        view=_with(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),
+        image=_training_config(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
+        view=_training_config(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),
     )
     roles = tuple(dict.fromkeys(request.roles))
     reporter = _ProgressReporter(job, plan, roles)
@@ -47,7 +47,9 @@ def train_work(job: JobContext, request: TrainRequest) -> Outcome:
     return Outcome(f"trained: {figures}", {"models": [t.model.id for t in trained], "left_out": left_out})
 
 
-def _with(config: TrainingConfig, images: int | None, size_px: int | None, model: str | None) -> TrainingConfig:
+def _training_config(
+    config: TrainingConfig, images: int | None, size_px: int | None, model: str | None
+) -> TrainingConfig:
     options = {"pictures_seen": images, "image_size_px": size_px, "model": model}
     return config.model_copy(update={name: value for name, value in options.items() if value is not None})
 
@@ -94,7 +96,7 @@ class _ProgressReporter:
     def _measured(self, role: DetectorKind, step: TrainingProgress) -> None:
         metrics = {name.rpartition("/")[2]: value for name, value in step.losses.items()}
         if step.map50 is not None and step.map50_95 is not None and step.map50_95 != self.measured.get(role):
-            # the trainer does not measure every epoch, and repeats its latest figures in between
+            # the trainer does not validate after every epoch, and repeats its latest figures in between
             self.measured[role] = step.map50_95
             metrics |= {"map50": step.map50, "map50_95": step.map50_95}
         self.job.measured(CurvePoint(role=role, epoch=step.epoch, metrics=metrics))

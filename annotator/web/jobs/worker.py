@@ -23,7 +23,7 @@ from annotator.web.jobs.messages import Failed, Finished, Order, Progress, Stopp
 NICENESS = 5
 # Minimum interval between progress messages: a training reports after every batch.
 PROGRESS_EVERY_S = 0.2
-# Once its server has died, a worker that does not stop in this time exits.
+# A worker exits if it has not stopped this long after its server died.
 GIVE_UP_AFTER_S = 20.0
 
 
@@ -53,7 +53,7 @@ class MessageWriter:
 
 
 def main() -> int:
-    """Does the work; the exit code is 0 if its end could be reported."""
+    """Runs the job and reports its end to the server; returns the exit code."""
     os.nice(NICENESS)
     writer = MessageWriter(_own_output())
     order = Order.model_validate_json(sys.stdin.readline())

@@ -13,7 +13,7 @@ class Interrupts:
     """A context in which SIGTERM (from `kill`, a service manager or a stopped container) ends a session like Ctrl-C.
 
     Both raise KeyboardInterrupt. Once the session is ending, further SIGTERMs are ignored, since the recording is being
-    stored. A further Ctrl-C interrupts even that.
+    stored. A further Ctrl-C interrupts the storing, too.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The live page: the cloud with 3D boxes, beside it the camera image, the figures and the buttons."""
+"""The live page: the cloud with 3D boxes, and a panel with the camera image, the figures and the buttons."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Limit of shown points, which are sent many times per second.
 MOST_POINTS = 40_000
-# Point size as a factor; thinned points are drawn larger by default, which is too large for near objects.
+# Factor of the default point size, which is too large for near objects in a thinned cloud.
 POINT_SIZE = 0.7
 JPEG_QUALITY = 75
 # Minimum interval between updates of the figures, seconds.

@@ -25,7 +25,7 @@ from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.rates import Figures
 from annotator.workflows.live.recorder import Recorder
 from annotator.workflows.live.source import Source
-from annotator.workflows.live.store_session import Stored, require_unknown, store
+from annotator.workflows.live.store_session import Stored, require_unused_path, store
 from annotator.workflows.settings import rcv_config
 
 # Maximum number of unreadable frames that are logged one by one.
@@ -56,7 +56,7 @@ class LiveOptions:
 
 @dataclass(frozen=True)
 class LiveResult:
-    """The final figures of a session, and what a recorded one added to the project."""
+    """The final figures of a session, and the summary of its recording in the project."""
 
     figures: Figures
     stored: Stored | None
@@ -69,22 +69,19 @@ def run_live(
     *,
     tell: Callable[[str], None],
 ) -> LiveResult:
-    """Detects and shows frames until the source ends, or until interrupted.
-
-    The recording is kept however the session ends.
+    """Detects and shows frames until the source ends, or until interrupted. The recording is kept even after an error.
 
     Args:
         tell: called with each log line while the session runs.
 
     Raises:
-        AnnotatorError: of the source, the detectors, the recording or the address; nothing was started if one of them
-            cannot be used.
+        AnnotatorError: the source, the detectors, the recording or the address cannot be used, or fail later.
     """
     settings = with_token(settings)
     check_settings(settings)
     if options.record is not None:
-        require_unknown(project, options.record)
-    # the source is opened before the detectors, which take seconds: an invalid one is reported at once
+        require_unused_path(project, options.record)
+    # opened before the detectors are loaded, which takes seconds, so that an invalid source is reported at once
     source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
     try:
         with Interrupts() as interrupts:
@@ -113,7 +110,7 @@ def _run(
             figures = _show(options, settings, source, detection, recorder, backend, tell, interrupts)
         finally:
             if frames := recorder.finish():
-                tell(f"storing what was found on the {frames} frames of {recorder.out}")
+                tell(f"storing the detections of the {frames} frames in {recorder.out}")
                 warm_start = options.warm_start
                 stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
         recorder.require_complete()
@@ -144,7 +141,7 @@ def _show(
 
 
 class _LimitedLog:
-    """Logs the first unreadable frames; the figures count the others."""
+    """Logs the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell, self._left = tell, MOST_LOGGED
@@ -154,7 +151,7 @@ class _LimitedLog:
             self._left -= 1
             self._tell(line)
             if not self._left:
-                self._tell("further ones are counted only")
+                self._tell("further unreadable frames are only counted")
 
 
 def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
@@ -182,7 +179,7 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
     """Runs a pipeline and serves its page until the pipeline ends or is interrupted; prints the URL.
 
     Args:
-        interrupts: entered by the caller, who may store a recording afterwards.
+        interrupts: a context that the caller has entered, and leaves after storing a recording.
 
     Raises:
         ConfigError: the address cannot be used.

@@ -78,7 +78,7 @@ async def _receive(socket: WebSocket, ctx: Context, client: Client) -> None:
         while True:
             _handle(ctx, client, await socket.receive_text())
     except ValidationError:
-        await socket.close(BAD_MESSAGE, "not a valid message of a page")
+        await socket.close(BAD_MESSAGE, "invalid message")
     except (WebSocketDisconnect, KeyError):  # KeyError: a binary message has no text
         return
 

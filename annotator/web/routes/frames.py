@@ -15,14 +15,14 @@ from annotator.types.errors import HistoryError, StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.errors import error_response
 from annotator.web.frame_changes import ChangesIn
-from annotator.web.frame_json import frame_answer, frame_row, frame_state, stale_answer
+from annotator.web.frame_json import frame_response, frame_row, frame_state, stale_response
 from annotator.web.schemas import Effort, FrameListJson, FrameStateJson, RowId, Schema
 from annotator.workflows.workbench.apply_changes import apply_changes
 
 router = APIRouter(tags=["frames"])
 
 STALE: dict[int | str, dict[str, Any]] = {
-    409: {"description": "The frame has changed since the given revision; the answer contains both versions."}
+    409: {"description": "The frame has changed since the given revision; the response contains both versions."}
 }
 
 
@@ -57,7 +57,7 @@ def frames(
 @router.get("/api/projects/{name}/frames/{frame_id}", response_model=FrameStateJson)
 def frame(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> JSONResponse:
     """All data of a frame that the page shows."""
-    state = frame_answer(ctx, name, frame_id, operator)
+    state = frame_response(ctx, name, frame_id, operator)
     ctx.caches.detectors.warm(ctx.project(name))
     return state
 
@@ -70,9 +70,9 @@ def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Chan
     try:
         receipt = apply_changes(project, frame_id, body.payloads(), body.context(operator), open_frame)
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, operator, error, body.model_dump(mode="json")["changes"])
+        return stale_response(ctx, name, frame_id, operator, error, body.model_dump(mode="json")["changes"])
     ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
-    return frame_answer(ctx, name, frame_id, operator)
+    return frame_response(ctx, name, frame_id, operator)
 
 
 @router.post("/api/projects/{name}/undo", response_model=StepOut, responses=STALE)

@@ -53,7 +53,7 @@ def begin(project: str, body: Annotated[JobRequest, Body()], ctx: Ctx, operator:
 
 @router.get("/api/jobs")
 def jobs(ctx: Ctx, operator: Operator) -> JobList:
-    """All jobs, including those of former servers."""
+    """All jobs, including those from before the server was started."""
     return JobList(jobs=ctx.jobs.all())
 
 

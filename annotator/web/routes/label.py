@@ -12,7 +12,7 @@ from annotator.project import WriteContext
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Ctx, Operator
-from annotator.web.frame_json import drawn_view, frame_state, stale_answer
+from annotator.web.frame_json import drawn_view, frame_state, stale_response
 from annotator.web.routes.frames import STALE
 from annotator.web.schemas import (
     MOST_BOXES,
@@ -107,7 +107,7 @@ def steps(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: StepsI
     """The views for an object's boxes so far, with suggestions, and its 3D box. Nothing is stored."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
-    ready = ctx.caches.detectors.look(project, DetectorKind.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
+    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
     detector = ready.detector if body.suggest else None
     boxes = [None if box is None else box.box() for box in body.boxes]
     config = label_config(project, opened.frame)
@@ -133,12 +133,12 @@ def steps(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: StepsI
 def suggestions(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> SuggestionsOut:
     """Boxes that the image detector suggests."""
     project = ctx.project(name)
-    ready = ctx.caches.detectors.look(project, DetectorKind.IMAGE)
+    ready = ctx.caches.detectors.readiness(project, DetectorKind.IMAGE)
     if ready.detector is None:
         return SuggestionsOut(boxes=[], problem=None if ready.problem is None else ctx.public_message(ready.problem))
     opened = ctx.caches.frames.open(project, frame_id, operator)
-    least = frame_config(project, opened.frame).min_image_score
-    boxes = suggested_image_boxes(opened, ready.detector, least, project.config.classes)
+    min_score = frame_config(project, opened.frame).min_image_score
+    boxes = suggested_image_boxes(opened, ready.detector, min_score, project.config.classes)
     return SuggestionsOut(boxes=[Box2DOut.of(box) for box in boxes])
 
 
@@ -157,7 +157,7 @@ def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn)
     try:
         saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, context)
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     if saved.receipt is not None:
         ctx.hub.frame_changed(name, frame_id, saved.receipt.revision, operator)
     return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid)

@@ -36,7 +36,7 @@ class ModelDetails(ModelInfo):
     curves: list[CurvePoint]
 
 
-class TeachingMaterial(BaseModel):
+class TrainingData(BaseModel):
     """Numbers of available training data: 2D boxes on camera images and on pseudo-views, and reviewed 3D labels."""
 
     image: int
@@ -48,7 +48,7 @@ class ModelList(BaseModel):
     """All models, the oldest first, and the available training data."""
 
     models: list[ModelDetails]
-    material: TeachingMaterial
+    material: TrainingData
 
 
 @router.get("")
@@ -88,7 +88,7 @@ def _details(name: str, project: Project, model_id: int) -> ModelDetails:
     )
 
 
-def _material(project: Project) -> TeachingMaterial:
+def _material(project: Project) -> TrainingData:
     counts = project.statistics()
     labels = counts.labels.by_state[ReviewState.ACCEPTED] + counts.labels.by_state[ReviewState.EDITED]
-    return TeachingMaterial(image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels)
+    return TrainingData(image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels)

@@ -14,7 +14,7 @@ from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId
 from annotator.workflows.add_recordings import add_recordings, move_recording
-from annotator.workflows.recorded.take_over import brings_labels
+from annotator.workflows.recorded.own_labels import has_own_labels
 
 router = APIRouter(tags=["recordings"])
 
@@ -104,12 +104,13 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
     if not body.labels:
         return AddedRecordings(added=added)
     try:
-        with_labels = [result.recording.id for result in results if brings_labels(opened, result.recording.id)]
+        with_labels = [result.recording.id for result in results if has_own_labels(opened, result.recording.id)]
         request = ImportRequest(kind="import", recordings=with_labels) if with_labels else None
         job = None if request is None else ctx.jobs.add(project, opened.path, request, operator)
     except InputError as error:
-        # the recordings were added nevertheless
-        note = f"Its 3D boxes were not imported: {ctx.public_message(str(error))}. Then add it again."
+        # the recordings have been added
+        reason = ctx.public_message(str(error))
+        note = f"Its 3D boxes were not imported: {reason}. To import them, add the recording again."
         return AddedRecordings(added=added, note=note)
     return AddedRecordings(added=added, job=job)
 

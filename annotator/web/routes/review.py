@@ -13,7 +13,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import drawn_view, frame_state, quality_json, stale_answer
+from annotator.web.frame_json import drawn_view, frame_state, quality_json, stale_response
 from annotator.web.routes.frames import STALE
 from annotator.web.schemas import (
     Box2DJson,
@@ -141,20 +141,20 @@ def _ready(ctx: Context, name: str, frame_id: int, operator: str) -> tuple[OpenF
     """A frame, the recursion's settings for it, and the state of the project's view detector."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
-    ready = ctx.caches.detectors.look(project, DetectorKind.VIEW)
+    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
     kind = BoxKind.BOX if ready.detector is None else ready.detector.box_kind
     return opened, frame_config(project, opened.frame, kind), ready
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)
 def copy(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson | JSONResponse:
-    """Copy the reviewed boxes of another frame that this one lacks."""
+    """Copy the reviewed boxes of another frame, except those that this frame already has."""
     effort = None if body.effort is None else body.effort.stored()
     try:
         receipt = copy_boxes(
             ctx.project(name), frame_id, body.source, WriteContext(body.revision, operator, effort=effort)
         )
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, operator, error, [body.model_dump(mode="json", by_alias=True)])
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json", by_alias=True)])
     ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
     return frame_state(ctx, name, frame_id, operator)

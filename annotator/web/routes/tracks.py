@@ -12,7 +12,7 @@ from annotator.project import Project, StoredFrame
 from annotator.types import BoxKind, DetectorKind, ReviewState
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import frame_state, stale_answer
+from annotator.web.frame_json import frame_state, stale_response
 from annotator.web.routes.frames import STALE
 from annotator.web.schemas import Effort, FrameStateJson, RowId, Schema, Uid
 from annotator.workflows.detectors import Detectors
@@ -108,7 +108,7 @@ def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Follo
         else:
             done = propose_next(project, frame_id, body.revision, operator, detectors, open_frame, effort=effort)
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done.changed:
         ctx.hub.frame_changed(name, changed, receipt.revision, operator)
     how: Literal["detect", "copy"] = "copy" if detectors is None else "detect"
@@ -126,7 +126,7 @@ def interpolate(
     try:
         done = interpolate_back(project, frame_id, body.uid, body.revision, operator, fit=fit, effort=effort)
     except StaleRevisionError as error:
-        return stale_answer(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done.filled:
         ctx.hub.frame_changed(name, changed, receipt.revision, operator)
     state = frame_state(ctx, name, frame_id, operator)

@@ -111,7 +111,7 @@ class SceneAnswer(Schema):
 
 @router.post("/api/workbench", status_code=201)
 def open_viewport(body: NewViewport, ctx: Ctx, operator: Operator, viewports: OpenViewports) -> OpenedViewport:
-    """Open a 3D viewport. If an operator has too many, the oldest one closes."""
+    """Open a 3D viewport; beyond the limit per operator, the oldest one is closed."""
     ctx.project(body.project)
     viewport = viewports.open(operator, body.project)
     return OpenedViewport(id=viewport.id, url=f"/viser/{viewport.id}/")
@@ -176,7 +176,7 @@ def _content(ctx: Ctx, project: Project, body: SceneRequest, frame_id: int) -> S
 
 
 def _boxes(labels: Sequence[Label], previews: Sequence[tuple[str | None, OrientedBox]]) -> tuple[ShownBox, ...]:
-    """The stored boxes and the previews. A preview replaces the box with its uid; the last of several counts."""
+    """The stored boxes and the previews. A preview replaces the box with its uid; of several, the last one is used."""
     states = {label.uid: label.state for label in labels}
     shown = {label.uid: ShownBox(label.uid, label.box, label.state) for label in labels}
     without_uid = [ShownBox(None, box, ReviewState.PROPOSED) for uid, box in previews if uid is None]

@@ -20,7 +20,7 @@ from annotator.web.viewport.server import HOST
 LOG = logging.getLogger("annotator.web")
 
 FORWARDED_REQUEST = ("accept", "accept-encoding", "if-none-match")
-FORWARDED_ANSWER = ("content-type", "content-encoding", "etag")
+FORWARDED_RESPONSE = ("content-type", "content-encoding", "etag")
 # viser's page unpacks itself with inline scripts, WebAssembly and a worker, all contained in its single file.
 POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
@@ -56,19 +56,18 @@ async def forward_http(request: Request, viewport: ViserEndpoint, path: str) -> 
         httpx.AsyncClient(timeout=TIMEOUT_S) as client,
         client.stream(
             "GET", httpx.URL(scheme="http", host=HOST, port=viewport.port, path=f"/{path}"), headers=headers
-        ) as answer,
+        ) as response,
     ):
         # raw: without decompression
-        body = b"".join([part async for part in answer.aiter_raw()])
-    headers_out = {name: answer.headers[name] for name in FORWARDED_ANSWER if name in answer.headers}
-    return Response(body, answer.status_code, {**headers_out, "Content-Security-Policy": POLICY})
+        body = b"".join([part async for part in response.aiter_raw()])
+    headers_out = {name: response.headers[name] for name in FORWARDED_RESPONSE if name in response.headers}
+    return Response(body, response.status_code, {**headers_out, "Content-Security-Policy": POLICY})
 
 
 async def forward_socket(browser: WebSocket, viewport: ViserEndpoint) -> None:
     """Forwards a browser's WebSocket until either side closes it.
 
-    Each direction awaits its receiver. So a slow browser slows viser down, which then drops outdated messages, and no
-    messages pile up here.
+    Each direction waits for its receiver, so no messages pile up here: with a slow browser, viser drops outdated ones.
     """
     offered = [Subprotocol(name) for name in browser.scope["subprotocols"]]
     try:
@@ -83,8 +82,8 @@ async def forward_socket(browser: WebSocket, viewport: ViserEndpoint) -> None:
             proxy=None,
         )
     except (OSError, TimeoutError, WebSocketException) as error:
-        LOG.warning("viewport %s does not answer: %s", viewport.id, error)
-        await browser.close(TRY_AGAIN, "the viewport does not answer")
+        LOG.warning("viewport %s does not respond: %s", viewport.id, error)
+        await browser.close(TRY_AGAIN, "the viewport does not respond")
         return
     async with viser:
         await browser.accept(viser.subprotocol)

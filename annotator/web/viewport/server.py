@@ -46,7 +46,7 @@ def start_viser(host: str, origin: str) -> viser.ViserServer:
     if not guarded:
         server.stop()
         raise RuntimeError(
-            "this version of viser starts its WebSocket server in an unknown way, so that it cannot be protected"
+            "access to the 3D view cannot be restricted with this version of viser; install another version"
         )
     return server
 

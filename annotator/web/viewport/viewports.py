@@ -26,7 +26,7 @@ LOG = logging.getLogger("annotator.web")
 # A drag whose end event is missing (the browser may have crashed) is assumed to be over after this time, seconds.
 DRAG_ENDS_S = 5.0
 # Maximum number of viewports per operator; the oldest ones close.
-MOST_AN_OPERATOR = 6
+MOST_PER_OPERATOR = 6
 # A viewport without a connected browser closes after this time, which exceeds a reload or reconnection, seconds.
 UNSEEN_S = 60.0
 SWEEP_S = 5.0
@@ -127,7 +127,7 @@ class Viewports:
         self,
         send: Send,
         *,
-        most: int = MOST_AN_OPERATOR,
+        most: int = MOST_PER_OPERATOR,
         unseen_s: float = UNSEEN_S,
         sweep_s: float = SWEEP_S,
     ) -> None:

@@ -1,10 +1,10 @@
 """Checks the camera's rotation: edges in depth should lie on edges of the image.
 
 For a set of small rotations of the camera, the score is the mean strength of the image's edges at the projected depth
-edges. If the calibration is right, no rotation scores better than none (after J. Levinson and S. Thrun, "Automatic
+edges. If the calibration is right, the unrotated camera scores best (after J. Levinson and S. Thrun, "Automatic
 Online Calibration of Cameras and Lasers", RSS 2013). A rotation moves pixels by a homography that does not depend on
-depth, so only the pixels of the edges are needed. A single frame may mislead (repeated structures, shadows), so frames
-are pooled, and the two halves of them must agree.
+depth, so only the pixels of the edges are needed. Repeated structures and shadows mislead in single frames, so the
+scores of many frames are averaged, and both halves of these frames must give the same result.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ LEAST_EDGES, MOST_EDGES = 200, 1500
 MOST_POINTS = 60_000
 # Minimum depth step at a foreground edge: metres, plus a fraction of the distance.
 STEP_LIDAR, STEP_DEPTH = (0.5, 0.05), (0.1, 0.05)
-# Pixels without depth count as far away: the background beside an edge often has none.
+# Pixels without depth count as far away: the background beside an edge often has no depth.
 FAR_M = 20.0
 NEIGHBOURS, REACH_PX = 6, 12.0
 # A LiDAR's rows are further apart than the points within a row.
 ROW_SPREAD = 3.0
 # Minimum rotation that is reported; real recordings are off by up to 1.2 degrees (8 px between depth and image).
 LEAST_TURN_DEG = 1.4
-# Minimum gain over no rotation, in standard deviations over all rotations.
+# Minimum gain over the unrotated camera, in standard deviations over all rotations.
 LEAST_GAIN = 0.8
 MOST_APART_DEG = 0.75
-# Minimum score without rotation, in the same unit. Real recordings have 2.1 to 4.7; if the calibration is off by more
-# than the tested rotations, the score is at most 0.6.
+# Minimum score of the unrotated camera, in the same unit. Real recordings have 2.1 to 4.7; if the calibration is off by
+# more than the tested rotations, the score is at most 0.6.
 LEAST_FIT, FRAMES_FOR_NO_FIT = 1.0, 8
 
 
@@ -69,7 +69,7 @@ class Alignment:
         if len(self.scores) < LEAST_FRAMES:
             return None
         pooled, turns = _pooled(self.scores), turns_deg()
-        here, best = float(pooled[_none()]), turns[pooled.argmax()]
+        here, best = float(pooled[_unrotated()]), turns[pooled.argmax()]
         halves = [turns[_pooled(self.scores[start::2]).argmax()] for start in (0, 1)]
         agree = all(np.linalg.norm(half - best) <= MOST_APART_DEG + _step_of_roll(half, best) for half in halves)
         if agree and pooled.max() - here >= LEAST_GAIN and np.linalg.norm(best) >= LEAST_TURN_DEG:
@@ -119,8 +119,8 @@ def _edges_of_points(frame: Frame) -> Float64[np.ndarray, "n 2"]:
     px, z_m = px[seen], xyz_m[seen, 2].astype(np.float64)
     if len(px) <= NEIGHBOURS:
         return np.zeros((0, 2))
-    places = px * [1.0, ROW_SPREAD]
-    _, neighbours = cKDTree(places).query(places, k=NEIGHBOURS + 1, distance_upper_bound=REACH_PX)
+    scaled_px = px * [1.0, ROW_SPREAD]
+    _, neighbours = cKDTree(scaled_px).query(scaled_px, k=NEIGHBOURS + 1, distance_upper_bound=REACH_PX)
     # missing neighbours have the index len(px), where -inf is appended
     farthest_m = np.append(z_m, -np.inf)[neighbours].max(axis=1)
     return px[farthest_m - z_m > STEP_LIDAR[0] + STEP_LIDAR[1] * z_m]
@@ -163,7 +163,7 @@ def _pooled(scores: Sequence[Float64[np.ndarray, "k"]]) -> Float64[np.ndarray, "
     return np.mean(scores, axis=0)
 
 
-def _none() -> int:
+def _unrotated() -> int:
     return int(np.linalg.norm(turns_deg(), axis=1).argmin())
 
 

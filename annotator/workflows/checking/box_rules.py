@@ -1,4 +1,4 @@
-"""Rules about the geometry of the boxes of one frame and of the frame before.
+"""Rules about the geometry of the boxes of one frame and of the previous frame.
 
 Each rule yields the index of an offending box in its list, with a message.
 """
@@ -29,7 +29,8 @@ OVERLAP_IOU = 0.3
 LEAST_POINTS = 5
 
 Boxes = Sequence[Label | Truth]
-Place = tuple[int, str]
+BoxBreach = tuple[int, str]
+"""The index of a box in its list, and a message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ def _usual(sides: Float64[np.ndarray, "n 3"], least_factor: float) -> UsualSize:
     return UsualSize(median, np.maximum(least_factor, np.exp(SIZE_DEVIATIONS * deviation)))
 
 
-def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[Place]:
+def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[BoxBreach]:
     """Yields boxes whose size is far from the usual size of their class."""
     for number, each in enumerate(boxes):
         of_class = usual.get(each.label)
@@ -88,11 +89,11 @@ def size_text(size_m: Float64[np.ndarray, "3"]) -> str:
     return " x ".join(f"{side:.2f}" for side in size_m) + " m"
 
 
-def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -> Iterator[Place]:
-    """Yields boxes that have turned by more than `HEADING_JUMP_RAD` since the frame before.
+def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -> Iterator[BoxBreach]:
+    """Yields boxes that have turned by more than `HEADING_JUMP_RAD` since the previous frame.
 
     Args:
-        earlier: the boxes of the frame before. A box is matched by its track id, else with the nearest box of its
+        earlier: the boxes of the previous frame. A box is matched by its track id, else with the nearest box of its
             class within its own length.
         tracked_only: match by track id only, for frames that may not be consecutive in time.
     """
@@ -103,7 +104,7 @@ def heading_jumps(boxes: Boxes, earlier: Boxes, *, tracked_only: bool = False) -
         cosine = float(np.clip(each.box.rotation[:, 0] @ other.box.rotation[:, 0], -1, 1))
         angle = float(np.arccos(cosine))
         if angle > HEADING_JUMP_RAD:
-            yield number, f"{each.label} has turned by {np.rad2deg(angle):.0f} degrees since the frame before"
+            yield number, f"{each.label} has turned by {np.rad2deg(angle):.0f} degrees since the previous frame"
 
 
 def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]:

@@ -15,7 +15,7 @@ from annotator.workflows.checking.sources import find_sources
 
 
 class DatasetReport(BaseModel):
-    """The findings by file and line, and the number of each severity, including those that are only counted."""
+    """The findings by file and line, and the number of each severity, including those that are not listed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

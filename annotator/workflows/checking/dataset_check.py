@@ -133,7 +133,9 @@ class DatasetCheck:
         if not self.source.in_time_order or frame.timestamp_ns is None:
             return
         if self.time_ns is not None and frame.timestamp_ns <= self.time_ns:
-            message = f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the one before"
+            message = (
+                f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
+            )
             self.findings.add(rules.TIME_BACKWARDS, self.source.path, message, frame=key)
         self.time_ns = frame.timestamp_ns
 
@@ -147,19 +149,19 @@ class DatasetCheck:
         for error in labels.problems:
             self.findings.add_error(rules.BROKEN_LABEL, error, self.source.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
-        self._note(key, labels.objects, rules_of_labels(labels.objects))
+        self._add_all(key, labels.objects, rules_of_labels(labels.objects))
         objects = [each for each in labels.objects if is_plausible(each)]
         valid = [each for each in objects if not each.rejected]
-        self._note(key, valid, rules_among_labels(valid))
+        self._add_all(key, valid, rules_among_labels(valid))
         if frame is not None:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
-            self._note(key, objects, rules_in_frame(frame, objects))
-            self._note(key, valid, self._since_before(index, valid))
+            self._add_all(key, objects, rules_in_frame(frame, objects))
+            self._add_all(key, valid, self._since_before(index, valid))
         self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in labels.objects]
         self.wrong_files += bool(labels.problems) or labels.missing is not None
 
-    def _note(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
+    def _add_all(self, key: str, labels: Sequence[FoundLabel], breaches: Iterable[Breach]) -> None:
         for rule, number, message in breaches:
             self.faults[rule] += 1
             self.findings.add(rule, labels[number].file, message, line=labels[number].line, frame=key)
@@ -179,7 +181,7 @@ class DatasetCheck:
         for number, truth in enumerate(truths):
             earlier_class = classes.get(truth.track_id, truth.label)
             if truth.track_id is not None and earlier_class != truth.label:
-                message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the frame before"
+                message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the previous frame"
                 yield rules.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
@@ -215,14 +217,14 @@ class DatasetCheck:
                 rules.BOXES_OFF_IMAGE,
                 rules.IMAGE_BOX_OFF,
                 self.with_row,
-                "2D boxes do not match their 3D boxes; check that it is the right calibration",
+                "2D boxes do not match their 3D boxes; check that the calibration is the right one",
             ),
         ):
             if among >= LEAST_BOXES and self.faults[kind] * 2 > among:
                 self.findings.add(rule, path, f"{self.faults[kind]} of {among} {message}")
-        announced = self.source.announced
-        if announced is not None and announced != len(self.sizes) and not self.wrong_files:
-            message = f"declares {announced} objects, but there are {len(self.sizes)}"
+        declared = self.source.declared_objects
+        if declared is not None and declared != len(self.sizes) and not self.wrong_files:
+            message = f"declares {declared} objects, but there are {len(self.sizes)}"
             self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
@@ -239,7 +241,7 @@ def _rule_of_file(file: Path) -> Rule:
 
 
 def _spellings(names: set[str]) -> Iterator[list[str]]:
-    """Returns the groups of class names that differ only in case, blanks, `-` or `_`."""
+    """Returns the groups of class names that differ only in case, spaces, `-` or `_`."""
     groups: dict[str, list[str]] = {}
     for name in sorted(names):
         groups.setdefault("".join(c for c in name.casefold() if c not in " -_"), []).append(name)

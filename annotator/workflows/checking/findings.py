@@ -11,7 +11,7 @@ from annotator.types.errors import AnnotatorError
 from annotator.workflows.checking.rules import Rule, Severity
 
 MOST_A_FILE = 20
-# About 20 MB; beyond this number of different findings, repeated ones are counted again.
+# Findings beyond this number (about 20 MB) are no longer checked for repetitions.
 MOST_KNOWN = 200_000
 
 
@@ -51,19 +51,19 @@ class Findings:
     def add(self, rule: Rule, file: Path, message: str, *, line: int | None = None, frame: str | None = None) -> None:
         """Adds a breach of a rule."""
         # without the frame: a shared file is faulty once, not once per frame
-        same = hash((rule, str(file), line, message))
-        if same in self._seen:
+        fingerprint = hash((rule, str(file), line, message))
+        if fingerprint in self._seen:
             return
         if len(self._seen) < MOST_KNOWN:
-            self._seen.add(same)
+            self._seen.add(fingerprint)
         self._counts[rule, str(file)] += 1
         if self._counts[rule, str(file)] <= MOST_A_FILE:
             self._findings.append(_finding(rule, str(file), message, line, frame))
 
     def add_error(self, rule: Rule, error: AnnotatorError, file: Path, *, frame: str | None = None) -> None:
         """Adds an error with its own file and line; `file` is used if it has none."""
-        named = getattr(error, "path", None)
-        place = named if isinstance(named, Path) else file
+        error_path = getattr(error, "path", None)
+        place = error_path if isinstance(error_path, Path) else file
         line = getattr(error, "line", None)
         message = str(error).removeprefix(str(place))
         message = message.removeprefix(f":{line}").removeprefix(": ")

@@ -1,6 +1,6 @@
-"""Reads the labels of a dataset row by row: wrong rows are reported, the others are still read.
+"""Reads the labels of a dataset row by row: invalid rows are reported, the others are still read.
 
-`workflows.recorded.reading` reads the same files for all other uses and refuses a file with a wrong row.
+`workflows.recorded.reading` reads the same files for all other uses and refuses a file with an invalid row.
 """
 
 from __future__ import annotations
@@ -58,10 +58,14 @@ class LabelFiles(Protocol):
         """Returns the labels of a frame; `frame` is None if it could not be read."""
 
     def problems(self) -> Sequence[AnnotatorError]:
-        """Returns the problems of label files of the whole dataset."""
+        """Returns the problems of files that hold the labels of all frames."""
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        """Yields file, line and name of labels of missing frames; FormatError: a list of frames cannot be read."""
+        """Yields file, line and frame name of labels whose frame is missing.
+
+        Raises:
+            FormatError: a list of frames cannot be read.
+        """
 
 
 RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | None]
@@ -118,12 +122,12 @@ class TrackingFile:
         """Reads the file."""
         try:
             for line, fields in text_rows(self.path):
-                self._take(line, fields)
+                self._add_row(line, fields)
         except FormatError as error:
             self.wrong.append(error)
         return self
 
-    def _take(self, line: int, fields: list[str]) -> None:
+    def _add_row(self, line: int, fields: list[str]) -> None:
         try:
             number, track_id, row = parse_tracking_fields(fields, self.path, line)
             if row.label != DONT_CARE:
@@ -184,7 +188,7 @@ class BoxesFile:
 
 @dataclass(frozen=True)
 class WholeFiles:
-    """Labels of any other format, read file by file: a wrong object is reported for the whole file."""
+    """Labels of any other format, read file by file: an invalid object makes the whole file invalid."""
 
     recording: Recording
 

@@ -49,26 +49,26 @@ Breach = tuple[Rule, int, str]
 
 def rules_of_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
     """Checks each label on its own."""
-    for number, found in enumerate(labels):
-        size_m = found.truth.box.size_m
+    for number, entry in enumerate(labels):
+        size_m = entry.truth.box.size_m
         if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
-            yield IMPOSSIBLE_SIZE, number, f"{found.truth.label} of {size_text(size_m)}"
-        if np.abs(found.truth.box.center_m).max() > FARTHEST_M:
-            yield IMPOSSIBLE_PLACE, number, f"the centre of this {found.truth.label} is more than 10 km away"
-        if found.row is not None:
-            for rule, message in _row_rules(found.row):
+            yield IMPOSSIBLE_SIZE, number, f"{entry.truth.label} of {size_text(size_m)}"
+        if np.abs(entry.truth.box.center_m).max() > FARTHEST_M:
+            yield IMPOSSIBLE_PLACE, number, f"the centre of this {entry.truth.label} is more than 10 km away"
+        if entry.row is not None:
+            for rule, message in _row_rules(entry.row):
                 yield rule, number, message
 
 
-def is_plausible(found: FoundLabel) -> bool:
+def is_plausible(entry: FoundLabel) -> bool:
     """False for a box that is too large or too far away for further computations."""
-    box = found.truth.box
+    box = entry.truth.box
     return bool(np.abs(box.center_m).max() <= FARTHEST_M and box.size_m.max() <= FARTHEST_M)
 
 
 def rules_among_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
     """Checks for duplicate boxes and track ids."""
-    truths = [found.truth for found in labels]
+    truths = [entry.truth for entry in labels]
     for first, second, iou in overlaps(truths, OVERLAP_IOU):
         a, b = truths[first].label, truths[second].label
         other = f"{a} of line {labels[first].line}" if labels[first].line else f"earlier {a}"
@@ -93,7 +93,10 @@ def _row_rules(row: KittiLabel) -> Iterator[tuple[Rule, str]]:
         yield FIELD_RANGE, f"has a 16th field, a score ({row.score:g}), which only detections have; remove it"
     if row.right <= row.left or row.bottom <= row.top:
         edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
-        yield BROKEN_LABEL, f"left < right and top < bottom must hold, not left top right bottom = {edges}"
+        yield (
+            BROKEN_LABEL,
+            f"the 2D box is empty: left top right bottom = {edges}; left < right and top < bottom must hold",
+        )
     expected = observation_angle(row.rotation_y, row.x, row.z)
     off = math.remainder(row.alpha - expected, 2 * math.pi)
     if row.alpha != UNKNOWN_ALPHA and abs(off) > MOST_ALPHA_OFF_RAD:
@@ -108,8 +111,8 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
     # if the cloud has points behind the camera, boxes outside the image are valid
     all_around = bool((frame.cloud.xyz_m[:, 2] <= 0).any())
     index = PointIndex.of(frame.cloud.xyz_m) if labels else None
-    for number, found in enumerate(labels):
-        truth = found.truth
+    for number, entry in enumerate(labels):
+        truth = entry.truth
         if not all_around:
             if (box_corners(truth.box)[:, 2] <= NEAR_M).all():
                 yield BOX_BEHIND_CAMERA, number, f"this {truth.label} is behind the camera"
@@ -120,8 +123,8 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
         count = 0 if index is None else index.count(truth.box)
         if count < LEAST_POINTS:
             yield EMPTY_BOX if count == 0 else SPARSE_BOX, number, few_points_message(truth.label, count)
-        if found.row is not None:
-            for rule, message in _image_box(frame, found.row):
+        if entry.row is not None:
+            for rule, message in _image_box(frame, entry.row):
                 yield rule, number, message
 
 
@@ -136,12 +139,12 @@ def _image_box(frame: Frame, row: KittiLabel) -> Iterator[tuple[Rule, str]]:
         edges = " ".join(f"{edge:.0f}" for edge in projected)
         yield (
             IMAGE_BOX_OFF,
-            f"the 2D box of this {row.label} is not where its 3D box projects to: {edges} (IoU {iou:.2f})",
+            f"the 2D box of this {row.label} does not match the projection of its 3D box: {edges} (IoU {iou:.2f})",
         )
 
 
 def _iou(a: np.ndarray, b: np.ndarray) -> float:
     """Returns the IoU of two boxes on an image, left top right bottom."""
     shared = np.prod(np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None))
-    both = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
-    return float(shared / both) if both > 0 else 0.0
+    union = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
+    return float(shared / union) if union > 0 else 0.0

@@ -3,7 +3,7 @@
 - size: a side of the box differs from the median of its class (or of its track) by more than the usual factor
   (`checking.box_rules.UsualSize`; length and width may be swapped); needs enough reviewed boxes;
 - empty: fewer than `LEAST_POINTS` points of the cloud lie in the box;
-- heading: a box has turned by more than 60 degrees since the frame before in a sequence (matched by track, else the
+- heading: a box has turned by more than 60 degrees since the previous frame of a sequence (matched by track, else the
   nearest box of its class within its own length);
 - duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
 - track: a track has two boxes in one frame, or boxes of two classes;
@@ -143,7 +143,7 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     usual = usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
     tracks = _Tracks(stored, frames)
     classes = set(project.config.classes)
-    before = _frames_before(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
+    before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
     warnings: list[LabelWarning] = []
     for frame in frames.values():
         labels = by_frame.get(frame.id, [])
@@ -214,8 +214,8 @@ def _sizes(
             yield Kind.SIZE, label.uid, odd_size_message(name, label.box.size_m, of_track)
 
 
-def _frames_before(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
-    """Returns the id of the frame before for each frame of a sequence, by id."""
+def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict[int, int]:
+    """Returns the id of the previous frame for each frame of a sequence, by id."""
     places = {(f.recording_id, f.index): f.id for f in frames if f.index is not None}
     return {
         frame_id: places[recording, index - 1]

@@ -73,9 +73,9 @@ UNCHECKED_DATASET = _note(
 # Rows
 BROKEN_LABEL = _error("broken-label", "a row or entry of a label file is not a valid label")
 FIELD_RANGE = _warning("field-range", "a KITTI row has an invalid value of truncated or occluded, or a score")
-CLASS_SPELLING = _warning("class-spelling", "two class names differ only in case, blanks, `-` or `_`")
+CLASS_SPELLING = _warning("class-spelling", "two class names differ only in case, spaces, `-` or `_`")
 TRACK_TWICE = _error("track-twice", "two objects of a frame have the same track id")
-TRACK_CLASS = _warning("track-class", "a track has changed its class since the frame before")
+TRACK_CLASS = _warning("track-class", "a track has changed its class since the previous frame")
 
 # Boxes
 IMPOSSIBLE_SIZE = _error("impossible-size", "a side of a box is shorter than 5 mm or longer than 60 m")
@@ -90,7 +90,7 @@ SPARSE_BOX = _note("sparse-box", "fewer than 5 points of the cloud lie in a box"
 BOX_BEHIND_CAMERA = _error("box-behind-camera", "a box is fully behind the camera")
 BOX_OUTSIDE_IMAGE = _error("box-outside-image", "a box is in front of the camera but fully outside the image")
 HEADING_JUMP = _warning("heading-jump", "in a sequence a box has turned by more than 60 degrees in one frame")
-IMAGE_BOX_OFF = _warning("image-box-off", "KITTI: the labelled 2D box is not where the 3D box projects to (IoU < 0.4)")
+IMAGE_BOX_OFF = _warning("image-box-off", "KITTI: the 2D box does not match the projection of the 3D box (IoU < 0.4)")
 ALPHA_OFF = _warning(
     "alpha-off", "KITTI: alpha differs from the value that rotation_y and the position give by more than 0.3 rad"
 )
@@ -102,7 +102,7 @@ CLOUD_SCALE = _warning("cloud-scale", "the points are so near or far that their 
 CLOUD_OFF_DEPTH = _error("cloud-off-depth", "points of a depth camera do not project onto their own pixels")
 CLOUD_OFF_IMAGE = _error("cloud-off-image", "many points of a depth camera project outside its image")
 IMAGE_BARE = _warning("image-bare", "a LiDAR's points cover almost none of the image")
-BOXES_OFF_CLOUD = _error("boxes-off-cloud", "more than half of a dataset's boxes hold no point")
+BOXES_OFF_CLOUD = _error("boxes-off-cloud", "more than half of a dataset's boxes contain no point")
 BOXES_OFF_IMAGE = _error("boxes-off-image", "KITTI: more than half of a dataset's 2D boxes do not match the 3D boxes")
 CALIBRATION_OFF = _warning("calibration-off", "edges in depth do not lie on edges of the image (4 frames or more)")
-TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later than the one before")
+TIME_BACKWARDS = _warning("time-backwards", "in a sequence a frame is not later than the previous one")

@@ -21,7 +21,7 @@ from annotator.workflows.checking.other_software import OtherSoftwareDataset, ot
 from annotator.workflows.checking.unmatched_names import frame_names
 
 MOST_LEVELS = 4
-# Places of calibrations in the formats; the first existing file is used.
+# Calibration files of the formats; the first one that exists is used.
 CALIBRATIONS = (
     "calib/{key}.txt",
     "calib.txt",
@@ -56,7 +56,7 @@ class Source(Protocol):
         """False if the images are rendered from the clouds."""
 
     @property
-    def announced(self) -> int | None:
+    def declared_objects(self) -> int | None:
         """The number of objects in the dataset's manifest; None without a manifest."""
 
     def place(self, index: int) -> tuple[str, int]:
@@ -79,7 +79,7 @@ class RecordingSource:
 
     recording: Recording
     labels: LabelFiles | None
-    announced: None = None
+    declared_objects: None = None
 
     @property
     def path(self) -> Path:
@@ -132,7 +132,7 @@ class RcvSource:
         return self.dataset.manifest.frames
 
     @property
-    def announced(self) -> int:
+    def declared_objects(self) -> int:
         return self.dataset.manifest.counts.objects
 
     @property
@@ -187,14 +187,14 @@ class RcvLabelFiles:
                     yield file, line, name
 
 
-Found = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
+SourceOrError = Source | OtherSoftwareDataset | tuple[Path, AnnotatorError]
 
 
-def find_sources(path: Path) -> Iterator[Found]:
-    """Yields the datasets at `path`, else those below it; a path with an error for one that cannot be opened.
+def find_sources(path: Path) -> Iterator[SourceOrError]:
+    """Yields the datasets at `path`, else those below it; for one that cannot be opened, its path and the error.
 
     Raises:
-        RecordingError: there is none.
+        RecordingError: there is no dataset.
     """
     is_empty = True
     for source in _below(path, MOST_LEVELS):
@@ -205,7 +205,7 @@ def find_sources(path: Path) -> Iterator[Found]:
         open_recording(path)
 
 
-def _below(path: Path, levels: int) -> Iterator[Found]:
+def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
     dataset = other_software_dataset(path)
     if dataset is not None:
         yield dataset

@@ -50,14 +50,14 @@ def _calibrations(folder: Path, recording: Recording) -> Iterator[Stray]:
 
 def _image_sets(recording: KittiObject) -> Iterator[Stray]:
     # the recording may have been opened at training/ or at the folder above
-    homes = dict.fromkeys((recording.root, recording.root.parent if recording.root.name == "training" else None))
+    folders = [recording.root, *([recording.root.parent] if recording.root.name == "training" else [])]
     keys = set(recording.keys)
-    for home in (each for each in homes if each is not None):
-        pictures = home / TESTING / recording.images
+    for folder in folders:
+        pictures = folder / TESTING / recording.images
         testing = stems(pictures, IMAGE_SUFFIXES) if pictures.is_dir() else set()
-        for file in sorted((home / LISTS).glob("*.txt")):
+        for file in sorted((folder / LISTS).glob("*.txt")):
             # without testing/, test.txt lists frames elsewhere, except in exports, which have them in training/
-            if file.name == TEST_LIST and not testing and not has_frames(home):
+            if file.name == TEST_LIST and not testing and not has_frames(folder):
                 continue
             listed = keys | testing if file.name == TEST_LIST else keys
             for line, name in frame_names(file):

@@ -49,8 +49,8 @@ def examine(projects: Path, checks: Mapping[str, Check] = CHECKS, limit_s: float
     left = dict(checks)
     while left:
         # if a check crashes or hangs its process, a new process runs the remaining ones
-        for name, found in _in_process(dict(left), projects, limit_s):
-            lines.extend(found)
+        for name, check_lines in _in_process(dict(left), projects, limit_s):
+            lines.extend(check_lines)
             del left[name]
     return Report(annotator_version=__version__, lines=tuple(map(without_home, lines)))
 
@@ -58,17 +58,17 @@ def examine(projects: Path, checks: Mapping[str, Check] = CHECKS, limit_s: float
 def _in_process(checks: Mapping[str, Check], projects: Path, limit_s: float) -> Iterator[tuple[str, list[Line]]]:
     """Yields the lines of each check, all run in one process, up to the first check that crashes it or hangs."""
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(checks, projects, there), daemon=True)
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(checks, projects, sender), daemon=True)
     process.start()
-    there.close()
+    sender.close()
     try:
         for name in checks:
-            if not here.poll(limit_s):
+            if not receiver.poll(limit_s):
                 yield name, [_lost(name, f"did not finish within {limit_s:.0f} s")]
                 return
             try:
-                yield name, here.recv()
+                yield name, receiver.recv()
             except EOFError:
                 process.join()
                 yield name, [_lost(name, f"crashed ({_ending(process.exitcode)})")]
@@ -76,7 +76,7 @@ def _in_process(checks: Mapping[str, Check], projects: Path, limit_s: float) -> 
     finally:
         process.kill()
         process.join()
-        here.close()
+        receiver.close()
 
 
 def _work(checks: Mapping[str, Check], projects: Path, pipe: Connection) -> None:

@@ -34,9 +34,9 @@ def machine(projects: Path) -> Iterator[Line]:
     yield Line(section=SECTION, name="Python", state=State.OK, found=version)
     yield Line(section=SECTION, name="system", state=State.OK, found=_system())
     cores, usable = os.cpu_count() or 1, usable_cores()
-    found = f"{_processor()}, {cores} cores" + (f", {usable} of them for this process" if usable < cores else "")
+    processor = f"{_processor()}, {cores} cores" + (f", {usable} of them for this process" if usable < cores else "")
     figures: dict[str, float] = {"cores": cores, "usable_cores": usable}
-    yield Line(section=SECTION, name="processor", state=State.OK, found=found, figures=figures)
+    yield Line(section=SECTION, name="processor", state=State.OK, found=processor, figures=figures)
     yield _memory()
     yield _disk("disk of projects", projects)
     yield _disk("disk of cache", cache_dir())
@@ -63,14 +63,14 @@ def _memory() -> Line:
     if total is None:
         return Line(section=SECTION, name="memory", state=State.OK, found="unknown on this system")
     figures: dict[str, float] = {"total_bytes": total}
-    found = f"{total / GIB:.1f} GiB"
+    size = f"{total / GIB:.1f} GiB"
     if free is not None:
         figures["free_bytes"] = free
-        found += f", {free / GIB:.1f} GiB free"
+        size += f", {free / GIB:.1f} GiB free"
     little = total < LEAST_MEMORY_BYTES
     remedy = "use --workers 1 in `annotator annotate`, and a small batch in trainings" if little else ""
     state = State.WARNING if little else State.OK
-    return Line(section=SECTION, name="memory", state=state, found=found, remedy=remedy, figures=figures)
+    return Line(section=SECTION, name="memory", state=state, found=size, remedy=remedy, figures=figures)
 
 
 def _memory_bytes() -> tuple[int | None, int | None]:
@@ -95,17 +95,17 @@ def _lines(path: Path) -> list[str]:
 
 
 def _disk(name: str, folder: Path) -> Line:
-    there = folder.absolute()
-    while not there.exists() and there != there.parent:
-        there = there.parent
+    existing = folder.absolute()
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
     try:
-        free = shutil.disk_usage(there).free
+        free = shutil.disk_usage(existing).free
     except OSError as error:
-        found = f"{folder.absolute()}: cannot be read ({error.strerror})"
-        return Line(section=SECTION, name=name, state=State.WARNING, found=found, remedy="choose another folder")
-    writable = os.access(there, os.W_OK)
-    found = f"{free / GIB:.1f} GiB free for {folder.absolute()}" + ("" if writable else ", which cannot be written to")
+        problem = f"{folder.absolute()}: cannot be read ({error.strerror})"
+        return Line(section=SECTION, name=name, state=State.WARNING, found=problem, remedy="choose another folder")
+    writable = os.access(existing, os.W_OK)
+    space = f"{free / GIB:.1f} GiB free for {folder.absolute()}" + ("" if writable else ", which cannot be written to")
     remedy = "" if free >= LEAST_DISK_BYTES else "free some space, or choose a folder on another disk"
     remedy = remedy if writable else "choose a folder that you may write to"
     state = State.WARNING if remedy else State.OK
-    return Line(section=SECTION, name=name, state=state, found=found, remedy=remedy, figures={"free_bytes": free})
+    return Line(section=SECTION, name=name, state=state, found=space, remedy=remedy, figures={"free_bytes": free})

@@ -49,8 +49,8 @@ def required(_: Path) -> Iterator[Line]:
     """Checks whether the packages of `REQUIRED` are installed, and lists their versions."""
     missing = [name for name in REQUIRED if find_spec(name) is None]
     if missing:
-        found = f"missing: {', '.join(missing)}"
-        yield Line(section=SECTION, name="required", state=State.FAILED, found=found, remedy=REINSTALL)
+        names = f"missing: {', '.join(missing)}"
+        yield Line(section=SECTION, name="required", state=State.FAILED, found=names, remedy=REINSTALL)
     versions = ", ".join(f"{name} {_version(name)}" for name in REQUIRED if name not in missing)
     yield Line(section=SECTION, name="versions", state=State.OK, found=versions)
 
@@ -65,27 +65,28 @@ def torch(_: Path) -> Iterator[Line]:
         yield _broken("torch", "torch", error, State.FAILED)
         return
     built = f"built for CUDA {facts.cuda}" if facts.cuda else "built without CUDA"
-    found = f"{facts.version}, {built}" + (", with Apple's MPS" if facts.has_mps else "")
-    yield Line(section=SECTION, name="torch", state=State.OK, found=found)
+    build = f"{facts.version}, {built}" + (", with Apple's MPS" if facts.has_mps else "")
+    yield Line(section=SECTION, name="torch", state=State.OK, found=build)
     try:
         devices = cuda_devices()
     except (RuntimeError, AssertionError) as error:
-        remedy = "check the driver with nvidia-smi; --backend torch runs on it as long as it fails here"
+        remedy = "check the driver with nvidia-smi; the GPU cannot be used until this is fixed"
         yield Line(section=SECTION, name="CUDA", state=State.FAILED, found=_first_line(error), remedy=remedy)
         return
     for device in devices:
         gib = f"{device.free_bytes / 2**30:.1f} of {device.memory_bytes / 2**30:.1f} GiB free"
-        found = f"{device.model}, compute capability {device.capability}, {gib}"
+        model = f"{device.model}, compute capability {device.capability}, {gib}"
         figures: dict[str, float] = {"memory_bytes": device.memory_bytes, "free_bytes": device.free_bytes}
-        yield Line(section=SECTION, name=device.name, state=State.OK, found=found, figures=figures)
+        yield Line(section=SECTION, name=device.name, state=State.OK, found=model, figures=figures)
     if devices:
         return
     from annotator.detection.backends.choose import driver_devices
 
     number = driver_devices()
     remedy = "install a torch with CUDA (pytorch.org shows the command), then run this again" if number else ""
-    found = f"the driver reports {number} device(s), but torch can use none" if number else "no device"
-    yield Line(section=SECTION, name="CUDA", state=State.WARNING if number else State.OK, found=found, remedy=remedy)
+    devices_text = f"the driver reports {number} device(s), but torch can use none" if number else "no device"
+    state = State.WARNING if number else State.OK
+    yield Line(section=SECTION, name="CUDA", state=state, found=devices_text, remedy=remedy)
 
 
 def ultralytics(_: Path) -> Iterator[Line]:
@@ -94,15 +95,15 @@ def ultralytics(_: Path) -> Iterator[Line]:
     from annotator.detection.ultralytics_api import api
 
     try:
-        found = str(api().version)
+        ultralytics_version = str(api().version)
     except AnnotatorError as error:
         if find_spec("ultralytics") is None:
-            remedy = "pip install ultralytics-opencv-headless; without it no detector is trained or converted"
+            remedy = "pip install ultralytics-opencv-headless; without it, detectors cannot be trained or converted"
             yield Line(section=SECTION, name="ultralytics", state=State.FAILED, found="not installed", remedy=remedy)
         else:
             yield _broken("ultralytics", "ultralytics-opencv-headless", error, State.FAILED)
         return
-    yield Line(section=SECTION, name="ultralytics", state=State.OK, found=found)
+    yield Line(section=SECTION, name="ultralytics", state=State.OK, found=ultralytics_version)
     weights = ", ".join(map(str, local_weights()))
     none = "none; the first training downloads them, or starts from random weights"
     yield Line(section=SECTION, name="published weights", state=State.OK, found=weights or none)
@@ -114,7 +115,7 @@ def openvino(_: Path) -> Iterator[Line]:
     from annotator.detection.backends.openvino_api import openvino as load
 
     if find_spec("openvino") is None:
-        yield _not_used_on_x86("OpenVINO")
+        yield _missing_openvino()
         return
     try:
         module = load()
@@ -123,14 +124,16 @@ def openvino(_: Path) -> Iterator[Line]:
     except AnnotatorError as error:
         yield _broken("OpenVINO", "openvino", error, State.WARNING)
         return
-    found = f"{module.get_version()}, devices {devices}; the processor {half}"
-    yield Line(section=SECTION, name="OpenVINO", state=State.OK, found=found)
+    facts = f"{module.get_version()}, devices {devices}; the processor {half}"
+    yield Line(section=SECTION, name="OpenVINO", state=State.OK, found=facts)
 
 
-def _not_used_on_x86(name: str) -> Line:
+def _missing_openvino() -> Line:
+    """Returns the line for a missing OpenVINO: a warning on x86 processors only, where it is the fastest backend."""
+    name = "OpenVINO"
     if platform.machine().lower() not in ("x86_64", "amd64"):
-        return Line(section=SECTION, name=name, state=State.OK, found="not installed; no faster on this processor")
-    remedy = "pip install openvino; without it detectors take several times as long on the processor"
+        return Line(section=SECTION, name=name, state=State.OK, found="not installed; not used on this processor")
+    remedy = "pip install openvino; without it, detectors take several times as long on the processor"
     return Line(section=SECTION, name=name, state=State.WARNING, found="not installed", remedy=remedy)
 
 
@@ -143,11 +146,11 @@ def onnxruntime(_: Path) -> Iterator[Line]:
         return
     try:
         module = load()
-        found = f"{module.__version__}, providers {', '.join(module.get_available_providers())}"
+        facts = f"{module.__version__}, providers {', '.join(module.get_available_providers())}"
     except (MissingExtraError, OSError, AttributeError) as error:
         yield _broken("ONNX Runtime", "onnxruntime", error.__cause__ or error, State.WARNING)
         return
-    yield Line(section=SECTION, name="ONNX Runtime", state=State.OK, found=found)
+    yield Line(section=SECTION, name="ONNX Runtime", state=State.OK, found=facts)
 
 
 def numba(_: Path) -> Iterator[Line]:
@@ -156,9 +159,9 @@ def numba(_: Path) -> Iterator[Line]:
 
     try:
         modules = [
-            import_module(f"{package}.{found.name}")
+            import_module(f"{package}.{submodule.name}")
             for package in KERNELS
-            for found in iter_modules(import_module(package).__path__)
+            for submodule in iter_modules(import_module(package).__path__)
         ]
     except (ImportError, OSError) as error:
         yield _broken("numba", "numba", error, State.FAILED)
@@ -174,7 +177,7 @@ def numba(_: Path) -> Iterator[Line]:
     folders = sorted({str(folder) for folder, _ in kept if folder is not None})
     done, number = sum(is_kept for _, is_kept in kept), len(kept)
     compiled = f"{done} of {number} kernels are compiled, each on its first use"
-    found = f"{_version('numba')}; {compiled}; kept in {', '.join(folders) or 'no folder'}"
+    cache = f"{_version('numba')}; {compiled}; cached in {', '.join(folders) or 'no folder'}"
     figures: dict[str, float] = {"kernels": number, "compiled": done}
     remedy = ""
     if not folders:
@@ -182,7 +185,7 @@ def numba(_: Path) -> Iterator[Line]:
     elif not done:
         remedy = "the first use takes half a minute; `python -m annotator.workflows.warm_up` compiles them now"
     state = State.WARNING if remedy else State.OK
-    yield Line(section=SECTION, name="numba", state=state, found=found, remedy=remedy, figures=figures)
+    yield Line(section=SECTION, name="numba", state=state, found=cache, remedy=remedy, figures=figures)
 
 
 def open3d(_: Path) -> Iterator[Line]:
@@ -204,22 +207,25 @@ def open3d(_: Path) -> Iterator[Line]:
         return
     # hits are correct up to rounding in single precision
     if not abs(hits.t[0] - 2) < 1e-5 or hits.triangle.tolist() != [0, -1]:
-        found = f"{_version('open3d')} casts rays wrongly: {hits.t.tolist()}, triangles {hits.triangle.tolist()}"
-        yield Line(section=SECTION, name="open3d", state=State.FAILED, found=found, remedy=REINSTALL)
+        problem = f"{_version('open3d')}, wrong ray hits: {hits.t.tolist()}, triangles {hits.triangle.tolist()}"
+        yield Line(section=SECTION, name="open3d", state=State.FAILED, found=problem, remedy=REINSTALL)
         return
-    found = f"{_version('open3d')}, loads with this system's OpenGL and casts rays"
-    yield Line(section=SECTION, name="open3d", state=State.OK, found=found)
+    facts = f"{_version('open3d')}, loads with this system's OpenGL and casts rays"
+    yield Line(section=SECTION, name="open3d", state=State.OK, found=facts)
 
 
 def extras(_: Path) -> Iterator[Line]:
     """Reports which optional packages are installed, by extra."""
     for extra, modules in EXTRAS.items():
         missing = [name for name in modules if find_spec(name) is None]
-        found = ", ".join(f"{name} {_version(name)}" for name in modules if name not in missing)
+        versions = ", ".join(f"{name} {_version(name)}" for name in modules if name not in missing)
+        facts = versions
         if missing:
             install = f'pip install "{DISTRIBUTION}[{extra}]"'
-            found = f"{found}; {', '.join(missing)} is missing: {install}" if found else f"not installed: {install}"
-        yield Line(section="extras", name=extra, state=State.OK, found=found)
+            facts = (
+                f"{versions}; {', '.join(missing)} is missing: {install}" if versions else f"not installed: {install}"
+            )
+        yield Line(section="extras", name=extra, state=State.OK, found=facts)
 
 
 def kinect(_projects: Path) -> Iterator[Line]:
@@ -231,36 +237,36 @@ def kinect(_projects: Path) -> Iterator[Line]:
     try:
         count = int(load_pyk4a().connected_device_count())
     except DeviceError as error:
-        found, _, remedy = _first_line(error).partition("; ")
-        yield Line(section="extras", name="Azure Kinect", state=State.WARNING, found=found, remedy=remedy)
+        problem, _, remedy = _first_line(error).partition("; ")
+        yield Line(section="extras", name="Azure Kinect", state=State.WARNING, found=problem, remedy=remedy)
         return
     yield Line(section="extras", name="Azure Kinect", state=State.OK, found=f"{count} connected")
 
 
 def choices(_: Path) -> Iterator[Line]:
     """Reports which backend each detector would use, and why."""
-    asked: tuple[Backend, ...] = ("auto", "fastest")
-    for backend in asked:
+    settings: tuple[Backend, ...] = ("auto", "fastest")
+    for setting in settings:
         try:
-            taken, why = chosen(DetectorConfig(image_size_px=64, backend=backend))
-            state, found = State.OK, f"{taken} ({why})"
+            backend, reason = chosen(DetectorConfig(image_size_px=64, backend=setting))
+            state, choice = State.OK, f"{backend} ({reason})"
         except AnnotatorError as error:
-            state, found = State.FAILED, f"none ({_first_line(error)})"
+            state, choice = State.FAILED, f"none ({_first_line(error)})"
         for role in DetectorKind:
             remedy = "" if state is State.OK else "see the packages above"
-            yield Line(section="backends", name=f"{role}, {backend}", state=state, found=found, remedy=remedy)
+            yield Line(section="backends", name=f"{role}, {setting}", state=state, found=choice, remedy=remedy)
 
 
 def _broken(name: str, package: str, error: BaseException, state: State) -> Line:
     """Returns the line for a package that is missing or cannot be loaded, with what to install."""
-    told = _first_line(error)
+    message = _first_line(error)
     if isinstance(error, ModuleNotFoundError) and error.name == package:
         return Line(section=SECTION, name=name, state=state, found="not installed", remedy=f"pip install {package}")
-    library = LIBRARY.search(told)
+    library = LIBRARY.search(message)
     remedy = f"pip install --force-reinstall {package}"
     if library and library[0] in SYSTEM_LIBRARIES:
         remedy = f"install the system library: apt-get install {SYSTEM_LIBRARIES[library[0]]} (Debian, Ubuntu)"
-    return Line(section=SECTION, name=name, state=state, found=f"cannot be loaded: {told}", remedy=remedy)
+    return Line(section=SECTION, name=name, state=state, found=f"cannot be loaded: {message}", remedy=remedy)
 
 
 def _first_line(error: BaseException) -> str:

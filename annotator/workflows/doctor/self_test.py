@@ -31,8 +31,8 @@ def generated_frame() -> Frame:
     rng = np.random.default_rng(0)
     v, u = np.mgrid[: CAMERA.height_px, : CAMERA.width_px]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
-    turn = Rotation.from_rotvec([0.5, 0.6, -0.4]).as_matrix()
-    along, origin = rays @ turn, np.array([0.2, 0.1, 2.0]) @ turn
+    rotation = Rotation.from_rotvec([0.5, 0.6, -0.4]).as_matrix()
+    along, origin = rays @ rotation, np.array([0.2, 0.1, 2.0]) @ rotation
     half = np.array([0.35, 0.25, 0.2])
     ends = np.stack([origin - half, origin + half])[:, None, None] / along
     near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
@@ -66,26 +66,27 @@ def backends(_: Path) -> Iterator[Line]:
             return
         for name, opener in openers(_cuda()).items():
             try:
-                found = agreements.of(opener)
+                agreement = agreements.of(opener)
             except BackendMissingError as error:
                 yield Line(section=SECTION, name=name, state=State.OK, found=f"{error}; not tested")
             except AnnotatorError as error:
                 yield Line(section=SECTION, name=name, state=State.FAILED, found=str(error), remedy=REPORT_IT)
             else:
                 figures = {
-                    "boxes_px": found.boxes_px,
-                    "boxes_bound_px": found.boxes_bound_px,
-                    "scores": found.scores,
-                    "scores_bound": found.scores_bound,
+                    "boxes_px": agreement.boxes_px,
+                    "boxes_bound_px": agreement.boxes_bound_px,
+                    "scores": agreement.scores,
+                    "scores_bound": agreement.scores_bound,
                 }
-                told = (
-                    f"boxes {found.boxes_px:.2g} px, scores {found.scores:.2g} from torch's in single precision; "
-                    f"allowed: {found.boxes_bound_px:.2g} px, {found.scores_bound:.2g}, "
-                    f"{TOLERANCE[found.yardstick]:.0f} x the distance of torch in {found.yardstick}"
+                result = (
+                    f"differs from torch in single precision by {agreement.boxes_px:.2g} px (boxes) and "
+                    f"{agreement.scores:.2g} (scores); allowed: {agreement.boxes_bound_px:.2g} px and "
+                    f"{agreement.scores_bound:.2g}, {TOLERANCE[agreement.yardstick]:.0f} x the difference of torch in "
+                    f"{agreement.yardstick}"
                 )
-                state = State.OK if found.holds else State.FAILED
-                remedy = "" if found.holds else f"use another --backend, and {REPORT_IT}"
-                yield Line(section=SECTION, name=name, state=state, found=told, remedy=remedy, figures=figures)
+                state = State.OK if agreement.holds else State.FAILED
+                remedy = "" if agreement.holds else f"use another --backend, and {REPORT_IT}"
+                yield Line(section=SECTION, name=name, state=state, found=result, remedy=remedy, figures=figures)
 
 
 def gpu(_: Path) -> Iterator[Line]:
@@ -105,30 +106,30 @@ def points_on(device: str) -> Iterator[Line]:
     frame = generated_frame()
     for name, work in WORKS.items():
         try:
-            for found in work(TorchCompute(device), frame):
-                yield _difference(device, found)
+            for difference in work(TorchCompute(device), frame):
+                yield _line(device, difference)
         except AnnotatorError as error:
             yield Line(
                 section=SECTION, name=f"{device}, {name}", state=State.FAILED, found=str(error), remedy=REPORT_IT
             )
 
 
-def _difference(device: str, found: Difference) -> Line:
-    told = (
-        f"{found.value:.2g} {found.measure} from the CPU result; allowed: {found.bound:.2g}; "
-        f"{1000 * found.device_s:.1f} ms, the processor {1000 * found.processor_s:.1f} ms"
+def _line(device: str, difference: Difference) -> Line:
+    result = (
+        f"differs from the CPU by {difference.value:.2g} ({difference.measure}); allowed: {difference.bound:.2g}; "
+        f"{1000 * difference.device_s:.1f} ms, on the CPU {1000 * difference.processor_s:.1f} ms"
     )
     return Line(
         section=SECTION,
-        name=f"{device}, {found.work}",
-        state=State.OK if found.holds else State.FAILED,
-        found=told,
-        remedy="" if found.holds else f"run the view detector with another --backend, and {REPORT_IT}",
+        name=f"{device}, {difference.work}",
+        state=State.OK if difference.holds else State.FAILED,
+        found=result,
+        remedy="" if difference.holds else f"run the view detector with another --backend, and {REPORT_IT}",
         figures={
-            "value": found.value,
-            "bound": found.bound,
-            "device_s": found.device_s,
-            "processor_s": found.processor_s,
+            "value": difference.value,
+            "bound": difference.bound,
+            "device_s": difference.device_s,
+            "processor_s": difference.processor_s,
         },
     )
 

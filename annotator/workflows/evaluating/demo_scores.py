@@ -60,14 +60,18 @@ def score_project(
             continue
         frame = source.read(stored)
         truths = load_truth(recording, indices[stored.key], frame)
-        counts = [bool(contains(t.box, frame.cloud.xyz_m).sum() >= min_points) for t in truths]
+        has_points = [bool(contains(t.box, frame.cloud.xyz_m).sum() >= min_points) for t in truths]
         labels = [label for label in project.labels.of_frame(stored.id) if label.state in SCORED_STATES]
         for name in project.config.classes:
             of_class = [label for label in labels if label.label == name]
             scores = [1.0 if label.score is None else label.score for label in of_class]
             true_boxes, ignored = (
-                [t.box for t, is_counted in zip(truths, counts, strict=True) if t.label == name and is_counted is side]
-                for side in (True, False)
+                [
+                    t.box
+                    for t, is_scored in zip(truths, has_points, strict=True)
+                    if t.label == name and is_scored is wanted
+                ]
+                for wanted in (True, False)
             )
             results[name].append(FrameResult([label.box for label in of_class], scores, true_boxes, ignored))
     return [_scores(name, frame_results) for name, frame_results in results.items()]

@@ -23,7 +23,7 @@ from annotator.formats.rcv import read_rcv
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import ConfigError, FormatError
 
-# The score of a box without one.
+# Used for boxes without a score.
 DEFAULT_SCORE = 1.0
 
 
@@ -57,7 +57,7 @@ def read_frame_names(path: Path) -> list[str]:
     """Reads frame names from a file with one name per line, such as KITTI's `ImageSets/val.txt`.
 
     Raises:
-        FormatError: the file cannot be read, or holds no name.
+        FormatError: the file cannot be read, or contains no name.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").split("\n")
@@ -65,7 +65,7 @@ def read_frame_names(path: Path) -> list[str]:
         raise FormatError(path, f"the list of frames cannot be read ({error})") from error
     names = [line.strip() for line in lines if line.strip()]
     if not names:
-        raise FormatError(path, "names no frame")
+        raise FormatError(path, "contains no frame name")
     return names
 
 
@@ -78,7 +78,7 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
 
     Raises:
         FormatError: a file cannot be read or violates its format; the message names file and line.
-        ConfigError: the frames of the two do not match.
+        ConfigError: the frames of detections and truth do not match.
     """
     return _OF_FILES[protocol](detections, truth, options or Options())
 
@@ -87,11 +87,11 @@ def _kitti(detections: Path, truth: Path, options: Options) -> Report:
     detected, true = read_kitti_folder(detections, scored=True), read_kitti_folder(truth, scored=False)
     names = sorted(detected) if options.frames is None else list(dict.fromkeys(options.frames))
     _require(names, true, truth, "with the truth")
-    _require(names, detected, detections, "with detections; write an empty file for a frame without any")
+    _require(names, detected, detections, "with detections; write an empty file for a frame without detections")
     if options.frames is None and len(true) > len(detected):
         other = next(name for name in true if name not in detected)
         raise ConfigError(
-            f"{detections}: has {len(detected)} frames, {truth} {len(true)}; {other}.txt, for one, is missing. Write "
+            f"{detections}: has {len(detected)} frames, {truth} has {len(true)}; e.g. {other}.txt is missing. Write "
             "an empty file for each frame without detections, or name the frames of your split with --frame-list"
         )
     return kitti_of([detected[name] for name in names], [true[name] for name in names], options.relaxed)
@@ -214,7 +214,7 @@ def _require_some(names: Collection[str], known: Collection[str], truth: Path) -
 
 def _require_truth(truth: Path, boxes: int) -> None:
     if boxes == 0:
-        raise ConfigError(f"{truth}: has no true box in the frames to evaluate")
+        raise ConfigError(f"{truth}: has no true boxes in the frames to evaluate")
 
 
 _OF_FILES: Mapping[Protocol, Callable[[Path, Path, Options], Report]] = {

@@ -24,8 +24,8 @@ from annotator.workflows.evaluating.evaluate_files import (
 )
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.kitti_rows import rows_of_truth, true_kitti_rows
+from annotator.workflows.recorded.own_labels import AUTHOR
 from annotator.workflows.recorded.reading import has_truth, load_truth
-from annotator.workflows.recorded.take_over import AUTHOR
 
 
 class Measured(StrEnum):
@@ -72,9 +72,9 @@ def evaluate_project(
         options: its frames are named `RECORDING/KEY`.
 
     Raises:
-        ConfigError: there is nothing to compare, or labels would be compared with themselves.
+        ConfigError: there are no true boxes, or labels would be compared with themselves.
         RecordingError: a recording cannot be read.
-        FormatError: its labels are broken.
+        FormatError: the labels of a recording are broken.
     """
     choice, options = choice or Choice(), options or Options()
     if (choice.measured, choice.against) == (Measured.LABELS, Against.REVIEWED):
@@ -88,7 +88,7 @@ def _boxes(source: _Source, protocol: Protocol) -> Report:
     compared = list(source.compared())
     detected, true = (box_table(side) for side in zip(*compared, strict=True)) if compared else (box_table([]),) * 2
     if len(true) == 0:
-        raise ConfigError(f"there is no true box in the {len(compared)} frames to evaluate")
+        raise ConfigError(f"there are no true boxes in the {len(compared)} frames to evaluate")
     if protocol is Protocol.SUNRGBD:
         return sunrgbd_report(evaluate_sunrgbd(detected, true))
     return oriented_report(evaluate_oriented(detected, true))
@@ -97,7 +97,7 @@ def _boxes(source: _Source, protocol: Protocol) -> Report:
 def _kitti(source: _Source, relaxed: bool) -> Report:
     rows = [source.kitti(stored) for stored in source.frames()]
     if not any(true for _, true in rows):
-        raise ConfigError(f"there is no true box in the {len(rows)} frames to evaluate")
+        raise ConfigError(f"there are no true boxes in the {len(rows)} frames to evaluate")
     return kitti_of([detected for detected, _ in rows], [true for _, true in rows], relaxed)
 
 
@@ -164,9 +164,10 @@ class _Source:
         with_truth = tuple(i for i in (known if chosen is None else chosen) if has_truth(self._frames.recording(i)))
         lacking = [known[i] for i in chosen or () if i not in with_truth]
         if lacking or not with_truth:
-            names = ", ".join(lacking) or "no recording"
-            verb = "has no" if lacking else "has"
-            raise ConfigError(f"{names} {verb} true boxes; measure against reviewed labels (--against reviewed)")
+            names = ", ".join(lacking) or "any recording"
+            raise ConfigError(
+                f"there are no true boxes beside {names}; measure against reviewed labels (--against reviewed)"
+            )
         return with_truth
 
     def _is_compared(self, stored: StoredFrame) -> bool:

@@ -6,10 +6,12 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from annotator.project import Project, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting.split import Split, assign
+
+NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def choose_frames(
     """
     labels = labels_by_frame(project, choose, states)
     if not labels and not choose.empty_frames:
-        raise ConfigError(_nothing(project, choose, states))
+        raise ConfigError(_no_labels(project, choose, states))
     every = project.frames.of(choose.recordings)
     frames = [f for f in every if f.id in labels or (choose.empty_frames and f.index is not None)]
     return divided(project, frames, labels, split)
@@ -124,7 +126,7 @@ def divided(
     ]
 
 
-def _nothing(project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]) -> str:
+def _no_labels(project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]) -> str:
     """Returns the error message for a filter that fits no label."""
     others = [state for state in (ReviewState.PROPOSED,) if state not in states]
     waiting = len(project.labels.select(states=others, recordings=choose.recordings, classes=choose.classes))

@@ -11,9 +11,8 @@ from annotator.formats.losses import Losses, Lost
 from annotator.project import ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.types import Box2D, ReviewState
 from annotator.types.errors import ConfigError
-from annotator.workflows.exporting.choose import Chosen, ExportFilter, divided, labels_by_frame
+from annotator.workflows.exporting.choose import NOT_REJECTED, Chosen, ExportFilter, divided, labels_by_frame
 from annotator.workflows.exporting.split import Split
-from annotator.workflows.exporting.table import NOT_REJECTED
 
 Pictures = Literal["images", "views", "both"]
 
@@ -122,7 +121,7 @@ class _Images:
         images: dict[int, ImageBoxes],
     ) -> None:
         self._choose, self._labels, self._images = choose, labels, images
-        # all states except rejected, because an object whose state was not chosen is not background either
+        # all states except rejected: an object is not background, even if its state was not chosen
         existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
         self._with_object = {entry.frame_id for entry in existing}
         waiting = [entry for entry in existing if entry.label.state is ReviewState.PROPOSED]

@@ -1,4 +1,4 @@
-"""The input of every format's writer: one export of a project."""
+"""The input and the result of every format's writer."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from pydantic import BaseModel, ConfigDict
+
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.losses import Losses
+from annotator.formats.losses import Loss, Losses
 from annotator.project import Project
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
-from annotator.workflows.exporting.report import ExportReport
 from annotator.workflows.frame_source import FrameSource
 
 ImageFormat = Literal["png", "jpg"]
@@ -31,6 +32,34 @@ class ExportOptions:
     image_format: ImageFormat = "png"
     pictures: Literal["images", "views", "both"] = "images"
     vertices: bool = False
+
+
+class ExportReport(BaseModel):
+    """The result of an export.
+
+    Attributes:
+        format: the dataset's format.
+        out: the dataset's folder or file.
+        frames: number of frames (of images, in formats of 2D boxes).
+        objects: number of boxes.
+        objects_by_class: number of boxes by class, with all classes of the dataset.
+        splits: number of frames by part; empty for a dataset without parts.
+        losses: what the format could not store.
+        unreadable: frames that were left out, as `RECORDING/KEY: reason`.
+        notes: other remarks, one line each.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: str
+    out: Path
+    frames: int
+    objects: int
+    objects_by_class: dict[str, int]
+    splits: dict[str, int] = {}
+    losses: tuple[Loss, ...] = ()
+    unreadable: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

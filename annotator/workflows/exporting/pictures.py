@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import new_folder
+from annotator.formats.coco_dataset import CocoWriter, is_coco_dataset
 from annotator.formats.dataset_writing import (
     DatasetItem,
     FileNames,
@@ -24,12 +25,12 @@ from annotator.formats.dataset_writing import (
 )
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
 from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.formats.yolo_dataset import YoloWriter, is_yolo_dataset
 from annotator.geometry.image_shares import clip_to_image
 from annotator.project import ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame
 from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, of_classes
-from annotator.workflows.exporting.job import ExportJob
-from annotator.workflows.exporting.report import ExportReport
+from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.views.outlines import undrawn
 from annotator.workflows.views.places import ViewPlace, write_places
@@ -38,8 +39,25 @@ from annotator.workflows.views.places import ViewPlace, write_places
 MIN_SIDE_PX = 1.0
 # Boxes of a class that differ by less are equal, pixels.
 SAME_PX = 0.01
+UNDIVIDED = "without parts: the same images are used for training and validation; divide with --split train=0.8,val=0.2"
 
 Make = Callable[[Path, Sequence[str], Sequence[str]], PictureWriter]
+
+
+def coco_dataset(job: ExportJob) -> ExportReport:
+    """Writes a COCO detection dataset. Raises as `write_pictures`."""
+    return write_pictures(job, "coco", CocoWriter, is_coco_dataset)
+
+
+def yolo_dataset(job: ExportJob) -> ExportReport:
+    """Writes a YOLO detection dataset.
+
+    Raises:
+        ConfigError: parts other than train, val and test; or as `write_pictures`.
+        FormatError, RecordingError, ProjectError: as `write_pictures`.
+    """
+    report = write_pictures(job, "yolo", YoloWriter, is_yolo_dataset)
+    return report if report.splits else report.model_copy(update={"notes": (UNDIVIDED,)})
 
 
 def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable[[Path], bool]) -> ExportReport:
@@ -51,7 +69,7 @@ def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable
 
     Raises:
         FormatError: `job.out` exists, or writing fails.
-        ConfigError: parts that the format does not have.
+        ConfigError: the format does not support these parts.
         RecordingError: a frame cannot be read.
         ProjectError: the image of a pseudo-view is damaged.
     """
@@ -149,9 +167,9 @@ class _Tally:
         return LabelledPicture(name, content, width_px, height_px, kept, part)
 
     def write_places(self, folders: Mapping[str, Path]) -> None:
-        whole = next(iter(folders))
+        only_part = next(iter(folders))
         for part, places in self.places.items():
-            write_places(folders[part or whole], places)
+            write_places(folders[part or only_part], places)
 
 
 def _fit(boxes: Sequence[Box2D], width_px: int, height_px: int, kind: BoxKind, losses: Losses) -> tuple[Box2D, ...]:

@@ -78,11 +78,11 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
             f"{len(groups)} {split.by} cannot be divided into {len(split.shares)} parts "
             f"({', '.join(split.shares)}); give fewer parts, or divide by frames"
         )
-    part_of = _drawn(split, dict(groups))
+    part_of = _randomly_assigned(split, dict(groups))
     return [part_of[(r,) if split.by is SplitBy.RECORDINGS else (r, k)] for r, k in places]
 
 
-def _drawn(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[str, ...], str]:
+def _randomly_assigned(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[str, ...], str]:
     """Assigns the groups in random order, each to the part that lacks the most frames; every part gets at least one."""
     names = sorted(groups)
     order = np.random.default_rng(split.seed).permutation(len(names))
@@ -91,7 +91,7 @@ def _drawn(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[st
     empty, left = set(missing), len(names)
     part_of: dict[tuple[str, ...], str] = {}
     for place in order:
-        # in the order of the shares, because max() takes the first of equals and a set has no fixed order
+        # a list in the order of the shares: of equal values, max() takes the first, and a set has no fixed order
         candidates = [name for name in missing if name in empty or left > len(empty)]
         part = max(candidates, key=lambda name: missing[name])
         part_of[names[place]] = part

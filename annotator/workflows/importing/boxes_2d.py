@@ -30,7 +30,7 @@ class Imported:
         other_classes: boxes left out because the project has no such class, by class name.
         unmatched: file names without a frame in the project.
         views: number of pseudo-views among the images.
-        unreadable: images left out because their size is unknown: their frame cannot be read; as `key: reason`.
+        unreadable: images left out because their frame, which gives their size, cannot be read; as `key: reason`.
         replaced: number of images whose boxes, drawn by other authors, were replaced.
         finalised: number of images left unchanged because their frame is finalised.
         renamed: the dataset's only recording, if it was matched with one of another name.
@@ -66,13 +66,13 @@ def import_image_boxes(
         recording: name of the recording of the file names, if several recordings have such frames.
 
     Raises:
-        FormatError: another format; an image that fits two recordings, occurs twice, or has another size than the
+        FormatError: not in this format; an image that fits two recordings, occurs twice, or has another size than the
             frame; no image of the project; only boxes of other classes; or as `import_view_boxes`.
         ProjectError: no such recording, or a view of a frame that the project does not have.
     """
-    found = read_pictures(format, path)
-    places = {folder: read_places(folder) for folder in {picture.folder for picture in found.pictures}}
-    return _import(project, found, places, kind, recording, all_views=False)
+    dataset = read_pictures(format, path)
+    places = {folder: read_places(folder) for folder in {picture.folder for picture in dataset.pictures}}
+    return _import(project, dataset, places, kind, recording, all_views=False)
 
 
 def import_view_boxes(
@@ -84,39 +84,39 @@ def import_view_boxes(
     view needs to be labelled. Other images are used for training only.
 
     Raises:
-        FormatError: another format; an image is missing, not PNG, occurs twice, or has another size; or there are only
-            boxes of other classes.
+        FormatError: not in this format; an image is missing, not PNG, occurs twice, or has another size; or there are
+            only boxes of other classes.
         ProjectError: a frame that the project does not have.
     """
-    found = read_pictures(format, path, pictures)
-    return _import(project, found, {pictures: read_places(pictures)}, kind, None, all_views=True)
+    dataset = read_pictures(format, path, pictures)
+    return _import(project, dataset, {pictures: read_places(pictures)}, kind, None, all_views=True)
 
 
 def _import(
     project: Project,
-    found: PictureSet,
+    dataset: PictureSet,
     places: dict[Path, dict[str, ViewPlace]],
     kind: BoxKind,
     recording: str | None,
     all_views: bool,
 ) -> Imported:
-    tally = _Tally(found.path, project, found.pictures)
-    pairs = [(picture, places[picture.folder].get(picture.file_name)) for picture in found.pictures]
+    tally = _Tally(dataset.path, project, dataset.pictures)
+    pairs = [(picture, places[picture.folder].get(picture.file_name)) for picture in dataset.pictures]
     on_images = [picture for picture, place in pairs if place is None and not all_views]
     on_views = [
         (picture, place)
         for picture, place in pairs
         if (place is not None and (place.labelled or picture.labels)) or (place is None and all_views)
     ]
-    images = checked_images(project, found, on_images, recording) if on_images or not on_views else None
-    views = checked_views(project, found.path, on_views)
+    images = checked_images(project, dataset, on_images, recording) if on_images or not on_views else None
+    views = checked_views(project, dataset.path, on_views)
     # an imported view was drawn from a box on its image; the file may have rounded that box
     drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
     for image in images.matched if images is not None else ():
         known, base = tally.known(image.boxes), drawn_from[image.frame_id]
-        tally.add(image.boxes, store_on_image(project, found.path, image, known, kind, base))
+        tally.add(image.boxes, store_on_image(project, dataset.path, image, known, kind, base))
     stored_images = tally.pictures
     revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
     for view in views:
@@ -150,8 +150,8 @@ class _Tally:
         if named and not named & self._classes:
             raise FormatError(
                 path,
-                f"the project has none of its classes: they are {', '.join(sorted(named))}, the project has "
-                f"{', '.join(project.config.classes)}; rename the categories in the file",
+                f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(named))}, the "
+                f"project has {', '.join(project.config.classes)}; rename the categories in the file",
             )
 
     def known(self, boxes: Sequence[Box2D]) -> list[Box2D]:

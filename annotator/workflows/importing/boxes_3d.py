@@ -62,7 +62,7 @@ class MatchedFrames:
 
 def import_labels(
     project: Project,
-    found: LabelSet,
+    dataset: LabelSet,
     recording: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ImportedLabels:
@@ -77,7 +77,7 @@ def import_labels(
         NotFoundError: no such recording.
         RecordingError: a recording has been moved.
     """
-    frames = match_frames(project, found.path, found.frames, recording)
+    frames = match_frames(project, dataset.path, dataset.frames, recording)
     source, done = FrameSource(project), ImportedLabels(unmatched=frames.unmatched, renamed=frames.renamed)
     classes = set(project.config.classes)
     for number, (name, stored) in enumerate(frames.matched, 1):
@@ -85,18 +85,18 @@ def import_labels(
             done.already += 1
         else:
             try:
-                truths = truths_of(found, name, source.read(stored))
+                truths = truths_of(dataset, name, source.read(stored))
             except FrameError as error:
                 done.unreadable.append(f"{stored.key}: {error}")
             else:
                 done.other_classes.update(t.label for t in truths if t.label not in classes)
                 new = [NewLabel(t.label, t.box, t.score, t.track_id) for t in truths if t.label in classes]
-                if create_where_none(project, stored.id, new, AUTHOR):
+                if create_if_unlabelled(project, stored.id, new, AUTHOR):
                     done.frames += 1
                     done.labels.update(label.label for label in new)
-                    behind = found.left_behind(name)
-                    done.not_reviewed += behind.not_reviewed
-                    done.scores += behind.scores
+                    left_behind = dataset.left_behind(name)
+                    done.not_reviewed += left_behind.not_reviewed
+                    done.scores += left_behind.scores
                 else:
                     done.already += 1
         if progress is not None:
@@ -104,16 +104,16 @@ def import_labels(
     return done
 
 
-def truths_of(found: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
+def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
     """Returns the objects of a frame of a dataset, boxes in the camera frame.
 
     Raises:
         FormatError: the transform to the camera frame moves a box out of range; or as `LabelSet.truths`.
     """
     try:
-        return found.truths(name, frame)
+        return dataset.truths(name, frame)
     except ValueError as error:
-        raise FormatError(found.path, f"{name}: {error}; correct its boxes or its calibration") from error
+        raise FormatError(dataset.path, f"{name}: {error}; correct its boxes or its calibration") from error
 
 
 def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
@@ -143,14 +143,12 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
         if not frames:
             unmatched.append(name)
         elif frames[0].id in matched:
-            raise FormatError(
-                path, f"{matched[frames[0].id][0]} and {name} are both the frame {frames[0].key}; keep one"
-            )
+            raise FormatError(path, f"{matched[frames[0].id][0]} and {name} both match frame {frames[0].key}; keep one")
         else:
             matched[frames[0].id] = (name, frames[0])
     if not matched:
         shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-        raise FormatError(path, f"none of its frames ({shown or 'it has none'}) is a frame of the project")
+        raise FormatError(path, f"the project has none of the dataset's frames ({shown or 'it has none'})")
     renamed = finder.renamed(stored for name, stored in matched.values() if places[name][0] is not None)
     in_order = sorted(matched.values(), key=lambda pair: order[pair[1].id])
     return MatchedFrames(tuple(in_order), tuple(unmatched), renamed)
@@ -161,7 +159,7 @@ def _place(name: str) -> tuple[str, str]:
     return recording, key
 
 
-def create_where_none(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
+def create_if_unlabelled(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
     """Stores imported labels; returns False if the frame has labels or is finalised, even by a concurrent edit.
 
     A finalised frame without labels is confirmed as empty.

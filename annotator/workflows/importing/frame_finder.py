@@ -10,7 +10,7 @@ from annotator.project import Project, StoredFrame
 
 @dataclass(frozen=True)
 class Renamed:
-    """A dataset's recording that the project does not have, and the project's recordings it was matched with."""
+    """A dataset's recording that the project does not have, and the project's recordings that it was matched with."""
 
     named: str
     taken_for: tuple[str, ...]
@@ -54,7 +54,7 @@ class FrameFinder:
         return [] if exact is None else [exact]
 
     def renamed(self, matched: Iterable[StoredFrame]) -> Renamed | None:
-        """Returns what the dataset's recording was matched with, if the project has none of its name.
+        """Returns the recordings that the dataset's recording was matched with, if the project has none of its name.
 
         Args:
             matched: the frames that were matched with it.

@@ -63,12 +63,12 @@ class CheckedImages:
 
 
 def checked_images(
-    project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
+    project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
 ) -> CheckedImages:
     """Finds each image's frame, and its boxes in the frame's pixels.
 
     Args:
-        pictures: the camera images of `found`.
+        pictures: the camera images of `dataset`.
         recording: name of the only recording to search.
 
     Raises:
@@ -76,7 +76,7 @@ def checked_images(
             has a frame in the project.
         NotFoundError: no such recording.
     """
-    matched, unmatched, renamed = _matched(project, found, pictures, recording)
+    matched, unmatched, renamed = _matched(project, dataset, pictures, recording)
     source = FrameSource(project)
     ready, unreadable = [], []
     for picture, stored in matched:
@@ -90,21 +90,21 @@ def checked_images(
                 unreadable.append(f"{stored.key}: {error}")
             continue
         size_px = (camera.width_px, camera.height_px)
-        _require_size(found.path, picture, size_px)
+        _require_size(dataset.path, picture, size_px)
         ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*size_px)))
     return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable), renamed)
 
 
 def _matched(
-    project: Project, found: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
+    project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
 ) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str], Renamed | None]:
     """Returns the images with their frames, the names of images without one, and the renamed recording."""
-    path = found.path
-    frames = FrameFinder(project, recording, {origin.recording for origin in found.origins.values()})
+    path = dataset.path
+    frames = FrameFinder(project, recording, {origin.recording for origin in dataset.origins.values()})
     matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
     unmatched: list[str] = []
     for picture in pictures:
-        origin = found.origins.get(picture.stem)
+        origin = dataset.origins.get(picture.stem)
         key = picture.stem if origin is None else origin.key
         fitting = frames.find(None if origin is None else origin.recording, key)
         if len(fitting) > 1:
@@ -115,16 +115,16 @@ def _matched(
             unmatched.append(picture.file_name)
         elif fitting[0].id in matched:
             other = matched[fitting[0].id][0].file_name
-            raise FormatError(path, f"{other} and {picture.file_name} are both the frame {key}; keep one of them")
+            raise FormatError(path, f"{other} and {picture.file_name} both match frame {key}; keep one of them")
         else:
             matched[fitting[0].id] = (picture, fitting[0])
     if not matched:
         raise FormatError(
             path,
-            "none of its images has a frame in the project; name image files after the frames' keys (000012.jpg for "
-            "the frame 000012)",
+            "none of the dataset's images has a frame in the project; name image files after the frames' keys "
+            "(000012.jpg for the frame 000012)",
         )
-    named = (stored for picture, stored in matched.values() if picture.stem in found.origins)
+    named = (stored for picture, stored in matched.values() if picture.stem in dataset.origins)
     return list(matched.values()), unmatched, frames.renamed(named)
 
 

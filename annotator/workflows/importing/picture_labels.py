@@ -96,12 +96,12 @@ def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) ->
         pictures = [
             PictureLabels(
                 image.file_name,
-                folder or beside,
+                folder or image_folder,
                 tuple(box.label for box in image.boxes),
                 (image.width_px, image.height_px),
                 lambda _w, _h, boxes=image.boxes: boxes,  # type: ignore[misc]
             )
-            for beside, images in read_coco_dataset(path)
+            for image_folder, images in read_coco_dataset(path)
             for image in images
         ]
     else:

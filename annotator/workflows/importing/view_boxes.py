@@ -50,7 +50,7 @@ def checked_views(
         NotFoundError: a frame that the project does not have.
     """
     views: list[OnView] = []
-    # refused because the boxes of a repeated image would replace the first ones
+    # repeated images are refused: their boxes would replace those of the first
     names: dict[tuple[str, int | None], str] = {}
     for picture, place in pictures:
         file, size_px, digest = _checked_picture(path, picture)
@@ -88,7 +88,7 @@ def _checked_picture(path: Path, picture: PictureLabels) -> tuple[Path, tuple[in
 def store_on_view(
     project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
 ) -> Stored:
-    """Copies the image into the project and stores its boxes, unless its frame is finalised.
+    """Copies the image into the project and stores its boxes, unless the frame is finalised.
 
     Args:
         revisions: revisions of the project's views without a frame, by id.

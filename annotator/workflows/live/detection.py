@@ -49,7 +49,7 @@ class Detected:
 def live_settings(config: RcvConfig) -> RcvConfig:
     """Returns the settings for live recursion: no refinement steps, unless the settings set their number.
 
-    Refinement steps are a fifth of the views, more for objects cut off by the image, and gain little
+    Refinement steps are a fifth of the views, more for objects cut off by the image border, and gain little
     (docs/notebook/view_size.md).
     """
     if "refine_steps" in config.consensus.model_fields_set:

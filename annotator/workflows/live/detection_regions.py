@@ -16,7 +16,7 @@ from annotator.rcv.cross_view import box_iou
 from annotator.rcv.warm_start import WarmStart
 from annotator.types import Box2D, Detector, Frame, Region
 
-# The whole image is used every so many frames, and for as many frames after an object was not found in its region.
+# The whole image is used once in this many frames, and for this many frames after an object was lost in its region.
 WHOLE_EVERY = 5
 # Minimum ratio of a region's side to its object's, which may have moved.
 REGION_FACTOR = 1.3
@@ -25,7 +25,7 @@ REGION_FACTOR = 1.3
 PARTS, MIN_PARTS = 8, 3
 # Maximum share of the image covered by regions; larger ones save little time.
 MAX_SHARE = 0.6
-# A box edge this near to the border of its region may lie beyond it, pixels of the image.
+# A box edge this near to the border of its region may be cut off there, pixels of the image.
 BORDER_PX = 2.0
 # 2D IoU above which two boxes of a class may be the same object.
 SAME_IOU = 0.5
@@ -46,7 +46,7 @@ class RegionDetection:
         """
         for parts, count in itertools.product(range(MIN_PARTS, PARTS + 1), (1, 2)):
             regions = [_square(frame, (0.0, 0.0), parts)] * count
-            if _is_worth_it(frame, regions):
+            if _save_time(frame, regions):
                 self._detector.detect(regions)
 
     def boxes(self, frame: Frame, seeds: Sequence[WarmStart], config: RcvConfig) -> list[Box2D]:
@@ -75,15 +75,15 @@ class RegionDetection:
         outlines = [box_on_image(frame.camera, seed.box, seed.label) for seed in seeds]
         visible = [outline for outline in outlines if outline is not None]
         regions = regions_around(frame, visible)
-        if len(visible) < len(seeds) or not _is_worth_it(frame, regions):
+        if len(visible) < len(seeds) or not _save_time(frame, regions):
             return None
         return list(zip(visible, regions, strict=True))
 
     def _followed(self, regions: Sequence[tuple[Box2D, Region]], config: RcvConfig) -> list[Box2D] | None:
         """Returns one box per object; None if one is not found, or two may be the same object."""
         followed: list[Box2D] = []
-        answers = self._detector.detect([region for _, region in regions])
-        for (outline, region), boxes in zip(regions, answers, strict=True):
+        boxes_by_region = self._detector.detect([region for _, region in regions])
+        for (outline, region), boxes in zip(regions, boxes_by_region, strict=True):
             box = _same_object(outline, region, boxes, config)
             if box is None:
                 return None
@@ -110,7 +110,7 @@ def _square(frame: Frame, center: tuple[float, float], parts: int) -> Region:
     return Region(frame, x, y, width, height)
 
 
-def _is_worth_it(frame: Frame, regions: Sequence[Region]) -> bool:
+def _save_time(frame: Frame, regions: Sequence[Region]) -> bool:
     height_px, width_px = frame.rgb.shape[:2]
     return sum(region.width_px * region.height_px for region in regions) <= MAX_SHARE * height_px * width_px
 

@@ -17,12 +17,12 @@ Item = TypeVar("Item")
 
 # Number of recent durations whose median predicts the next one.
 HISTORY = 9
-# A frame is read this much earlier than predicted, seconds, since waiting for it costs more than its greater age.
+# A frame is read this much earlier than predicted, seconds, since a late frame costs more than a slightly older one.
 SPARE_S = 0.003
 
 
 class Slot(Generic[Item]):
-    """Room for one item: a newer one replaces it until it is taken. One thread puts, another takes.
+    """Holds one item, which a newer one replaces until it is taken. One thread puts, another takes.
 
     Attributes:
         dropped: number of items replaced before they were taken.
@@ -70,20 +70,20 @@ class Demand:
         self._is_waiting = False
         self._is_closed = False
 
-    def given(self, read_s: float) -> None:
+    def frame_read(self, read_s: float) -> None:
         """Notes that a frame was read in `read_s` seconds and waits for detection."""
         with self._changed:
             self._is_waiting = True
             self._reads_s.append(read_s)
 
-    def begins(self) -> None:
+    def detection_begins(self) -> None:
         """Notes that detection has taken the waiting frame."""
         with self._changed:
             self._is_waiting = False
             self._started_s = time.perf_counter()
             self._changed.notify_all()
 
-    def ends(self) -> None:
+    def detection_ends(self) -> None:
         """Notes that detection is finished."""
         with self._changed:
             if self._started_s is not None:
@@ -92,7 +92,7 @@ class Demand:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Ends all waiting."""
+        """Makes `wait` return at once, now and later."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()

@@ -1,9 +1,9 @@
-"""Runs capture, detection and display in parallel: each processes its newest frame, and none waits for a slower one.
+"""Runs capture, detection and display in parallel: each processes its newest frame without waiting for a slower one.
 
     source -> [slot] -> detection -> [slot] -> display
                             \\-> record
 
-Each stage is a thread. The end of one (the source ends, an error, `stop`) ends all. The detectors are prepared on the
+Each stage is a thread. If one ends (the source ends, an error, `stop`), all end. The detectors are prepared on the
 first frame, which takes long: no frame is read in the meantime, and the first one is not measured.
 """
 
@@ -70,7 +70,7 @@ class Pipeline:
         Args:
             show: the display; called by a thread of its own.
             record: receives all detected frames.
-            max_frames: end after so many frames of the source; None = when the source ends.
+            max_frames: end after this number of frames of the source; None = when the source ends.
             report: called with a message for each frame that cannot be read.
 
         Raises:
@@ -137,7 +137,7 @@ class Pipeline:
             raise DeviceError(f"{self.source.name}: {alive} does not end; unplug the device, or end the process")
 
     def at_end(self, call: Callable[[], None]) -> None:
-        """Calls `call` from a thread of the pipeline when all stages have ended; at once if they have."""
+        """Calls `call` from a thread of the pipeline when all stages have ended; at once if they have already."""
         with self._lock:
             if not self.ended.is_set():
                 self._at_end.append(call)
@@ -182,7 +182,7 @@ class Pipeline:
                 if taken is None:
                     break
                 self.meter.read += 1
-                self._demand.given(taken.read_s)
+                self._demand.frame_read(taken.read_s)
                 self._taken.put(taken)
                 if not self._ready.is_set():
                     self._ready.wait()
@@ -194,9 +194,9 @@ class Pipeline:
     def _detect(self) -> None:
         try:
             while (taken := self._taken.take()) is not None:
-                self._demand.begins()
+                self._demand.detection_begins()
                 detected = self._detection.detect(taken)
-                self._demand.ends()
+                self._demand.detection_ends()
                 self.meter.detected += 1
                 if self._record is not None:
                     self._record.put(detected)

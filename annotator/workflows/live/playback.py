@@ -14,7 +14,7 @@ from annotator.recordings import Recording
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.live.source import Taken
 
-# Frames per second of recordings without times: a LiDAR turns ten times per second, RGB-D cameras take 30 frames.
+# Frames per second of recordings without times: 10 for a LiDAR, 30 for RGB-D cameras.
 RATE_BY_FORMAT = {"kitti_object": 10.0, "kitti_tracking": 10.0, "kitti_raw": 10.0, "cloud_folder": 10.0}
 DEFAULT_RATE = 30.0
 # Longer gaps in a recording are shortened to this, seconds.

@@ -1,7 +1,7 @@
 """Records live frames: a thread writes them, and the recording is moved to its path when it is complete.
 
 Until then it is a hidden folder beside that path, which is a valid recording after every frame. The next recording to
-the same path rescues the folders that killed processes have left (`rescue`).
+the same path rescues the hidden folders of killed processes (`rescue`).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Recorder:
     def finish(self) -> int:
         """Waits until all frames are written, moves the recording to `out`, and returns the number of its frames.
 
-        Without any frame, no recording is left.
+        Creates no recording if there is no frame.
 
         Raises:
             RecordingError: it cannot be moved to `out`; the message says where it is.
@@ -124,7 +124,7 @@ class Recorder:
         return self._writer.frames
 
     def require_complete(self) -> None:
-        """Raises if the recording was cut short.
+        """Raises if the recording is incomplete.
 
         Raises:
             RecordingError: why the last frames could not be written.
@@ -194,7 +194,7 @@ def require_recordable(recording: Recording) -> None:
 
 
 def rescue(out: Path, report: Report) -> None:
-    """Turns the folders that killed processes have left beside `out` into recordings; removes those without frames.
+    """Turns the hidden folders of killed processes beside `out` into recordings; removes those without frames.
 
     Raises:
         ConfigError: another process records to `out`.
@@ -212,7 +212,7 @@ def rescue(out: Path, report: Report) -> None:
             (part / LOCK).unlink(missing_ok=True)
             if not frames:
                 rmtree(part)
-                report(f"{part}: was left by an interrupted recording without frames; it is removed")
+                report(f"{part}: removed; it is from an interrupted recording without frames")
                 continue
             rescued = _rescue_path(out)
             part.chmod(0o755)

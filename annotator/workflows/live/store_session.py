@@ -30,7 +30,7 @@ class Stored:
     proposals: int
 
 
-def require_unknown(project: Project, out: Path) -> None:
+def require_unused_path(project: Project, out: Path) -> None:
     """Checks that the project has no recording at `out`, not even one whose folder was removed.
 
     All live recordings use the same frame keys, so the labels of an old recording would be assigned to the new frames.

@@ -1,7 +1,7 @@
 """Proposes boxes for whole recordings: a batch that continues after a failed frame, and resumes when interrupted.
 
 An engine (`proposing/engines`) does the work. This module sends it tasks, and stores the answers in the order of the
-frames. At most as many tasks as the engine's window are in flight, so memory does not grow with the recording.
+frames. The number of tasks in flight is limited (`Engine.window`), so memory does not grow with the recording.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def require_limit(limit: int | None) -> None:
         ConfigError: it is below 1.
     """
     if limit is not None and limit < 1:
-        raise ConfigError(f"a limit of {limit} frames leaves nothing to do; give 1 or more")
+        raise ConfigError(f"a limit of {limit} frames is too small; give 1 or more")
 
 
 def _description(identity: Identity, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> dict[str, str]:
@@ -157,11 +157,11 @@ def _run_tasks(engine: Engine, tasks: Iterator[_SentTask], batch: Batch, progres
     """Sends tasks to an engine, and stores their answers in the order of the tasks."""
     in_flight: deque[_SentTask] = deque()
     answers: dict[int, tuple[FrameAnswer, ...]] = {}
-    stored, is_over = 0, False
-    while in_flight or not is_over:
-        while not is_over and len(in_flight) < engine.window:
+    stored, are_all_sent = 0, False
+    while in_flight or not are_all_sent:
+        while not are_all_sent and len(in_flight) < engine.window:
             task = next(tasks, None)
-            is_over = task is None
+            are_all_sent = task is None
             if task is not None:
                 engine.submit(task.task)
                 in_flight.append(task)

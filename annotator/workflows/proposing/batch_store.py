@@ -35,7 +35,7 @@ class AnnotateSummary:
         skipped: frames left out: done before with the same detectors and settings, or finalised.
         done: frames whose proposals are stored.
         proposals: number of all proposals.
-        without: frames without any proposal.
+        without: processed frames without proposals.
         failed: key and reason of the first failed frames.
         more_failed: number of further failed frames.
         seconds: duration of the batch.

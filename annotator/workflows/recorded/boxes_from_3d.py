@@ -24,7 +24,7 @@ from annotator.workflows.recorded.labelled_frames import KnownLabels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.views.places import geometry_of
 
-# A later import replaces the boxes of this author and leaves all others alone.
+# A later import replaces only the boxes of this author.
 AUTHOR = "import of 3D boxes"
 
 
@@ -42,17 +42,17 @@ class BoxesFrom3d:
 
     Attributes:
         chosen: frames chosen for the import.
-        frames: frames whose 2D boxes are stored now, including those that show none of the classes.
+        frames: frames whose 2D boxes are stored now, including those without objects of the classes.
         image_boxes: boxes on their camera images, by class.
         objects: objects with boxes on all four views, by class.
         views: views whose boxes are stored now; objects with the same image box share their first views.
         view_boxes: boxes on these views; a view has the boxes of all objects that it shows.
         without_views: objects on the image with too few points for views, by class.
-        outside: objects beyond the edges of the image, by class.
+        outside: objects outside the image, by class.
         hidden: objects occluded in the image, by class.
         other_classes: objects left out because the project does not have their class, by class.
         not_reviewed: boxes on `frames` left out because they are not accepted in the dataset.
-        drawn: frames left alone because they have drawn image boxes or are finalised.
+        drawn: frames not changed because they have drawn image boxes or are finalised.
         others_views: views of `frames` that keep the boxes of another author, drawn or imported.
         in_all: frames of the project whose image boxes come from such imports, earlier ones included.
         unreadable: frames whose data or label file could not be read, as `key: reason`.
@@ -100,8 +100,8 @@ def boxes_from_3d(
 ) -> BoxesFrom3d:
     """Turns known 3D boxes into 2D boxes of the project, frame by frame. Boxes of an earlier import are replaced.
 
-    A frame is stored whole or not at all. Left alone are frames with drawn image boxes, finalised frames, views with
-    boxes of another author, and frames that an earlier import chose and this one does not.
+    A frame is stored whole or not at all. Frames with drawn image boxes, finalised frames, views with boxes of another
+    author, and frames chosen only by an earlier import are not changed.
 
     Args:
         labels: the labelled frames and their objects.
@@ -123,7 +123,7 @@ def boxes_from_3d(
     counts = BoxesFrom3d(chosen=len(chosen))
     for number, stored in enumerate(chosen, 1):
         try:
-            _take_over(project, stored, source, labels, config, counts)
+            _convert(project, stored, source, labels, config, counts)
         except skipped_errors as error:
             counts.unreadable.append(f"{stored.key}: {error}")
         if progress is not None:
@@ -133,7 +133,7 @@ def boxes_from_3d(
     return counts
 
 
-def _take_over(
+def _convert(
     project: Project,
     stored: StoredFrame,
     source: FrameSource,
@@ -141,7 +141,7 @@ def _take_over(
     config: RcvConfig,
     counts: BoxesFrom3d,
 ) -> None:
-    if _is_drawn(read_page(project, stored.id)):  # checked first: the rest takes time
+    if _is_drawn(read_page(project, stored.id)):  # checked first, before the slow steps
         counts.drawn += 1
         return
     frame = source.read(stored)

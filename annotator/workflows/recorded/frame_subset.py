@@ -17,7 +17,7 @@ def share_of(names: Iterable[FrameName], fraction: float, seed: int) -> frozense
 
     Frames are ranked within their recording by a hash of their name and the seed. Those with the lowest rank relative
     to the recording's length are chosen. So the frames of a smaller fraction are among those of a larger one with the
-    same seed, and one frame more or less changes little.
+    same seed, and adding or removing a frame changes the choice little.
 
     Args:
         names: recording and key of each frame, in any order.

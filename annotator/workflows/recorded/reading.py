@@ -28,7 +28,7 @@ SCENE_LABELS = "annotation3Dfinal/index.json"
 
 
 def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
-    """Returns the labelled objects of a frame in file order; empty if it is labelled as having none.
+    """Returns the labelled objects of a frame in file order; empty if it is labelled as empty.
 
     Args:
         recording: the recording with its labels.

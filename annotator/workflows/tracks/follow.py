@@ -57,7 +57,7 @@ def propose_next(
 
     Args:
         revision: of the frame, as shown to the operator.
-        author: who asks for it, and can undo it as one action.
+        author: the operator, who can undo this as one action.
         open_frame: returns the next frame.
 
     Raises:
@@ -162,7 +162,7 @@ class _Step:
         """Proposes boxes in the next frame, and sets the new track ids of this frame's labels."""
         payloads = proposal_events(self.project, self.next_frame, boxes)
         if not payloads:
-            reason = "the detectors find nothing there" if not boxes else "all boxes are there already"
+            reason = "the detectors found no object" if not boxes else "it already has all of these boxes"
             raise ConfigError(f"nothing was proposed in frame {self.next_frame.key}: {reason}")
         tracked = [
             LabelTracked(uid=stored.label.uid, track_id=number)

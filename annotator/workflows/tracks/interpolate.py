@@ -24,8 +24,8 @@ class Interpolated:
     Attributes:
         track_id: of the track.
         filled: the frames with a new proposal: (frame id, receipt) each.
-        finalised: number of frames left alone because they are finalised.
-        covered: number of frames left alone because they have a reviewed or rejected box there.
+        finalised: number of frames not changed because they are finalised.
+        covered: number of frames not changed because they have a reviewed or rejected box of this object.
     """
 
     track_id: int
@@ -59,7 +59,7 @@ def interpolate(
     Reviewed and rejected labels stay; unreviewed proposals of the same object are replaced.
 
     Args:
-        author: who asks for it, and can undo it.
+        author: the operator, who can undo this.
         first, last: keys of two key frames, the earlier one first; None = the first or the last key frame.
         fit: fits each new box to its frame's points.
         effort: the operator's effort for this action.
@@ -67,7 +67,7 @@ def interpolate(
     Raises:
         NotFoundError: no such recording or frame.
         ConfigError: an invalid track id, fewer than two key frames, `first` or `last` is not a key frame, or there is
-            nothing to fill.
+            no frame to fill.
         StaleRevisionError: one of the frames was changed in the meantime.
         RecordingError, FrameError: a frame that `fit` needs cannot be read.
     """

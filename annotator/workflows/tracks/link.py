@@ -47,7 +47,7 @@ class LinkSummary:
         changed: number of labels with a new track id or box.
         left: number of labels without a track id in finalised frames, which are not changed.
         unordered: names of recordings left out because their frames are not a sequence.
-        busy: names of recordings not finished because they were changed concurrently; link them again.
+        busy: names of recordings not fully linked because they were changed concurrently; link them again.
     """
 
     recordings: int = 0

@@ -35,7 +35,7 @@ class NewProposal:
 
 
 def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewProposal]) -> list[Payload]:
-    """Returns the events that propose boxes in a frame; empty if there is nothing to propose.
+    """Returns the events that propose boxes in a frame; empty if all boxes are left out.
 
     A box is left out if a reviewed or rejected label covers it (3D IoU 0.5 or more), or if its track has a reviewed box
     in the frame. Unreviewed proposals of the same objects are replaced.
@@ -71,7 +71,7 @@ def part_of(frame: StoredFrame, payloads: Sequence[Payload], author: str, effort
 
 
 def next_track_id(project: Project, recording_id: int) -> int:
-    """Returns the lowest track id above all of a recording's, from 1."""
+    """Returns 1 + the highest track id of a recording, at least 1."""
     known = [stored.label.track_id for stored in project.labels.select(recordings=[recording_id])]
     return max([0, *(number for number in known if number is not None)]) + 1
 

@@ -53,7 +53,7 @@ class Material:
         views: labelled pseudo-views.
         labels: reviewed 3D labels, by frame.
         kind: what the view detector's boxes will measure.
-        left_out: number of labelled views of the other kind, which contradict these.
+        left_out: number of labelled views of the other kind, which are not used.
         open: unreviewed proposals, by frame, which may or may not be objects.
     """
 
@@ -105,7 +105,7 @@ def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)
     if DetectorKind.IMAGE in roles and not images and material.unreviewed_images == len(reviewed):
         raise DetectionError(
             f"project {project.config.name} has no camera image to learn from: every frame with reviewed boxes also "
-            "has unreviewed proposals, which would be taught as background; review all proposals of a frame"
+            "has unreviewed proposals, which the detector would learn as background; review all proposals of a frame"
         )
     return material
 

@@ -91,7 +91,7 @@ def train(
 
     Raises:
         ConfigError: invalid settings.
-        DetectionError: nothing to learn from, or the training failed.
+        DetectionError: there are no labels to learn from, or the training failed.
     """
     rcv = plan.rcv or rcv_config(project, view_px=plan.view.image_size_px)
     material = gather(project, roles)
@@ -104,7 +104,7 @@ def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -
     """Checks the pretrained weights, unless a finished training with these settings exists, which does not need them.
 
     Whether that training used the present labels is known only once the dataset is written; if not, the training
-    itself refuses.
+    itself raises the error.
 
     Raises:
         ConfigError, DetectionError: as `check_start`.

@@ -67,7 +67,7 @@ def view_followers(
         page: the frame before the change.
         on_image: the new boxes on the image.
         redrawn: the image box of an object that is being stored: all its views except `kept` are removed.
-        kept: ids of views to leave alone.
+        kept: ids of views that are not changed.
     """
     events: list[Payload] = []
     for (_, image_box), steps in views_by_object(page.view_boxes).items():

@@ -1,4 +1,4 @@
-"""2D outlines of 3D labels on a camera image, and which of them have no drawn box."""
+"""2D outlines of 3D labels on a camera image, and the labels among them without a drawn box."""
 
 from __future__ import annotations
 

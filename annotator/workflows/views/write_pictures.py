@@ -100,7 +100,7 @@ def _write_image(path: Path, view: PseudoView) -> None:
     try:
         path.write_bytes(data.tobytes())
     except OSError as error:
-        raise FormatError(path, f"cannot be written ({error.strerror}); nothing was left behind") from error
+        raise FormatError(path, f"cannot be written ({error.strerror}); no files were kept") from error
 
 
 class _Frames:

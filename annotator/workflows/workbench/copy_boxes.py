@@ -16,7 +16,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     """Copies the reviewed boxes of a frame, with their track ids, as one action.
 
     A box is left out if the frame already has a reviewed box of the same track, or one of the same class that overlaps
-    it. Proposed and rejected boxes of the frame do not count.
+    it. Proposed and rejected boxes of the frame are ignored.
 
     Args:
         source_id: the frame to copy from; None = the previous one of the recording.
@@ -24,7 +24,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
         NotFoundError: no such frame.
-        ConfigError: there is no previous frame, it is the same frame, or there is nothing to copy.
+        ConfigError: there is no previous frame, it is the same frame, or it has no box to copy.
     """
     frame = project.frames.get(frame_id)
     if source_id is None:
@@ -38,7 +38,7 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     present = [label for label in project.labels.of_frame(frame_id) if label.state in REVIEWED]
     new = [label for label in boxes if not _is_present(label, present)]
     if not new:
-        why = "has no reviewed boxes" if not boxes else "has no boxes that this frame does not have already"
+        why = "has no reviewed boxes" if not boxes else "has only boxes that this frame has already"
         raise ConfigError(f"frame {source.key} {why}; nothing was copied")
     copies = [NewLabel(label.label, label.box, track_id=label.track_id, origin=Origin.COPIED) for label in new]
     return project.labels.create(frame_id, copies, context).receipt

@@ -51,7 +51,7 @@ class Step:
 
     Attributes:
         views: front and side.
-        suggested: the view detector's box on each; None where it found none, and on both once both boxes are drawn.
+        suggested: the view detector's box on each view; None if it found none, or once both boxes are drawn.
     """
 
     views: Views

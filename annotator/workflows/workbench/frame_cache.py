@@ -47,7 +47,7 @@ class FrameCache:
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
         self._executor = ThreadPoolExecutor(1, "read-ahead")
-        # by operator, the newest request only; it does not keep its frame in the cache
+        # by operator, the newest request only; a request does not keep its frame in the cache
         self._waiting: dict[str, _ReadAhead] = {}
         self._is_reading_ahead = False
         self._closed = threading.Event()
@@ -165,7 +165,7 @@ class FrameCache:
         project, opened = request.project, self._cached(request.key)
         if opened is None or opened.is_prepared:
             return
-        # set first: a frame with a broken neighbour is not prepared again and again
+        # set first, so that a frame with a broken neighbour is prepared only once
         opened.is_prepared = True
         try:
             _ = opened.jpeg, opened.index, opened.with_normals

@@ -78,14 +78,14 @@ class ReadyDetectors:
         self._loading: dict[tuple[Path, DetectorKind], tuple[str, Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
-        """Returns the active detector of a role, or None: no active model, loading failed, or not loaded yet.
+        """Returns the active detector of a role, or None if there is none, or it is not loaded.
 
         Args:
             wait_s: how long to wait while it loads, seconds; None = until it is loaded.
         """
-        return self.look(project, role, wait_s).detector
+        return self.readiness(project, role, wait_s).detector
 
-    def look(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> Readiness:
+    def readiness(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> Readiness:
         """As `get`, with the state and the reason of a failure.
 
         A failure does not raise, since labels can be drawn without a detector. It stays until another model is active.

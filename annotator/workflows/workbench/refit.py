@@ -37,7 +37,7 @@ RCV, POINTS = "rcv", "points"
 SEARCH_FACTOR = 1.3
 # The recursion starts as if this many steps had led to the given box.
 STEPS_BEFORE = 2
-UNSEEN = "the detector does not see the object in this box"
+NOT_DETECTED = "the detector found no object in this box"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +80,8 @@ def refit(
         return _from_points(opened, box, config, reason or "")
     state = _recurse(opened, box, label, config, detector)
     if state is None or state.box is None:
-        return _from_points(opened, box, config, UNSEEN)
-    return _result(opened, renamed(state.box, box), state.quality, RCV, None)
+        return _from_points(opened, box, config, NOT_DETECTED)
+    return _result(opened, with_axes_like(state.box, box), state.quality, RCV, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def find_box(
     (result,) = propose_from_boxes([opened.with_normals], [[drawn]], detector, strict)
     if not result.proposals:
         too_few = opened.frustum(image_box).sum() < config.min_points
-        return _not_found(f"fewer than {config.min_points} points lie in this box" if too_few else UNSEEN)
+        return _not_found(f"fewer than {config.min_points} points lie in this box" if too_few else NOT_DETECTED)
     best = max(result.proposals, key=_agreement)
     outline = visible_edges(opened.frame.camera, [best.box])[0]
     return FoundBox(best.box, outline, opened.points_in(best.box), best.score, best.quality, None)
@@ -143,10 +143,10 @@ def _why_no_detector(detector: Detector | None, label: str, problem: str | None)
     """Returns why no detector can be used for this class, or None."""
     if detector is None:
         return "there is no pseudo-view detector yet" if problem is None else f"no pseudo-view detector: {problem}"
-    return None if label in detector.labels else f"the pseudo-view detector has not learned {label}"
+    return None if label in detector.labels else f"the pseudo-view detector was not trained on {label}"
 
 
-def renamed(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
+def with_axes_like(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
     """Returns the same box with its axes permuted and flipped to be as near as possible to those of another box."""
     rows = match_axes(box.rotation.T, reference.rotation.T)
     permutation = np.abs(np.rint(rows @ box.rotation))
@@ -188,7 +188,7 @@ def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud
 def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
     xyz_m = opened.frame.cloud.xyz_m[opened.index.inside(box)]
     if len(xyz_m) < config.min_points:
-        note = f"{reason}, and the box stays as it was: it holds too few points ({len(xyz_m)})"
+        note = f"{reason}, and the box is unchanged: it contains too few points ({len(xyz_m)})"
         return _result(opened, box, None, POINTS, note)
     note = f"{reason}: the sides were moved to the {len(xyz_m)} points inside, the rotation is unchanged"
     return _result(opened, aligned_box(xyz_m, box.rotation), None, POINTS, note)

@@ -19,7 +19,7 @@ SAME_BOX = 1e-9
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
-    """Returns the edits of those labels whose drags now give another box. Labels corrected since are left alone.
+    """Returns the edits of those labels whose drags now give another box. Labels corrected since then are not changed.
 
     Args:
         page: the frame before the change.

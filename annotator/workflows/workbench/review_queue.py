@@ -74,9 +74,9 @@ def queue(
     proposals = project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen, classes=classes)
     items = [_item(frames[signals.frame_id], signals) for signals in proposals if signals.frame_id in frames]
     if order is Order.WORST:
-        items.sort(key=_least_doubt)
+        items.sort(key=_most_doubtful_first)
     elif order is Order.CLASS:
-        items.sort(key=lambda item: (item.label or "", _least_doubt(item)))
+        items.sort(key=lambda item: (item.label or "", _most_doubtful_first(item)))
     elif order is Order.TRACK:
         # a stable sort: the frames stay in order within a track
         items.sort(key=lambda item: (item.frame.recording_id, item.track_id is None, item.track_id or 0))
@@ -87,7 +87,7 @@ def _item(frame: StoredFrame, signals: LabelSignals) -> QueueItem:
     return QueueItem(frame, signals.uid, signals.label, doubt(signals.quality, signals.score), signals.track_id)
 
 
-def _least_doubt(item: QueueItem) -> float:
+def _most_doubtful_first(item: QueueItem) -> float:
     return -(item.doubt or 0.0)
 
 
@@ -105,8 +105,8 @@ def _to_teach(
     doubtful = sorted((frame_id for frame_id in worst if frame_id in frames), key=lambda frame_id: -worst[frame_id])
     proposed = [QueueItem(frames[frame_id], None, None, worst[frame_id]) for frame_id in doubtful]
     # doubtful proposals help training most, frames without proposals less, certain proposals least
-    sure = sum(worst[item.frame.id] < 0.5 for item in proposed)
-    return [*proposed[: len(proposed) - sure], *ordered, *proposed[len(proposed) - sure :]]
+    certain = sum(worst[item.frame.id] < 0.5 for item in proposed)
+    return [*proposed[: len(proposed) - certain], *ordered, *proposed[len(proposed) - certain :]]
 
 
 def _spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:

@@ -91,7 +91,7 @@ def save_object(
         labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
         view_boxes = _view_boxes(project, page, drawn, kind, labelling)
         label = _label_change(page, drawn, labelling, view_boxes)
-        uid = _linked(page, drawn) if label is None else label.uid
+        uid = _label_uid(page, drawn) if label is None else label.uid
         payloads += _new_views(page, view_boxes) + ([] if label is None else [label])
     redrawn = None if drawn is None else drawn.image_box
     payloads += view_followers(page, on_image, redrawn=redrawn, kept={entry.view for entry in view_boxes})
@@ -156,7 +156,7 @@ def _label_change(
     """
     is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
     measured = labelling.box if is_complete else None
-    name, uid = drawn.image_box.label, _linked(page, drawn)
+    name, uid = drawn.image_box.label, _label_uid(page, drawn)
     if uid is not None:
         present = _label(page, uid)
         box = present.label.box if measured is None or _are_drawn(page, view_boxes) else measured
@@ -181,7 +181,7 @@ def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:
     )
 
 
-def _linked(page: FramePage, drawn: ObjectDrawn) -> str | None:
+def _label_uid(page: FramePage, drawn: ObjectDrawn) -> str | None:
     if drawn.uid is not None:
         return _label(page, drawn.uid).label.uid
     return next((stored.label.uid for stored in page.labels if stored.image_box == drawn.image_box), None)

@@ -375,7 +375,7 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             for role, detector in detectors.items()
         }
         look = lambda project, role, wait_s=None: ready.get(role, Readiness("none"))  # noqa: E731
-        monkeypatch.setattr(bench.live.context.caches.detectors, "look", look)
+        monkeypatch.setattr(bench.live.context.caches.detectors, "readiness", look)
         info = bench.live.client.get(bench.api).json()
         models = {role: {"id": 1} if role in detectors else None for role in ("image", "view")}
         bench.page.route(f"**{bench.api}", lambda route: route.fulfill(json={**info, "detectors": models}))

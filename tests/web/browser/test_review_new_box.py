@@ -83,7 +83,7 @@ def test_a_new_box_is_drawn_on_the_image(
     page, known = desk.page, {stored.label.uid for stored in desk.project.labels.select()}
     ready = Readiness("ready", ReadyDetector(knowing("people", kind=BoxKind.BOX).view, BoxKind.BOX, Lock()))
     detectors = desk.live.context.caches.detectors
-    monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: ready)
+    monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: ready)
     index = desk.project.frames.get(desk.frame).index
     assert index is not None
     scene = Scene.of(generated / "people", index, ("person",))
@@ -113,7 +113,7 @@ def test_a_new_box_is_drawn_on_the_image(
     assert page.evaluate(ACCEPTED_TWICE) == [["create"], []]
 
     # without a detector, the box is continued in Label, unless the operator stays and opens Label later
-    monkeypatch.setattr(detectors, "look", lambda project, role, wait_s=None: Readiness("none"))
+    monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: Readiness("none"))
     desk.settled()
     frame = desk.frame
     refuse(page, "changes")

@@ -18,8 +18,8 @@ from annotator.workflows.evaluating.evaluate_files import Options, Protocol, eva
 from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.recorded.take_over import import_own_labels
 
 CAR = "{} 0.00 0 0.10 {} 120.00 {} 180.00 1.50 1.60 4.00 {} 1.60 20.00 0.20"
 
@@ -58,7 +58,7 @@ def test_exact_kitti_detections_have_full_precision(tmp_path: Path) -> None:
 def test_kitti_frames_must_match(tmp_path: Path) -> None:
     found, truth = kitti_folders(tmp_path)
     (found / "000001.txt").unlink()
-    with pytest.raises(ConfigError, match=r"000001\.txt, for one, is missing\. Write an empty file"):
+    with pytest.raises(ConfigError, match=r"000001\.txt is missing\. Write an empty file"):
         evaluate_files(found, truth, Protocol.KITTI)
     split = Options(frames=["000000", "000002"])
     assert content(evaluate_files(found, truth, Protocol.KITTI, split))["Car"]["3d"]["R40"][0] == pytest.approx(7.5)
@@ -107,7 +107,7 @@ def test_sunrgbd_files_are_evaluated_and_mismatches_are_errors(tmp_path: Path) -
     assert [row[0] for row in report.rows] == ["bed", "chair", "mean"]
     chosen = evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["1"]))
     assert content(chosen)["0.25"] == {"mAP": 0.5, "AP": {"bed": 1.0, "chair": 0.0}}
-    with pytest.raises(ConfigError, match=r"truth\.csv: has no true box"):
+    with pytest.raises(ConfigError, match=r"truth\.csv: has no true boxes"):
         evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["2"]))
     with pytest.raises(ConfigError, match=r"none of the names to evaluate \(first: 7\)"):
         evaluate_files(*csv_files(tmp_path), Protocol.SUNRGBD, Options(frames=["7"]))
@@ -121,7 +121,7 @@ def test_frame_names_come_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "val.txt").write_text("000001\r\n\n000004\n")
     assert read_frame_names(tmp_path / "val.txt") == ["000001", "000004"]
     (tmp_path / "none.txt").write_text("\n")
-    for name, problem in (("none.txt", "names no frame"), ("missing.txt", "cannot be read")):
+    for name, problem in (("none.txt", "contains no frame name"), ("missing.txt", "cannot be read")):
         with pytest.raises(FormatError, match=problem):
             read_frame_names(tmp_path / name)
 
@@ -224,7 +224,7 @@ def test_only_labels_from_the_recordings_themselves_give_a_note(
 
 
 def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project: Callable[..., Project]) -> None:
-    with pytest.raises(ConfigError, match="no true box in the 0 frames"):
+    with pytest.raises(ConfigError, match="no true boxes in the 0 frames"):
         evaluate_project(people, Protocol.ORIENTED)
     with pytest.raises(ConfigError, match="measure proposals"):
         evaluate_project(people, Protocol.ORIENTED, Choice(Measured.LABELS, Against.REVIEWED))
@@ -237,9 +237,9 @@ def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project:
     (folder / "truth" / "boxes.json").unlink(missing_ok=True)
     (folder / "boxes.json").unlink(missing_ok=True)
     bare = make_project(folder)
-    with pytest.raises(ConfigError, match="has true boxes; measure against reviewed labels"):
+    with pytest.raises(ConfigError, match="no true boxes beside any recording; measure against reviewed labels"):
         evaluate_project(bare, Protocol.ORIENTED)
-    with pytest.raises(ConfigError, match="people has no true boxes"):
+    with pytest.raises(ConfigError, match="no true boxes beside people"):
         evaluate_project(bare, Protocol.ORIENTED, Choice(recordings=(1,)))
 
 

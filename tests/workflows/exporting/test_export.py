@@ -218,7 +218,7 @@ def test_missing_frames_with_labels_fail_the_export(
     for name in ("color/000001.jpg", "depth/000001.png"):
         (folder / name).unlink()
     add_recordings(project, [folder])
-    with pytest.raises(FrameError, match="frame 000001 is no longer there; restore it"):
+    with pytest.raises(FrameError, match="frame 000001 no longer exists; restore it"):
         exported(project, tmp_path / "b")
     assert not (tmp_path / "b").exists()
 

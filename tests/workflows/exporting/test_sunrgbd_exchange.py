@@ -15,8 +15,8 @@ from annotator.recordings import open_recording
 from annotator.types import OrientedBox, Source
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.recorded.take_over import import_own_labels
 
 MakeProject = Callable[..., Project]
 ALL = ExportFilter(empty_frames=True)

@@ -14,9 +14,9 @@ from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
-from annotator.workflows.importing.boxes_3d import AUTHOR, create_where_none
+from annotator.workflows.importing.boxes_3d import AUTHOR, create_if_unlabelled
 from annotator.workflows.importing.label_set import LeftBehind
-from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
 
@@ -122,7 +122,7 @@ def test_finalised_frames_are_not_changed(people: Project) -> None:
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
     done = import_labels(people, given)
     assert (done.frames, done.already) == (1, 1) and people.labels.of_frame(first.id) == ()
-    assert not create_where_none(people, first.id, [NewLabel("person", BOX)], AUTHOR)
+    assert not create_if_unlabelled(people, first.id, [NewLabel("person", BOX)], AUTHOR)
     assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
 
 
@@ -141,7 +141,7 @@ def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
     both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)
     assert (done.frames, done.unmatched, done.renamed) == (1, (f"street/{second}",), None)
-    with pytest.raises(FormatError, match="none of its frames"):
+    with pytest.raises(FormatError, match="none of the dataset's frames"):
         import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
     done = import_labels(people, Given({f"other/{second}": [Truth("person", BOX)]}))
     assert (done.frames, done.renamed) == (1, Renamed("other", ("people",)))
@@ -150,8 +150,8 @@ def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
 @pytest.mark.parametrize(
     ("names", "problem"),
     [
-        (["x/1", "x/2"], r"none of its frames \(x/1, x/2\) is a frame of the project"),
-        (["people/000001", "000001"], "people/000001 and 000001 are both the frame 000001"),
+        (["x/1", "x/2"], r"the project has none of the dataset\'s frames \(x/1, x/2\)"),
+        (["people/000001", "000001"], "people/000001 and 000001 both match frame 000001"),
         ([], "it has none"),
     ],
 )

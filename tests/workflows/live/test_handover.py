@@ -21,14 +21,14 @@ def test_the_next_frame_is_requested_shortly_before_the_detection_ends(clock: li
     wanted = Demand()
     assert wanted._left_s() <= 0
     for _ in range(3):
-        wanted.given(read_s=0.01)
+        wanted.frame_read(read_s=0.01)
         assert wanted._left_s() == float("inf"), "a frame is already available"
-        wanted.begins()
+        wanted.detection_begins()
         clock[0] += 0.06
-        wanted.ends()
+        wanted.detection_ends()
         assert wanted._left_s() <= 0, "the detection is idle"
-    wanted.given(read_s=0.01)
-    wanted.begins()
+    wanted.frame_read(read_s=0.01)
+    wanted.detection_begins()
     assert wanted._left_s() == pytest.approx(0.06 - 0.01 - SPARE_S)
     clock[0] += 0.05
     assert wanted._left_s() < 0
@@ -36,15 +36,15 @@ def test_the_next_frame_is_requested_shortly_before_the_detection_ends(clock: li
 
 def test_before_the_first_detection_has_ended_frames_are_requested_at_once(clock: list[float]) -> None:
     wanted = Demand()
-    wanted.given(read_s=0.01)
-    wanted.begins()
+    wanted.frame_read(read_s=0.01)
+    wanted.detection_begins()
     assert wanted._left_s() <= 0
 
 
-@pytest.mark.parametrize("wake", ["begins", "close"])
+@pytest.mark.parametrize("wake", ["detection_begins", "close"])
 def test_a_waiting_thread_is_woken(wake: str) -> None:
     wanted = Demand()
-    wanted.given(read_s=0.01)
+    wanted.frame_read(read_s=0.01)
     waits = threading.Thread(target=wanted.wait)
     waits.start()
     waits.join(0.05)

@@ -296,7 +296,7 @@ def test_the_recording_of_a_killed_process_is_rescued(generated: Path, tmp_path:
     assert None not in times
     assert sorted(times) == times  # type: ignore[type-var]
     assert any(f"{len(rescued)} frames of an interrupted recording" in line for line in lines)
-    assert any("interrupted recording without frames; it is removed" in line for line in lines)
+    assert any("removed; it is from an interrupted recording without frames" in line for line in lines)
 
 
 def test_if_the_path_is_taken_at_the_end_the_error_names_the_recorded_frames(

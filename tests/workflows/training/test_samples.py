@@ -352,7 +352,7 @@ def test_unreadable_frames_are_skipped(make_project: Callable[..., Project], own
     assert {(sample.origin, sample.group) for sample in samples} == {(PROJECTED, "1/000002"), (TAUGHT, "1/000002")}
     assert [text.split()[0] for text in skipped] == ["000000", "000001"] * 2
     assert "depth/000000.png" in skipped[0]
-    assert "no longer there" in skipped[1]
+    assert "no longer exists" in skipped[1]
 
 
 def test_a_recording_that_was_moved_is_an_error(

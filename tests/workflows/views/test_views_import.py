@@ -311,7 +311,7 @@ def break_json(file: Path, pictures: Path) -> None:
         (declare_huge_last, "step1_side.png: is not a readable image: .* 100000 x 100000 pixels"),
         (jpeg_last, "step1_side.png: is not a PNG image"),
         (repeat_last, "are the same image"),
-        (rename_class, "the project has none of its classes: they are Hand"),
+        (rename_class, "none of the dataset's classes is in the project: the dataset has Hand"),
         (break_sidecar, r"views.json: is damaged"),
         (break_json, "drawn.json"),
     ],
@@ -400,11 +400,14 @@ def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
 @pytest.mark.parametrize(
     ("images", "problem"),
     [
-        ([image("000000.jpg", OTHER), image("000001.jpg", OTHER)], "the project has none of its classes: they are dog"),
-        ([image("x.jpg", BOX)], "none of its images has a frame in the project"),
+        (
+            [image("000000.jpg", OTHER), image("000001.jpg", OTHER)],
+            "none of the dataset's classes is in the project: the dataset has dog",
+        ),
+        ([image("x.jpg", BOX)], "none of the dataset's images has a frame in the project"),
         (
             [image("a/000000.jpg", BOX), image("b/000000.jpg")],
-            "a/000000.jpg and b/000000.jpg are both the frame 000000",
+            "a/000000.jpg and b/000000.jpg both match frame 000000",
         ),
         (
             [image("000000.jpg", BOX), image("000001.jpg", BOX, size=(640, 480))],

@@ -143,7 +143,7 @@ def test_an_unreadable_frame_is_an_error_each_time(project: Project, reads: list
     project.recordings.rescan(1, ["000000", "gone"])
     gone = project.frames.find(1, "gone").id
     for _ in range(2):
-        with pytest.raises(FrameError, match="frame gone is no longer there"):
+        with pytest.raises(FrameError, match="frame gone no longer exists"):
             cache.read(project, gone)
     with pytest.raises(NotFoundError):
         cache.read(project, 99)

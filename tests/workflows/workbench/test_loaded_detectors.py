@@ -111,17 +111,17 @@ def test_the_state_of_loading_and_its_problem_are_reported(people: Project, monk
 
     monkeypatch.setattr(detectors_ready, "load_detector", load)
     ready = ReadyDetectors()
-    assert ready.look(people, DetectorKind.VIEW).state == "none"
+    assert ready.readiness(people, DetectorKind.VIEW).state == "none"
     register(people, DetectorKind.VIEW, "bad")
-    assert ready.look(people, DetectorKind.VIEW, wait_s=0.0).state == "loading"
+    assert ready.readiness(people, DetectorKind.VIEW, wait_s=0.0).state == "loading"
     go.set()
-    failed = ready.look(people, DetectorKind.VIEW)
+    failed = ready.readiness(people, DetectorKind.VIEW)
     assert (failed.state, failed.detector, failed.problem) == ("failed", None, "no weights")
     register(people, DetectorKind.VIEW, "odd")
-    problem = ready.look(people, DetectorKind.VIEW).problem
+    problem = ready.readiness(people, DetectorKind.VIEW).problem
     assert problem is not None and "secret" not in problem and "log" in problem
     register(people, DetectorKind.VIEW, "good")
-    assert ready.look(people, DetectorKind.VIEW).state == "ready"
+    assert ready.readiness(people, DetectorKind.VIEW).state == "ready"
     ready.close()
 
 

@@ -20,7 +20,7 @@ from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Sour
 from annotator.types.errors import NotFoundError
 from annotator.workflows.checking.point_counts import PointCounts
 from annotator.workflows.checking.project_labels import Kind, check, check_project
-from annotator.workflows.recorded.take_over import import_own_labels
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.workbench.review_priority import doubt
 from annotator.workflows.workbench.review_queue import Order, _spread, queue
 

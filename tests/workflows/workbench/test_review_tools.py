@@ -23,7 +23,7 @@ from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.copy_boxes import copy_boxes
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.ortho_views import ortho_views
-from annotator.workflows.workbench.refit import POINTS, RCV, refit, renamed
+from annotator.workflows.workbench.refit import POINTS, RCV, refit, with_axes_like
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +116,10 @@ def test_an_unknown_class_or_missing_object_gives_a_note(
 ) -> None:
     detector = knowing("people").view
     found = refit(opened, truths[0].box, "horse", RcvConfig(), detector)
-    assert found.note is not None and "has not learned horse" in found.note
+    assert found.note is not None and "was not trained on horse" in found.note
     empty = OrientedBox.from_parts(np.array([0.0, 0.0, -5.0]), np.eye(3), np.ones(3))
     found = refit(opened, empty, "person", RcvConfig(), detector)
-    assert found.note is not None and "does not see the object" in found.note and "stays as it was" in found.note
+    assert found.note is not None and "found no object" in found.note and "the box is unchanged" in found.note
     assert found.box is empty
 
 
@@ -129,7 +129,7 @@ def test_permuting_axes_keeps_the_box() -> None:
         rotation = Rotation.random(rng=rng).as_matrix()
         box = OrientedBox.from_parts(rng.normal(size=3), rotation, rng.uniform(0.3, 2, 3))
         reference = OrientedBox.from_parts(np.zeros(3), Rotation.random(rng=rng).as_matrix(), np.ones(3))
-        new = renamed(box, reference)
+        new = with_axes_like(box, reference)
         assert iou_3d(new, box) == pytest.approx(1, abs=1e-6)
         assert np.trace(new.rotation.T @ reference.rotation) >= np.trace(box.rotation.T @ reference.rotation) - 1e-9
 
@@ -149,7 +149,7 @@ def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
     (copied,) = [s for s in people.labels.select() if s.frame_id == second.id and s.label.author == "ann"]
     assert copied.origin is Origin.COPIED
     assert copied.label.box.center_m[0] == 2.0
-    with pytest.raises(ConfigError, match="has no boxes that this frame does not have already"):
+    with pytest.raises(ConfigError, match="has only boxes that this frame has already"):
         copy_boxes(people, second.id, None, WriteContext(2, "ann"))
     with pytest.raises(ConfigError, match="is the first of its recording"):
         copy_boxes(people, first.id, None, WriteContext(4, "ann"))

@@ -12,7 +12,7 @@ from annotator.workflows.proposing.engines.local import cuda_devices, local_engi
 from annotator.workflows.proposing.engines.sources import DetectorSource
 from annotator.workflows.proposing.engines.storage import Storage
 
-# With fewer frames, this process is done before workers have loaded the detectors.
+# With fewer frames, this process finishes before workers would have loaded the detectors.
 MIN_FRAMES = 16
 
 
@@ -58,8 +58,8 @@ def make_engine(
         raise ConfigError("--address names a Ray cluster; add --engine ray, or omit it")
     gpus, cores = cuda_devices(), usable_cores()
     if name is EngineName.AUTO:
-        is_worth_it = workers != 1 and (workers is not None or cores > 1 or bool(gpus))
-        name = EngineName.LOCAL if is_worth_it and frames >= MIN_FRAMES else EngineName.INLINE
+        use_workers = workers != 1 and (workers is not None or cores > 1 or bool(gpus))
+        name = EngineName.LOCAL if use_workers and frames >= MIN_FRAMES else EngineName.INLINE
     elif name is EngineName.INLINE and workers not in (None, 1):
         raise ConfigError("--engine inline has no workers; omit --workers, or use --engine local")
     match name:

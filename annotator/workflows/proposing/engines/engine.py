@@ -11,7 +11,7 @@ from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
 class Engine(Protocol):
     """Takes tasks, and returns their answers in any order. Used by one thread.
 
-    Must be closed after use, also after an exception; unanswered tasks are lost then.
+    Must be closed after use, also after an exception; tasks without an answer are lost.
 
     Attributes:
         window: maximum number of tasks in flight; enough to keep all workers busy.

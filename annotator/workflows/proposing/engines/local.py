@@ -99,7 +99,7 @@ class LocalWorker:
 def exit_reason(code: int) -> str:
     """Describes the exit code of a process."""
     if code == -signal.SIGKILL:
-        return "killed, perhaps for lack of memory"
+        return "killed, possibly out of memory"
     return f"by signal {-code}" if code < 0 else f"with exit code {code}"
 
 

@@ -66,7 +66,7 @@ class Done:
 
 @dataclass(frozen=True, eq=False)
 class Refused:
-    """The worker cannot start, and another one could not either. The fields are those of `Fault`."""
+    """The worker cannot start, and a replacement would fail, too. The fields are those of `Fault`."""
 
     worker: int
     reason: str

@@ -1,7 +1,7 @@
 """A pool of workers: distributes tasks, replaces dead workers, and finds the frames that kill them.
 
 A worker holds two tasks: it processes one and reads the frames of the other. When a worker dies, both tasks become
-suspects. A suspect is given to an idle worker, which gets no other task until it has answered: if that worker dies, the
+suspects. A suspect is given to an idle worker, which gets no other task in the meantime: if that worker dies, the
 suspect is the cause. A task that kills a second worker is split into its frames, and a frame that kills another worker
 has failed.
 """
@@ -23,9 +23,9 @@ LOG = logging.getLogger("annotator.engines")
 
 # Tasks that a worker holds: one in process, one being read.
 TASKS_PER_WORKER = 2
-# A task that has killed so many workers is split; a single frame has failed.
+# A task that has killed this many workers is split into its frames; a single frame has failed.
 MAX_DEATHS = 2
-# After so many workers in a row that died before they were ready, the pool gives up.
+# The pool gives up after this many workers in a row have died before they were ready.
 MAX_FAILED_STARTS = 3
 # Interval of warnings while no worker is ready. Loading takes some seconds.
 WARNING_INTERVAL_S = 30.0
@@ -93,7 +93,7 @@ class WorkerPool:
 
     @property
     def window(self) -> int:
-        # one more per worker, so that all stay busy while the oldest task is waited for
+        # one more per worker, so that all stay busy while the oldest task is still running
         return self._workers * (TASKS_PER_WORKER + 1)
 
     def start(self) -> Identity:
@@ -220,7 +220,7 @@ class WorkerPool:
             if not slot.is_ready or slot.has_suspect:
                 continue
             if self._suspects:
-                # no new tasks until a worker is idle: else a suspect might never get one
+                # no new tasks until a worker is idle: otherwise a suspect might wait forever
                 if not slot.jobs:
                     self._give(slot, self._suspects.popleft())
                 continue

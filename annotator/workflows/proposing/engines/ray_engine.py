@@ -22,7 +22,7 @@ from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
 
 # Read by Ray when it is imported. The first one switches usage reports off.
 SWITCHES = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
-# Makes a cluster started here listen on 127.0.0.1 only, also on Linux, in spite of the name.
+# Makes a cluster started here listen on 127.0.0.1 only; in spite of its name, it applies to Linux, too.
 LOCAL_SWITCHES = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 # Object store of a cluster started here: weights and answers in transit.
 OBJECT_STORE_BYTES = 200 * 2**20
@@ -102,15 +102,15 @@ class RayWorker:
         if self._is_over:  # every pending call fails; the first has reported it
             return
         self._is_over = True
-        if isinstance(error, _losses()) and CREATION not in str(error):
-            self._report(Died(self._number, "lost: " + _last_words(str(error))))
+        if isinstance(error, _loss_errors()) and CREATION not in str(error):
+            self._report(Died(self._number, "lost: " + _cause_of_death(str(error))))
         else:
             # every actor would fail, e.g. for a missing package
             self._report(Refused(self._number, str(error), True))
 
 
-def _losses() -> tuple[type[Exception], ...]:
-    """Returns Ray's exceptions for a lost actor, machine or answer; they have no common base class of their own."""
+def _loss_errors() -> tuple[type[Exception], ...]:
+    """Returns Ray's exceptions for a lost actor, machine or answer; they have no common base class."""
     from ray import exceptions
 
     return (
@@ -122,8 +122,8 @@ def _losses() -> tuple[type[Exception], ...]:
     )
 
 
-def _last_words(reason: str) -> str:
-    """Returns the line of Ray's report with the cause."""
+def _cause_of_death(reason: str) -> str:
+    """Returns the line of Ray's report that states why the actor died."""
     lines = [line.strip() for line in reason.splitlines() if line.strip()]
     return next((line for line in lines if line.startswith("The actor is dead because")), lines[0] if lines else "?")
 
@@ -183,7 +183,7 @@ class RayEngine(WorkerPool):
 
 
 def max_workers(nodes: Sequence[Mapping[str, Any]], threads: int) -> int:
-    """Returns how many workers fit on a cluster. Ray would wait forever for one that fits on no machine.
+    """Returns how many workers fit on a cluster. Ray would wait forever for a worker that does not fit on any machine.
 
     Args:
         nodes: the machines, as returned by `ray.nodes()`.

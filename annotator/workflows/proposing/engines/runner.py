@@ -49,7 +49,7 @@ class TaskRunner:
     """
 
     def __init__(self, detectors: Detectors, storage: Storage) -> None:
-        # answers may go to another process, and must be the same there
+        # answers may be pickled for another process, which must not change them
         pickle_exactly()
         self.detectors, self._storage = detectors, storage
         self._opened: OrderedDict[RecordingSpec, OpenedRecording] = OrderedDict()
@@ -101,7 +101,7 @@ class TaskRunner:
         except Exception as error:
             if len(read) == 1:
                 answers[read[0].index] = failure(error, read[0].seconds + time.perf_counter() - begin)
-            else:  # one by one, so that only the frame at fault fails
+            else:  # one by one, so that only the faulty frame fails
                 for one in read:
                     self._propose([one], config, answers)
             return

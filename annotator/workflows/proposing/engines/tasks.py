@@ -53,8 +53,8 @@ class FrameSpec:
 class Task:
     """A few frames that go through the recursion together.
 
-    Every engine gets the same groups, since a detector's results may differ in their last bits with the other images of
-    a batch.
+    Every engine gets the same groups, since the other images of a batch may change a detector's results in their last
+    bits.
 
     Attributes:
         number: of the task in its engine.

@@ -1,6 +1,6 @@
 """The worker process of the local engine; `local.py` starts it.
 
-Standard input: a pickled `Start`, then tasks. The worker ends when its input is closed, so also when the driver dies.
+Standard input: a pickled `Start`, then tasks. The worker ends when its input is closed, or when the driver dies.
 Standard output: a pickled `Identity`, then answers; or a `Fault` and nothing else. Output of libraries is redirected to
 standard error.
 """
@@ -28,7 +28,7 @@ class _Output:
 
     def __init__(self) -> None:
         self._stream: BinaryIO = os.fdopen(os.dup(1), "wb")
-        # libraries that print to standard output now print to standard error
+        # redirects what libraries print to standard error
         os.dup2(2, 1)
         self._lock = threading.Lock()
 

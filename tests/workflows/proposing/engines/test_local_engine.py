@@ -101,7 +101,7 @@ def test_a_frame_that_kills_every_worker_is_stored_as_failed(
         done = annotate_with(project, engine, CONFIG)
     ((key, reason),) = done.failed
     assert (done.done, key) == (4, "000004")
-    assert "killed, perhaps for lack of memory" in reason
+    assert "killed, possibly out of memory" in reason
     (failure,) = project.jobs.results(status=Status.FAILED)
     assert failure.reason == reason
     assert stored(project)[:4] == expected[:4]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from annotator.project import NewLabel, Project
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import create_where_none
+from annotator.workflows.importing.boxes_3d import create_if_unlabelled
 from annotator.workflows.recorded.reading import has_truth, load_truth, one_file_a_frame
 
 # Boxes imported from other datasets have the author "import".
@@ -23,7 +23,7 @@ class OwnLabels:
     Attributes:
         labels: imported labels, by class.
         other_classes: labels left out because the project does not have their class, by class.
-        unreadable: frames that could not be read, or whose labels could not, as `key: reason`.
+        unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
     """
 
     labels: Counter[str] = field(default_factory=Counter)
@@ -31,7 +31,7 @@ class OwnLabels:
     unreadable: list[str] = field(default_factory=list)
 
 
-def brings_labels(project: Project, recording_id: int) -> bool:
+def has_own_labels(project: Project, recording_id: int) -> bool:
     """Returns True if there are true boxes beside the recording.
 
     Raises:
@@ -47,7 +47,7 @@ def import_own_labels(
     """Imports the true boxes beside a recording, for every frame without labels.
 
     Unreadable frames, and frames whose own label file is broken, are left out and reported. Frames that are labelled or
-    finalised during the import are left alone.
+    finalised during the import are not changed.
 
     Args:
         progress: called with (frames done, frames).
@@ -72,7 +72,7 @@ def import_own_labels(
                 truths = []
             counts.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
-            if new and create_where_none(project, stored.id, new, AUTHOR):
+            if new and create_if_unlabelled(project, stored.id, new, AUTHOR):
                 counts.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))
