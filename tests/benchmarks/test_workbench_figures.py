@@ -10,7 +10,7 @@ import pytest
 from annotator.types.errors import ConfigError
 from benchmarks import workbench
 from benchmarks.workbench_browser import frames_of
-from benchmarks.workbench_edits import clients, kill
+from benchmarks.workbench_edits import clients
 from benchmarks.workbench_server import LABEL, make_project, percentile, serving
 
 
@@ -31,14 +31,6 @@ def test_an_unknown_part_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["workbench", "--only", "kill,colour"])
     with pytest.raises(ConfigError, match="colour"):
         workbench.main()
-
-
-def test_acknowledged_edits_survive_kill_9(generated: Path, tmp_path: Path) -> None:
-    make_project(tmp_path, "people", (LABEL,), [generated / "people"])
-    result = kill(tmp_path, "people", frames_of(tmp_path, "people")[0], 1)
-    assert result["kills"] == 1
-    assert result["edits_acknowledged"] > 0
-    assert result["kills_that_lost_an_edit"] == 0
 
 
 def test_no_edit_of_several_clients_on_one_frame_is_lost(generated: Path, tmp_path: Path) -> None:

@@ -212,10 +212,10 @@ def png_header(width: int, height: int) -> bytes:
 
 
 def bomb() -> bytes:
-    """An archive of about 300 kB that unpacks to 300 MiB."""
+    """An archive of a few kilobytes that unpacks to 20 MiB, more than a label file may have."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a.txt", b"\0" * (300 << 20))
+        archive.writestr("a.txt", b"\0" * (20 << 20))
     return buffer.getvalue()
 
 

@@ -126,7 +126,7 @@ def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
 
 
 @given(st.data())
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_damaged_files_give_a_frame_or_an_error_that_names_the_file(
     recordings: list[tuple[Path, list[Path]]], data: st.DataObject
 ):

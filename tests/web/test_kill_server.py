@@ -20,7 +20,7 @@ from live_server import PATIENCE_S, wait_until
 from annotator.project import open_project
 from annotator.web.settings import ServerSettings
 
-ROUNDS = 3
+ROUNDS = 2
 # The minimum number of edits before each kill.
 EDITS_BEFORE_KILL = 5
 BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}

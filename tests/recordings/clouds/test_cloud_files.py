@@ -292,7 +292,7 @@ WHOLE = {
 
 
 @given(st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
     suffix = data.draw(st.sampled_from(sorted(WHOLE)))
     whole = WHOLE[suffix]
