@@ -1,6 +1,6 @@
 /**
- * The effect of a drag, from pointer down to pointer up (`Gesture`). Positions come from each event, so that a box ends
- * where the pointer was released, with sub-pixel precision.
+ * The effect of a drag, from pointer down to pointer up (`Gesture`). Positions come from each event, so that a
+ * box ends where the pointer was released, with sub-pixel precision.
  */
 
 import {

@@ -1,7 +1,8 @@
 /**
  * Saves one change after the other, each based on the revision that resulted from the previous one. A change's body is
- * made when it is sent, from the frame's state at that time, so that it can be applied to the others' version. A change
- * is sent after its `after`: the views that follow from a drag are loaded first, so the server has them in its cache.
+ * made when it is sent, from the frame's state at that time, so that it can be applied to the others' version. A
+ * change is sent after its `after`: the views that follow from a drag are loaded first, so the server has them in its
+ * cache.
  */
 
 import { isStale } from "../errors.js";

@@ -4,7 +4,8 @@
  *
  * A box that is being dragged is a draft: `preview` shows it everywhere without a request, `commit` saves it as one
  * edit. A draft that could not be saved is kept until it is saved or reverted, even if another box is selected. A new
- * box exists only on this page until it is accepted; its effort is counted then. Listeners are called with a `DeskEvent`.
+ * box exists only on this page until it is accepted; its effort is counted then. Listeners are called with a
+ * `DeskEvent`.
  */
 
 import { copyBox, sameBox } from "../box3d.js";
