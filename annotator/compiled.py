@@ -35,7 +35,7 @@ def compiled(function: Function) -> Function:
     return cast(Function, code)
 
 
-def kept_code(function: Callable[..., object]) -> tuple[Path | None, bool]:
+def cached_code(function: Callable[..., object]) -> tuple[Path | None, bool]:
     """The cache folder of a `compiled` function (None without one), and whether it contains the machine code.
 
     Code from another numba version or an older source is ignored.

@@ -2,7 +2,7 @@
 
     python -m benchmarks.ratios [--json]
 
-Each part of the hot path is timed relative to a yardstick on the same machine at the same time: sorting numbers, or the
+Each part of the hot path is timed relative to a reference on the same machine at the same time: sorting numbers, or the
 same work without its optimisation. Both are timed in turns. The best of several rounds counts, because other
 programs can only increase a ratio. The exit code is 1 if a ratio is above its bound, which is about 1.5 times the
 measured value (docs/benchmarks.md). Ratios depend on the processor (another one may sort ten times as fast, but render
@@ -43,7 +43,7 @@ SORTED = 50_000
 
 @dataclass
 class Arguments:
-    """Compare the parts of the hot path with yardsticks."""
+    """Compare the parts of the hot path with references."""
 
     rounds: int = 5
     """Maximum number of rounds for each ratio; the first round within the bound is enough."""
@@ -53,18 +53,18 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Ratio:
-    """A piece of work, a yardstick, and the bound of the ratio of their times.
+    """A piece of work, a reference, and the bound of the ratio of their times.
 
     Attributes:
-        name: name of the work and of the yardstick.
-        work, yardstick: functions that do the work once.
+        name: name of the work and of the reference.
+        work, reference: functions that do the work once.
         most: upper bound of the ratio.
         repeats: runs of each per round, in turns; their medians are compared.
     """
 
     name: str
     work: Callable[[], object]
-    yardstick: Callable[[], object]
+    reference: Callable[[], object]
     most: float
     repeats: int = 7
 
@@ -93,10 +93,10 @@ def measured(ratio: Ratio, rounds: int) -> Outcome:
 
 
 def _round(ratio: Ratio) -> float:
-    ratio.work(), ratio.yardstick()
-    seconds = np.array([[_timed(ratio.work), _timed(ratio.yardstick)] for _ in range(ratio.repeats)])
-    work, yardstick = np.median(seconds, axis=0)
-    return float(work / yardstick)
+    ratio.work(), ratio.reference()
+    seconds = np.array([[_timed(ratio.work), _timed(ratio.reference)] for _ in range(ratio.repeats)])
+    work, reference = np.median(seconds, axis=0)
+    return float(work / reference)
 
 
 def _timed(work: Callable[[], object]) -> float:
@@ -173,7 +173,7 @@ def run(args: Arguments) -> dict[str, object]:
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     result = run(args)
-    table = Table("work / yardstick", "ratio", "at most", "worse")
+    table = Table("work / reference", "ratio", "at most", "worse")
     for row in result["ratios"]:  # type: ignore[attr-defined]
         table.add(*row.values())
     finish(result, args.json, table)

@@ -145,7 +145,7 @@ def test_a_moved_environment_is_created_again(clone: Path) -> None:
     assert setup(clone).returncode == 0
     moved = clone.rename(clone.with_name("elsewhere"))
     result = setup(moved, PYTHON="/bin/false")  # so that setup ends before it creates the new one
-    assert "does not work here any more" in result.stderr
+    assert ".venv no longer works" in result.stderr
     assert result.returncode == 1
     assert not (moved / ".venv").exists()
 

@@ -14,7 +14,7 @@ from annotator.types.errors import ArgumentError
 from annotator.workflows.evaluating.evaluate_files import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
 from annotator.workflows.evaluating.evaluate_files import evaluate_files as evaluate_protocol
 from annotator.workflows.importing import table
-from annotator.workflows.importing.label_set import LabelSet, LeftBehind
+from annotator.workflows.importing.label_set import LabelSet, LeftOut
 
 BOXES = "boxes"
 FORMATS = (BOXES, *table.BoxFormat)
@@ -38,9 +38,9 @@ class BoxesLabels:
         """The objects of one of these frames, in the camera frame."""
         return list(self.boxes[name])
 
-    def left_behind(self, name: str) -> LeftBehind:
+    def left_out_of(self, name: str) -> LeftOut:
         """Counts of zero, since `truths` leaves nothing out."""
-        return LeftBehind()
+        return LeftOut()
 
 
 def read_labels(path: str | Path, format: str = BOXES) -> LabelSet:

@@ -47,7 +47,7 @@ def run(
     options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
     settings = ServerSettings(projects_root(projects).resolve(), (), host, port, token)
     with open_named(project, projects) as opened:
-        result = run_live(opened, options, settings, tell=_to_stderr)
+        result = run_live(opened, options, settings, report=_to_stderr)
     print_line(summary_line(result.figures))
     if record is not None:
         stored = result.stored

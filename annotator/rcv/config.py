@@ -209,7 +209,7 @@ class RcvConfig(BaseModel):
     stranger_weight: float = Field(
         0.1,
         ge=0,
-        description="weight of a detection that does not overlap the last box; its IoU with that box is added",
+        description="weight of a detection: this, plus its IoU with the last box",
     )
     border_px: float = Field(
         1.0, ge=0, description="an edge within this distance of the view's border counts as cut off, pixels"

@@ -31,8 +31,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[float], Callabl
 
 def test_a_ratio_compares_medians(clock: Callable[..., Callable[[], None]]) -> None:
     # the first run of each does not count, and the median ignores one slow run
-    work, yardstick = clock(99.0, 3.0, 3.0, 30.0, 3.0), clock(99.0, 2.0)
-    assert measured(Ratio("a / b", work, yardstick, most=2.0, repeats=3), 1) == Outcome("a / b", 1.5, 2.0)
+    work, reference = clock(99.0, 3.0, 3.0, 30.0, 3.0), clock(99.0, 2.0)
+    assert measured(Ratio("a / b", work, reference, most=2.0, repeats=3), 1) == Outcome("a / b", 1.5, 2.0)
 
 
 def test_the_best_round_counts_and_a_good_round_ends_the_measurement(

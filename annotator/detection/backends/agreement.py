@@ -1,11 +1,11 @@
 """Compares the output of a backend with torch in single precision on the CPU.
 
 The allowed difference depends on the network and the CPU, so it is measured: torch runs the network in a second
-precision (the yardstick). The bound is the yardstick's distance from torch's single precision, times `TOLERANCE`.
+precision (the reference). The bound is the reference's distance from torch's single precision, times `TOLERANCE`.
 
-- Single precision: the yardstick is double precision. The distance is the rounding error of single precision. The same
+- Single precision: the reference is double precision. The distance is the rounding error of single precision. The same
   sums in another order have an error of that size.
-- bfloat16 and float16: the yardstick is the whole network in that precision, on the CPU. Backends compute a part
+- bfloat16 and float16: the reference is the whole network in that precision, on the CPU. Backends compute a part
   of it in single precision, so their error should be smaller.
 
 A wrong graph, a wrong kernel or lost weights cause much larger errors: boxes differ by pixels, which in single
@@ -30,7 +30,7 @@ from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types.errors import DetectionError
 
-# Allowed error as a multiple of the yardstick's error. Winograd convolutions, which some backends use, lose up to three
+# Allowed error as a multiple of the reference's error. Winograd convolutions, which some backends use, lose up to three
 # binary digits.
 TOLERANCE = {"float64": 8.0, "bfloat16": 2.0, "float16": 2.0}
 
@@ -46,14 +46,14 @@ class Agreement:
     Attributes:
         boxes_px, boxes_bound_px: difference of the box coordinates and its upper bound, pixels.
         scores, scores_bound: difference of the scores (0 to 1) and its upper bound.
-        yardstick: precision that the bounds were measured with.
+        reference: precision that the bounds were measured with.
     """
 
     boxes_px: float
     boxes_bound_px: float
     scores: float
     scores_bound: float
-    yardstick: str
+    reference: str
 
     @property
     def holds(self) -> bool:
@@ -88,15 +88,15 @@ class Agreements:
             DetectionError: the backend fails, or its output has another shape.
         """
         network = open_network(self._weights)
-        yardstick = "float64"
+        reference = "float64"
         if network.backend == "openvino-bf16":
-            yardstick = "bfloat16"
+            reference = "bfloat16"
         elif network.device.startswith("cuda"):
-            yardstick = "float16"
+            reference = "float16"
         boxes, scores = self._distance(self._answer(network))
-        yardstick_boxes, yardstick_scores = self._yardstick(yardstick)
-        factor = TOLERANCE[yardstick]
-        return Agreement(boxes, factor * yardstick_boxes, scores, factor * yardstick_scores, yardstick)
+        reference_boxes, reference_scores = self._reference(reference)
+        factor = TOLERANCE[reference]
+        return Agreement(boxes, factor * reference_boxes, scores, factor * reference_scores, reference)
 
     def _answer(self, network: Network) -> Answer:
         return network.predict([self._images])[0]
@@ -107,7 +107,7 @@ class Agreements:
         squares = (answer.astype(np.float64) - self._expected) ** 2
         return float(np.sqrt(squares[:, :4].mean())), float(np.sqrt(squares[:, 4:].mean()))
 
-    def _yardstick(self, precision: str) -> tuple[float, float]:
+    def _reference(self, precision: str) -> tuple[float, float]:
         if precision not in self._distances:
             torch = api().torch
             module, _ = raw_network(self._weights, torch.device("cpu"))

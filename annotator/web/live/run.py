@@ -67,12 +67,12 @@ def run_live(
     options: LiveOptions,
     settings: ServerSettings,
     *,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> LiveResult:
     """Detects and shows frames until the source ends, or until interrupted. The recording is kept even after an error.
 
     Args:
-        tell: called with each log line while the session runs.
+        report: called with each log line while the session runs.
 
     Raises:
         AnnotatorError: the source, the detectors, the recording or the address cannot be used, or fail later.
@@ -85,7 +85,7 @@ def run_live(
     source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
     try:
         with Interrupts() as interrupts:
-            return _run(project, options, settings, source, tell, interrupts)
+            return _run(project, options, settings, source, report, interrupts)
     finally:
         source.close()
 
@@ -95,7 +95,7 @@ def _run(
     options: LiveOptions,
     settings: ServerSettings,
     source: Source,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     interrupts: Interrupts,
 ) -> LiveResult:
     detectors = active_detectors(project, backend=options.backend)
@@ -103,14 +103,14 @@ def _run(
     detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=options.warm_start)
     backend = detectors.backends[1] or options.backend
     if options.record is None:
-        return LiveResult(_show(options, settings, source, detection, None, backend, tell, interrupts), None)
-    with Recorder(options.record, tell) as recorder:
+        return LiveResult(_show(options, settings, source, detection, None, backend, report, interrupts), None)
+    with Recorder(options.record, report) as recorder:
         stored = None
         try:
-            figures = _show(options, settings, source, detection, recorder, backend, tell, interrupts)
+            figures = _show(options, settings, source, detection, recorder, backend, report, interrupts)
         finally:
             if frames := recorder.finish():
-                tell(f"storing the detections of the {frames} frames in {recorder.out}")
+                report(f"storing the detections of the {frames} frames in {recorder.out}")
                 warm_start = options.warm_start
                 stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
         recorder.require_complete()
@@ -124,14 +124,14 @@ def _show(
     detection: LiveDetection,
     recorder: Recorder | None,
     backend: str,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     interrupts: Interrupts,
 ) -> Figures:
     facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
     if recorder is not None:
         facts["recording"] = recorder.out.name
     page = LivePage(source.name, facts)
-    log = _LimitedLog(tell)
+    log = _LimitedLog(report)
     try:
         pipeline = Pipeline(source, detection, page.show, record=recorder, max_frames=options.frames, report=log)
         serve_live(settings, page, pipeline, interrupts)
@@ -143,8 +143,8 @@ def _show(
 class _LimitedLog:
     """Logs the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell, self._left = tell, MOST_LOGGED
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._tell, self._left = report, MOST_LOGGED
 
     def __call__(self, line: str) -> None:
         if self._left:

@@ -155,7 +155,7 @@ def onnxruntime(_: Path) -> Iterator[Line]:
 
 def numba(_: Path) -> Iterator[Line]:
     """Checks whether numba can be loaded, and counts the kernels whose machine code is in its cache."""
-    from annotator.compiled import is_compiled, kept_code
+    from annotator.compiled import cached_code, is_compiled
 
     try:
         modules = [
@@ -173,7 +173,7 @@ def numba(_: Path) -> Iterator[Line]:
         for name, value in vars(module).items()
         if is_compiled(value) and value.__module__ == module.__name__
     }
-    kept = [kept_code(function) for function in functions.values()]
+    kept = [cached_code(function) for function in functions.values()]
     folders = sorted({str(folder) for folder, _ in kept if folder is not None})
     done, number = sum(is_kept for _, is_kept in kept), len(kept)
     compiled = f"{done} of {number} kernels are compiled, each on its first use"

@@ -81,8 +81,8 @@ def backends(_: Path) -> Iterator[Line]:
                 result = (
                     f"differs from torch in single precision by {agreement.boxes_px:.2g} px (boxes) and "
                     f"{agreement.scores:.2g} (scores); allowed: {agreement.boxes_bound_px:.2g} px and "
-                    f"{agreement.scores_bound:.2g}, {TOLERANCE[agreement.yardstick]:.0f} x the difference of torch in "
-                    f"{agreement.yardstick}"
+                    f"{agreement.scores_bound:.2g}, {TOLERANCE[agreement.reference]:.0f} x the difference of torch in "
+                    f"{agreement.reference}"
                 )
                 state = State.OK if agreement.holds else State.FAILED
                 remedy = "" if agreement.holds else f"use another --backend, and {REPORT_IT}"

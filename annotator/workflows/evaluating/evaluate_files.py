@@ -197,7 +197,7 @@ def _rcv_boxes(path: Path) -> dict[str, list[ScoredBox]]:
     for index in range(len(dataset)):
         name, labels = dataset.named_labels(index)
         if name in boxes:
-            raise FormatError(path, f"has the frame {name} twice")
+            raise FormatError(path, f"frame {name} occurs twice; remove one")
         accepted = (label for label in labels if label.state is not ReviewState.REJECTED)
         boxes[name] = [(x.label, x.box, DEFAULT_SCORE if x.score is None else x.score) for x in accepted]
     return boxes

@@ -94,9 +94,9 @@ def import_labels(
                 if create_if_unlabelled(project, stored.id, new, AUTHOR):
                     done.frames += 1
                     done.labels.update(label.label for label in new)
-                    left_behind = dataset.left_behind(name)
-                    done.not_reviewed += left_behind.not_reviewed
-                    done.scores += left_behind.scores
+                    left_out = dataset.left_out_of(name)
+                    done.not_reviewed += left_out.not_reviewed
+                    done.scores += left_out.scores
                 else:
                     done.already += 1
         if progress is not None:

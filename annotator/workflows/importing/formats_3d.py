@@ -23,7 +23,7 @@ from annotator.formats.sunrgbd.upright_depth import upright_frame
 from annotator.project import REVIEWED
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
 from annotator.types import Frame, Label, Truth
-from annotator.workflows.importing.label_set import LeftBehind, are_confidences
+from annotator.workflows.importing.label_set import LeftOut, are_confidences
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class RcvLabels:
         reviewed = (label for label in self.labels[name] if label.state in REVIEWED)
         return [Truth(label.label, label.box, label.track_id, label.score) for label in reviewed]
 
-    def left_behind(self, name: str) -> LeftBehind:
-        return LeftBehind(not_reviewed=sum(label.state not in REVIEWED for label in self.labels[name]))
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut(not_reviewed=sum(label.state not in REVIEWED for label in self.labels[name]))
 
 
 def rcv_labels(path: Path) -> RcvLabels:
@@ -79,8 +79,8 @@ class KittiLabels:
         truths = self.objects[name]
         return list(truths) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
-    def left_behind(self, name: str) -> LeftBehind:
-        return LeftBehind(scores=self.lost_scores.get(name, 0))
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut(scores=self.lost_scores.get(name, 0))
 
 
 def kitti_labels(path: Path) -> KittiLabels:
@@ -123,8 +123,8 @@ class SunLabels:
         T = self.poses[name] if name in self.poses else upright_frame(frame)
         return [replace(truth, box=truth.box.transformed(T)) for truth in self.objects[name]]
 
-    def left_behind(self, name: str) -> LeftBehind:
-        return LeftBehind()
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut()
 
 
 def sunrgbd_labels(path: Path) -> SunLabels:
@@ -173,11 +173,11 @@ class OpenLabelLabels:
             if _is_imported(each)
         ]
 
-    def left_behind(self, name: str) -> LeftBehind:
+    def left_out_of(self, name: str) -> LeftOut:
         boxes = self.by_frame[name].boxes
         imported = [each for each in boxes if _is_imported(each)]
         lost = 0 if self.scored else sum(each.score is not None for each in imported)
-        return LeftBehind(len(boxes) - len(imported), lost)
+        return LeftOut(len(boxes) - len(imported), lost)
 
 
 def _is_imported(box: OpenLabelBox) -> bool:
@@ -209,8 +209,8 @@ class LabelCloudLabels:
         T = frame.T_camera_label if each.T_camera_cloud is None else each.T_camera_cloud
         return [Truth(label, box if T is None else box.transformed(T)) for label, box in each.boxes]
 
-    def left_behind(self, name: str) -> LeftBehind:
-        return LeftBehind()
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut()
 
 
 def labelcloud_labels(path: Path) -> LabelCloudLabels:
@@ -235,8 +235,8 @@ class NuScenesLabels:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return [Truth(each.label, each.box, each.track_id) for each in self.by_frame[name]]
 
-    def left_behind(self, name: str) -> LeftBehind:
-        return LeftBehind()
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut()
 
 
 def nuscenes_labels(path: Path) -> NuScenesLabels:

@@ -11,7 +11,7 @@ from annotator.types import Frame, Truth
 
 
 @dataclass(frozen=True)
-class LeftBehind:
+class LeftOut:
     """What `LabelSet.truths` leaves out of a frame.
 
     Attributes:
@@ -46,7 +46,7 @@ class LabelSet(Protocol):
             FormatError: the frame lacks what the format needs.
         """
 
-    def left_behind(self, name: str) -> LeftBehind:
+    def left_out_of(self, name: str) -> LeftOut:
         """Returns what is left out of one of these frames, for the report."""
 
 

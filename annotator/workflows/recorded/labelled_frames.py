@@ -87,7 +87,7 @@ def labels_from(project: Project, dataset: LabelSet, recording: str | None = Non
         return truths_of(dataset, present[stored.id][0], frame)
 
     def not_reviewed(stored: StoredFrame) -> int:
-        return dataset.left_behind(present[stored.id][0]).not_reviewed
+        return dataset.left_out_of(present[stored.id][0]).not_reviewed
 
     frames = tuple(stored for _, stored in present.values())
     return KnownLabels(frames, truths, known.unmatched, known.renamed, not_reviewed=not_reviewed)

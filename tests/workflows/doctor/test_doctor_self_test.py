@@ -89,7 +89,7 @@ def test_correct_output_agrees_and_wrong_output_does_not(agreements: Agreements)
 def test_half_precision_has_a_larger_but_limited_tolerance(agreements: Agreements, name: str, precision: str) -> None:
     device = "cuda:0" if precision == "float16" else "cpu"
     small = agreements.of(lambda path: Wrong(path, moved(0.5), name, device))
-    assert small.holds and small.yardstick == precision
+    assert small.holds and small.reference == precision
     assert not agreements.of(lambda path: Wrong(path, moved(100.0), name, device)).holds
 
 

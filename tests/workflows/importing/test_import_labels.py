@@ -15,7 +15,7 @@ from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
 from annotator.workflows.importing.boxes_3d import AUTHOR, create_if_unlabelled
-from annotator.workflows.importing.label_set import LeftBehind
+from annotator.workflows.importing.label_set import LeftOut
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
@@ -35,8 +35,8 @@ class Given:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return self.boxes[name]
 
-    def left_behind(self, name: str) -> LeftBehind:
-        return LeftBehind()
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut()
 
 
 @pytest.fixture

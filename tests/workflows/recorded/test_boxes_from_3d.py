@@ -17,7 +17,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, Source, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.importing import BoxFormat, read_labels
-from annotator.workflows.importing.label_set import LeftBehind
+from annotator.workflows.importing.label_set import LeftOut
 from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d
 from annotator.workflows.recorded.frame_subset import share_of
 from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
@@ -173,9 +173,9 @@ class Elsewhere:
         assert name == self.frames[0]
         return list(self.beside.truths(self.beside.frames[3], frame))
 
-    def left_behind(self, name: str) -> LeftBehind:
+    def left_out_of(self, name: str) -> LeftOut:
         assert name == self.frames[0]
-        return LeftBehind(not_reviewed=2)
+        return LeftOut(not_reviewed=2)
 
 
 def test_frames_without_labels_are_not_used(people: Project) -> None:
