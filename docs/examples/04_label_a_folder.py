@@ -29,7 +29,7 @@ def label(folder: Path, detector: annotator.Detector, project_folder: Path) -> N
 
 
 with TemporaryDirectory() as temporary:
-    # For your own recording: python 04_label_a_folder.py FOLDER, and replace perfect_detector by your detector.
+    # For your own recording: python 04_label_a_folder.py FOLDER, and replace perfect_detector with your detector.
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(temporary) / "room"
     if not folder.exists():
         annotator.generate_recording(folder, "hands", frames=3, width_px=320, height_px=240)

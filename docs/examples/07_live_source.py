@@ -1,4 +1,4 @@
-"""Boxes on your own live source, which is a generator of frames. Writes 07_live.png."""
+"""3D boxes for the frames of your own live source, a generator. Writes 07_live.png."""
 
 import time
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ def camera(rate_hz: float = 10.0) -> Iterator[annotator.Frame]:
         if newest > last:
             last = newest
             sample = pictures[newest % len(pictures)]
-            # replace these by the arrays of your camera's driver
+            # replace these with the arrays of your camera's driver
             key, depth = sample.key, sample.depth_m
             assert depth is not None
             yield annotator.frame_from_rgbd(sample.rgb, depth, sample.camera, key=key, index=newest)
