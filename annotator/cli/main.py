@@ -193,7 +193,7 @@ def with_help(function: Callable[..., int | None]) -> Callable[..., int | None]:
 
 
 def style() -> tuple[Any, ...]:
-    """How tyro builds the command lines: flags without a `--no-` form, choices by enum value, no word for None."""
+    """How tyro builds the command lines: flags without a `--no-` form, choices by enum value, no `None` as a value."""
     from tyro import conf
 
     return (conf.FlagCreatePairsOff, conf.EnumChoicesFromValues, conf.DisallowNone, conf.PositionalMetavarFromFieldName)

@@ -124,7 +124,7 @@ export function viewRect(view, box) {
 }
 
 /**
- * The 12 edges of a box on a view: pairs of px.
+ * The 12 edges of a box on a view: pairs of points, px.
  *
  * @param {Plane} view
  * @param {Box3D} box

@@ -9,7 +9,7 @@ const NEAR_M = 0.1;
 const STEPS = 16;
 
 /**
- * A point's px; null if it is behind the camera or outside the range of the lens model.
+ * A point's pixel coordinates; null if it is behind the camera or outside the range of the lens model.
  *
  * @param {Camera} camera
  * @param {Vector} point
@@ -21,14 +21,14 @@ export function project(camera, [x, y, z]) {
 }
 
 /**
- * Whether the picture bends straight lines.
+ * Whether straight lines are curved in the picture.
  *
  * @param {Camera} camera
  */
 const isBent = (camera) => camera.distortion.some((value) => value !== 0);
 
 /**
- * Lines of two or more px along the edges of a box, cut at the near plane and at the picture's border.
+ * Lines of two or more points (px) along the edges of a box, cut at the near plane and at the picture's border.
  *
  * @param {Camera} camera
  * @param {Box3D} box

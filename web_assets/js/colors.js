@@ -14,7 +14,7 @@ export function classColor(classes, label) {
 }
 
 /**
- * The colour of a track by its id; neighbours differ. Grey for a box without one.
+ * The colour of a track by its id; consecutive ids get different colours. Grey for a box without a track.
  *
  * @param {number | null} id
  */

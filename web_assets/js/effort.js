@@ -1,5 +1,5 @@
 /**
- * The effort that labels cost, measured as in SAnE: actions, and seconds of work.
+ * The effort that labels cost, measured as for the annotation tool SAnE: actions, and seconds of work.
  *
  * An action is one finished drag, key press or click that changes something; viewing does not count.
  * Time is counted from one input event (pointer, wheel, key) to the next, and each pause counts as at most 30 s. The

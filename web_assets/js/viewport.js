@@ -16,7 +16,7 @@ const RETRY_MS = 1500;
 const ASK_MS = 800;
 // Number of points without a graphics card: the CPU takes about 5 us per point. Fewer points are drawn larger.
 const SOFTWARE_POINTS = 10000;
-// Pixels drawn for each pixel of the screen along a side, without a graphics card (a setting of viser's page).
+// Resolution without a graphics card, relative to the screen's along each side (a setting of viser's page).
 const SOFTWARE_PIXELS = 0.65;
 const NO_WEBGL =
   "This browser cannot draw in 3D (no WebGL 2). The image and the views work without it. " +

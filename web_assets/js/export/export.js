@@ -90,7 +90,7 @@ async function begin(app, body, stop, isOver) {
   let shown = "";
 
   /**
-   * Builds the result again only if the job changed: a link that is replaced while it is pressed is not clicked.
+   * Builds the result again only if the job has changed: replacing a link while it is pressed would lose the click.
    *
    * @param {Api.Job | undefined} job
    */

@@ -143,9 +143,9 @@ export function createExportForm(app, formats, onChange) {
       };
     },
 
-    /** Whether the format has 2D boxes, which need no label. */
+    /** Whether the format has 2D boxes; these can be exported without 3D labels. */
     isFlat,
-    /** Boxes of the project. */
+    /** The number of the project's boxes, without rejected ones. */
     total: () => STATES.reduce((sum, [state]) => sum + (state === "rejected" ? 0 : countOf(state)), 0),
     chosen: () => ticked(states).reduce((sum, state) => sum + countOf(state), 0),
 

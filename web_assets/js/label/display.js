@@ -12,7 +12,6 @@ const PREVIEW_COLOR = "#ff5d8f";
 export const isFinished = (item) => Boolean(item.uid) && item.boxes.every(Boolean);
 
 /**
- *
  * @param {ModeApp} app
  * @param {Work} work
  * @param {object} parts
@@ -23,7 +22,7 @@ export const isFinished = (item) => Boolean(item.uid) && item.boxes.every(Boolea
  * @param {ReturnType<Panel["createObjectList"]>} parts.list
  * @param {ReturnType<Panel["createFrameBar"]>} parts.bar
  * @param {HTMLElement} parts.hint
- * @returns {() => void} shows the present state.
+ * @returns {() => void} shows the current state.
  */
 export function createDisplay(app, work, parts) {
   const { image, views, picker, kinds, list, bar, hint } = parts;

@@ -39,7 +39,7 @@ export function wholeSteps(boxes) {
  * Requests the views that follow from an object's boxes; with `suggest`, the server also runs the view detector.
  *
  * @param {App} app
- * @param {() => Api.BoxKind} kind what the boxes measure.
+ * @param {() => Api.BoxKind} kind what the boxes enclose.
  * @returns {AskSteps}
  */
 export function createAsk(app, kind) {

@@ -117,7 +117,7 @@ export function mount(root, app) {
   }
 
   /**
-   * Marks the time while a frame is being opened, when keys must not act on a box that is not shown yet.
+   * Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet.
    *
    * @param {boolean} value
    */
