@@ -70,7 +70,7 @@ def read_rows(path: Path) -> dict[str, np.ndarray]:
 
 
 def compare(recording: AzureKinect, rows: dict[str, np.ndarray]) -> tuple[float, float]:
-    """Largest error of a point, millimetres, and of a colour pixel; NaN if only the SDK finds a colour pixel."""
+    """Largest errors: of a point, millimetres; of a colour pixel, pixels (NaN if only the SDK finds one)."""
 
     def columns(names: tuple[str, ...]) -> np.ndarray:
         return np.stack([rows[name] for name in names], axis=1)

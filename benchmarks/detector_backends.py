@@ -65,7 +65,10 @@ def compared(
 
 
 def differences(expected: Sequence[Sequence[Box2D]], actual: Sequence[Sequence[Box2D]]) -> dict[str, object]:
-    """Largest differences of edges and scores between boxes of the same rank, in images with equally many boxes."""
+    """Largest differences of edges and scores between boxes of the same rank.
+
+    Images with different numbers of boxes are left out.
+    """
     pairs = [
         (a, b)
         for first, second in zip(expected, actual, strict=True)

@@ -35,7 +35,7 @@ from benchmarks import loop
 from benchmarks.report import Table, finish, guarded
 
 QUIET = Console(stderr=True)
-# Detectors compile the network for each new image size.
+# Duration of the warm-up, in which the detectors compile the network for each new image size.
 WARM_UP_S = 5.0
 # Minimum number of shown frames for a measurement.
 LEAST_SHOWN = 5

@@ -253,7 +253,7 @@ def _label(
 
 
 def plan(args: Arguments) -> TrainPlan:
-    """The settings of both trainings."""
+    """The settings of both training runs."""
     samples, changes = SampleConfig(views=args.views), dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model

@@ -76,11 +76,11 @@ class Arguments:
 
     @property
     def trainings(self) -> Trainings:
-        """The settings of both trainings."""
+        """The settings of both training runs."""
         return Trainings(self.settings, self.model, self.epochs, self.image_epochs, self.size, self.image_size)
 
     def plan(self) -> TrainPlan:
-        """The settings of both trainings with seeds and initial weights, checked.
+        """The settings of both training runs with seeds and initial weights, checked.
 
         Raises:
             ConfigError: a setting out of its range.

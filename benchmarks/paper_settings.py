@@ -1,4 +1,4 @@
-"""Settings of the trainings and of RCV for the paper's tables: the paper's, or annotator's defaults."""
+"""Settings of training and of RCV for the paper's tables: the paper's, or annotator's defaults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Output and errors of the benchmarks: tables, with --json one JSON object on the last line."""
+"""Output and errors of the benchmarks: tables, and with --json one JSON object on the last line."""
 
 from __future__ import annotations
 

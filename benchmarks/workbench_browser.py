@@ -24,7 +24,7 @@ from benchmarks.workbench_server import Server, answered, percentile
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-# Renders as a browser without a graphics card: WebGL with software GL, the page itself without GL.
+# Render as on a computer without a graphics card: WebGL in software, and the page itself without GL.
 ARGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",

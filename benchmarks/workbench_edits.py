@@ -254,7 +254,7 @@ def _pump(future: Any, pages: list[Page]) -> None:
 
 
 def _display_delays(page: Page, before: int, saved: dict[int, float]) -> dict[str, Any]:
-    """Delay from each save until the page lists the number of boxes, seconds."""
+    """Delay from each save until the page lists the new number of boxes, seconds."""
     page.wait_for_timeout(1500)
     rows: list[list[float]] = page.evaluate("window.rows")
     late = []

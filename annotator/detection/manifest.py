@@ -45,7 +45,8 @@ class DatasetManifest(BaseModel):
         classes: names, in the order of the class numbers in the label files.
         kind: what the boxes measure; None for boxes on camera images.
         seed, val_share: parameters of the split.
-        measured_on: the split of the metrics; "train", which is too optimistic, if there were too few groups.
+        measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
+            them too optimistic.
         images: number of images by split.
         boxes_by_class: number of boxes by split and class.
         images_by_origin: number of images by split and origin.

@@ -1,4 +1,4 @@
-"""Finds pretrained weights to start from; without them, a training starts from random weights."""
+"""Finds pretrained weights to start from; without them, training starts from random weights."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
 
 
 def check_start(config: TrainingConfig) -> None:
-    """Checks the model name and the weights file, without a download, before the slow preparation of a training.
+    """Checks the model name and the weights file, without a download, before the slow preparation of a run.
 
     Raises:
         ConfigError: the model name is unknown, or the given or cached weights file is missing, damaged or not a
@@ -80,7 +80,7 @@ def check_start(config: TrainingConfig) -> None:
 
 
 def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
-    """Reads a weights file as a training does.
+    """Reads a weights file as a training run does.
 
     Raises:
         ConfigError: it is missing, damaged or not a detection model.

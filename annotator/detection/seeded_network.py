@@ -45,7 +45,7 @@ def write_seeded_network(
             for module in model.modules():
                 if isinstance(module, torch.nn.BatchNorm2d):
                     module.momentum = 1.0
-            # One pass in training mode sets the statistics of batch normalisation, as a training would.
+            # One pass in training mode sets the statistics of batch normalisation, as training would.
             model.train()(torch.rand(PICTURES))
     path.parent.mkdir(parents=True, exist_ok=True)
     torch.save({"model": model.eval()}, path)

@@ -1,4 +1,4 @@
-"""Cuts images that a detector will see at a larger size than its training size into tiles of the training size.
+"""Cuts images into tiles of the training size, if the detector will see them at a larger size.
 
 Objects in such an image are small: at the training size, they would cover one or two pixels. Tiles show them at the
 size at which the detector will see them. Each image gives one tile around each object and one at a random place.

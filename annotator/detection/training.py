@@ -20,6 +20,7 @@ from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
+# Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
 
 __all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]

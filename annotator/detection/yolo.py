@@ -82,7 +82,7 @@ class YoloDetector:
 
         The backend is not part of it. All backends that `auto` chooses from give the same boxes, within a pixel and
         0.01 of the score (tests/detection/test_backends.py), so another machine may continue a batch. Boxes in bfloat16
-        differ only slightly more (docs/detector_backends.md), so such frames are not repeated either.
+        differ only slightly more (docs/detector_backends.md), so a change to or from it repeats no frames either.
         """
         return self._fingerprint
 

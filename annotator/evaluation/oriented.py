@@ -104,7 +104,10 @@ class FrameResult:
 
 
 def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
-    """The exact IoU of each true box with its detection, in the one-to-one assignment of largest total IoU; else 0."""
+    """The exact IoU of each true box with its detection; 0 without one.
+
+    Detections are assigned to true boxes one to one, with the largest total IoU.
+    """
     ious = np.zeros(len(result.truth))
     pairs = assigned(overlapping(_table([result.boxes]), _table([result.truth])), np.zeros(len(ious), np.int64))
     ious[pairs.truth] = pairs.iou

@@ -27,8 +27,8 @@ def distort(coefficients: Coefficients, xy: Float[np.ndarray, "n 2"]) -> Float[n
         xy: ideal normalised coordinates.
 
     Returns:
-        distorted normalised coordinates, with the dtype of `xy`; NaN beyond the radius up to which the radial model is
-        monotonic. Beyond it, the polynomials decrease again, and points far outside the image would project into it.
+        distorted normalised coordinates, with the dtype of `xy`; NaN outside the radius up to which the radial model is
+        monotonic. Further out, the polynomials decrease again, so points far outside the image would project into it.
     """
     return np.stack(distort_planes(coefficients, xy[:, 0], xy[:, 1]), axis=1)
 

@@ -17,8 +17,8 @@ from annotator.types.errors import GeometryError
 OFFSETS_PX = (-4, -2, 0, 2, 4)
 REACH_PX = max(OFFSETS_PX)
 
-# A neighbour counts as another surface if the slope to it (depth over lateral distance; 68 degrees off the image plane)
-# is larger than this, plus a share of the depth for the sensor's noise.
+# A neighbour belongs to another surface if its depth differs by more than MAX_SLOPE (68 degrees off the image plane)
+# times its lateral distance, plus NOISE (for the sensor) times the depth.
 MAX_SLOPE = 2.5
 NOISE = 0.003
 

@@ -2,9 +2,8 @@
 
 Each face of the box is a convex polygon. In 3D, it is clipped to the half-spaces in front of the camera and within its
 field of view (Sutherland and Hodgman, 1974). The rest is projected and clipped to the image. So a box that extends
-behind the camera or beyond the image border gets the 2D box of its visible part. Clipping at the near plane opens the
-box without an effect on the result: every ray that meets the box in front of the camera leaves it through a remaining
-face.
+behind the camera or beyond the image border gets the 2D box of its visible part. The hole that clipping leaves in the
+near plane does not matter: a ray that enters the box through this hole leaves it through a face.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ def _visible_faces(camera: Camera, corners_m: Float64[np.ndarray, "8 3"]) -> lis
 
 
 def _normalised(camera: Camera, polygons_m: Float64[np.ndarray, "*k n 3"]) -> Float64[np.ndarray, "*k m 2"]:
-    """Polygons in front of the camera as (x/z, y/z); for a distorted camera with subdivided edges."""
+    """Polygons in front of the camera as (x/z, y/z); for a distorted camera, with subdivided edges."""
     xy = polygons_m[..., :2] / polygons_m[..., 2:]
     return xy if camera.is_ideal else _subdivided(xy)
 

@@ -102,8 +102,8 @@ def unproject_depth(
 def straightened(camera: Camera, rgb: UInt8[np.ndarray, "h w 3"]) -> tuple[Camera, UInt8[np.ndarray, "h w 3"]]:
     """The ideal camera with the same matrix and size, and the image resampled for this camera (bilinear).
 
-    Rays outside the original image, or outside the range of its distortion model, are black. Without distortion the
-    arguments are returned unchanged.
+    Pixels whose rays lie outside the original image, or outside the range of its distortion model, are black. Without
+    distortion, the arguments are returned unchanged.
     """
     if camera.is_ideal:
         return camera, rgb

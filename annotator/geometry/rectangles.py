@@ -75,9 +75,9 @@ def _clipped_areas(
 
 
 def _clip(polygons: Float64[np.ndarray, "k v 2"], inside: Float64[np.ndarray, "k v"]) -> Float64[np.ndarray, "k w 2"]:
-    """Each polygon clipped at a line (Sutherland and Hodgman, 1974); `inside` is each corner's distance from it.
+    """Each polygon clipped at a line (Sutherland and Hodgman, 1974); `inside` is each corner's signed distance from it.
 
-    Polygons with fewer corners repeat their last corner; empty polygons become a single point.
+    Polygons with fewer corners than others repeat their last corner; empty polygons become a single point.
     """
     following, inside_next = np.roll(polygons, -1, axis=1), np.roll(inside, -1, axis=1)
     keep, crosses = inside >= 0, (inside >= 0) != (inside_next >= 0)

@@ -13,7 +13,7 @@ from annotator.types.errors import GeometryError
 # Against gravity, for a level camera.
 IMAGE_UP = np.array([0.0, -1.0, 0.0])
 FORWARD = np.array([0.0, 0.0, 1.0])
-# Cosine between view direction and vertical above which the image's upper edge replaces the view direction.
+# If the cosine between view direction and vertical is above this, the image's up direction counts as forward instead.
 MAX_STEEPNESS = 0.99
 
 

@@ -103,7 +103,7 @@ class FitConfig(BaseModel):
 
 
 class ConsensusConfig(BaseModel):
-    """The axis hypotheses of a consensus step, and which of their boxes qualify for silhouette detectors."""
+    """The axis hypotheses of a consensus step and, for silhouette detectors, which of their boxes qualify."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -130,7 +130,7 @@ class ConsensusConfig(BaseModel):
 
 
 class WarmConfig(BaseModel):
-    """Warm starts: how an object starts from its previous box, the start box, and when that box is dropped."""
+    """Warm starts: how an object starts from its previous box (the start box), and when that box is dropped."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

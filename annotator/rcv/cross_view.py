@@ -13,7 +13,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
-# Lower bound of the score by whose square root the expected error of an edge is divided.
+# The expected error of an edge is divided by the square root of its detection's score, or of this if it is larger.
 LEAST_SCORE = 0.05
 
 
@@ -157,7 +157,7 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
         views: one or more.
         boxes: one per view.
     """
-    # (view, axis, end)
+    # dimensions of the arrays: view, axis, end
     metres_per_px = np.array([view.metres_per_px for view in views])[:, None, None]
     origins_m = np.array([view.origin_m for view in views])[:, :, None]
     sizes_px = np.array([view.rgb.shape[1::-1] for view in views])[:, :, None]

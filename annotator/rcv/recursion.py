@@ -55,7 +55,7 @@ class ObjectState:
         stop: CONTINUES while the recursion runs.
         notes: how the object started, for the trace of the first step.
         is_warm: whether the object started from its previous box (`warm_start`).
-        cold: the state without the warm start; None after the warm start has been checked.
+        cold: the state without the warm start; None if there is no warm start, or after it has been checked.
     """
 
     frame_index: int
@@ -252,8 +252,8 @@ def _stop(
     if points < config.min_points:
         return StopReason.TOO_FEW_POINTS
     steps = len(state.steps) + 1
-    # The first step uses the camera's axes for any object, so agreement with them is not convergence. A cut-off object
-    # gets another step with larger views.
+    # In a consensus, agreement with the first step is not convergence, because the camera's axes do not depend on the
+    # object. A cut-off object gets another step with larger views.
     first = 2 if config.strategy is Strategy.CONSENSUS and not state.is_warm else 1
     if steps > first and not is_cut and turned_rad < config.axes_tolerance_rad:
         return StopReason.AXES_CONVERGED

@@ -24,8 +24,8 @@ from annotator.rcv.hypotheses import face_camera
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 
-# Parameters of the random crops. They are not settings like those of `RcvConfig`, because every change needs a new
-# training and a new evaluation.
+# Parameters of the random crops. They are not settings like those of `RcvConfig`, because every change requires
+# retraining and a new evaluation.
 MIN_POINTS = 5
 # An object is labelled on a view if the view shows at least this share of its points.
 MIN_SHARE = 0.3

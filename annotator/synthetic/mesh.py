@@ -105,7 +105,7 @@ class Blobs:
             radii: half widths along `side`, across it, and along the axis (by default the mean of the first two).
             end_radii: half widths at `end` if they differ.
             side: (3,) direction of the first radius, not parallel to the axis; arbitrary if None.
-            power: from 2 (round) to 8 (a box with rounded edges).
+            power: 2 = round; 8 or more = like a box with rounded edges.
         """
         self._ends.append(np.stack([start, end]))
         self._radii.append(np.array([_three(radii), _three(end_radii or radii)]))

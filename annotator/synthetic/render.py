@@ -40,13 +40,13 @@ class Rendering:
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """The n pixels of an image, row by row, before the lamp's shadows of moving meshes are computed.
+    """The n pixels of an image, row by row, without the shadows that moving meshes cast.
 
     Attributes:
         depth_m: (n,) 0 without a surface.
         base, key: (n, 3) linear colour without the lamp, and the lamp's contribution if it is visible.
         start, to_lamp: (n, 3) the ray from just above the surface to the lamp, world frame.
-        lit: (n,) no static mesh blocks this ray.
+        lit: (n,) True if no static mesh blocks this ray.
         facing, track: as in `Rendering`.
     """
 

@@ -117,7 +117,7 @@ def _hands(looks: Looks, nail: int, camera: np.ndarray, both: bool, random: np.r
     reaches = [Reach(spans[side], depth, height) for side in sides]
     size = random.uniform(0.9, 1.06)
     turned = turn_z(-np.pi / 2)
-    # tall and short persons have their shoulders at the same height on the image
+    # tall and short people have their shoulders at the same height on the image
     lift = np.array([0.0, 0.0, camera[2] - 0.12 - 0.775 * looks.height_m])
     for i, motions in enumerate(hand_moments(reaches, random, PERIOD_S)):
         sway = Pose(twist=0.06 * np.sin(0.11 * i), lean=0.02 * np.sin(0.07 * i), head_turn=0.2 * np.sin(0.05 * i))

@@ -1,4 +1,4 @@
-"""Linking of boxes to tracks: frame by frame, by the assignment of least cost (Kuhn-Munkres).
+"""Linking of boxes into tracks: frame by frame, by the assignment of least cost (Kuhn-Munkres).
 
 The cost of a box for a track depends on its distance from the track's predicted box, and on their overlap and
 difference in size. Boxes that are out of reach are never assigned. Ids from operators or files take precedence

@@ -11,8 +11,8 @@ def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first
 
     Args:
         given: the id of each track from an operator or a file, or None.
-        before: the ids of each track's boxes from an earlier linking. A track reuses its most frequent id; of several
-            tracks, the one with most boxes of this id.
+        before: the ids of each track's boxes from an earlier linking. A track reuses its most frequent id. If
+            several tracks compete for an id, the one with the most boxes of this id gets it.
         first: the lowest new id.
     """
     used = {number for number in given if number is not None}

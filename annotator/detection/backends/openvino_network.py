@@ -30,7 +30,8 @@ MAX_COMPILED = 24
 # Batch sizes for small images, which take 20 to 25 % less time in a batch than one by one. Larger images do not.
 TOGETHER = (6, 3)
 SMALL_PX = 128 * 128
-# A stream computes one request at a time and has its own buffers. On machines with more cores, a stream gets several.
+# A stream computes one request at a time and has its own buffers. With more cores than streams, each
+# stream uses several cores.
 MAX_STREAMS = 8
 # Requests in flight per stream: one in computation and one waiting.
 IN_FLIGHT = 2

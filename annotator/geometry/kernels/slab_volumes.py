@@ -10,7 +10,8 @@ from annotator.compiled import compiled
 # Each face of the box with the longer diagonal is moved outwards by this share of that diagonal.
 TIE = 1e-13
 
-# Axes with a smaller sine between them count as parallel; the volume of their line is negligible.
+# Axes with a smaller sine between them count as parallel: the lines where their planes meet add a negligible volume.
+# Axes with a smaller cosine count as perpendicular.
 PARALLEL = 1e-11
 
 # Replaces a determinant of 0: three planes with a common direction then meet very far away, but at finite coordinates.

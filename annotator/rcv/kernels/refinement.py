@@ -155,9 +155,10 @@ def _cost(measured: Measured, box: Box, delta: float) -> float:
 
 @compiled
 def _derivative(direction: np.ndarray, i: int, rotation: np.ndarray, size: np.ndarray, row: np.ndarray) -> None:
-    """Fills in, for one direction, the derivatives of the middle (by centre) and of the reach (by sizes and rotation).
+    """Fills in, for one direction, the derivatives of the middle with respect to the centre, then those of the reach
+    with respect to sizes and rotation.
 
-    In box axes the direction is a. A rotation by u changes it by a x u, and so the reach by u . (g x a) with
+    In box axes, the direction is a. A rotation by u changes it by a x u, and therefore the reach by u . (g x a) with
     g_i = s_i / 2 sign(a_i).
     """
     dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]

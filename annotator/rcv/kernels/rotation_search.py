@@ -71,7 +71,11 @@ def size_costs(
 
 @compiled
 def _reach(direction: np.ndarray, turned: np.ndarray, reach: np.ndarray) -> None:
-    """Fills in the derivatives (3, k) of the extent along a direction by the sizes, for rotations (3, 3, k)."""
+    """Fills in the derivatives (3, k) of the extent along a direction with respect to the sizes.
+
+    Args:
+        turned: (3, 3, k) rotations.
+    """
     x, y, z = direction
     for a in range(3):
         for j in range(turned.shape[2]):
