@@ -91,7 +91,7 @@ def evaluate(found: Boxes, truth: Boxes) -> Report:
         truth: by frame key; only its frames are evaluated.
 
     Raises:
-        ArgumentError: the truth has no box, or the two have no frame in common.
+        ArgumentError: `truth` has no box, or the two have no frame in common.
     """
     if not any(truth.values()):
         raise ArgumentError("the truth has no box to evaluate against")
