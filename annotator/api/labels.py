@@ -84,14 +84,14 @@ def write_labels(path: str | Path, labels: Boxes) -> None:
 
 
 def evaluate(found: Boxes, truth: Boxes) -> Report:
-    """Average precision (exact 3D IoU thresholds 0.25 and 0.5) and mean errors of fully oriented boxes.
+    """Average precision (exact 3D IoU, thresholds 0.25 and 0.5) and mean errors of fully oriented boxes.
 
     Args:
         found: by frame key; a frame without an entry has no boxes. A box without a score gets the score 1.
         truth: by frame key; only its frames are evaluated.
 
     Raises:
-        ArgumentError: the truth has no box, or the two have no frame in common.
+        ArgumentError: `truth` has no box, or the two have no frame in common.
     """
     if not any(truth.values()):
         raise ArgumentError("the truth has no box to evaluate against")

@@ -151,8 +151,8 @@ def watch(
     Args:
         frames: any iterable, such as a generator. The next frame is requested when the caller asks for the next
             result; yield the newest frame then, so that no backlog builds up.
-        image_detector: may be given only the parts of an image around its last detections, as objects of which only
-            `.rgb` is guaranteed. A function always gets the whole frame.
+        image_detector: for many frames, a `Detector` gets only parts of the image, around the last detections; these
+            objects have at least the attribute `.rgb`. A function always gets the whole frame.
         view_detector, rotation, box_kind, settings: as for `propose`.
 
     Raises:

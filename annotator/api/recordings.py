@@ -35,7 +35,7 @@ def generate_recording(
     width_px: int = 640,
     height_px: int = 480,
 ) -> Recording:
-    """Generates an RGB-D recording of a synthetic room with exact truth, for experiments.
+    """Generates an RGB-D recording of a synthetic room with exact ground truth, for experiments.
 
     Args:
         path: the folder to create; it must not exist.

@@ -1,4 +1,4 @@
-"""`boxes.json`: the true oriented boxes of an RGB-D folder, by frame.
+"""`boxes.json`: the ground-truth oriented boxes of an RGB-D folder, by frame.
 
     {"000012": {"label": "hand", "center": [x, y, z], "size": [l, w, h], "rotation": [[..], [..], [..]]}, ...}
 
@@ -43,7 +43,7 @@ class BoxEntry(BaseModel):
 
 
 def read_boxes(path: Path) -> dict[str, list[Truth]]:
-    """Returns the true objects of every frame in the file, by frame key; a frame may have none.
+    """Returns the ground-truth objects of every frame in the file, by frame key; a frame may have none.
 
     Raises:
         FormatError: the file is missing or not JSON, or an entry is not a valid box; names the frame.

@@ -38,7 +38,7 @@ class DatasetItem:
 
 @dataclass
 class FileNames:
-    """Unique file names that are valid on every system and differ in more than upper and lower case."""
+    """File names that are valid on every system, and unique even where case is ignored."""
 
     _taken: set[str] = field(default_factory=set)
 

@@ -1,6 +1,6 @@
 """Names in KITTI's and SUN RGB-D's folders: six-digit frame names, one-word class names, and the names they stand for.
 
-The tools of both data sets form file names from numbers (`%06d`) and split label rows at blanks.
+The tools of both data sets form file names from numbers (`%06d`) and split label rows at spaces.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def six_digit_ids(places: Sequence[tuple[str, str]], first: int = 0) -> dict[tup
 
 
 class ClassWords:
-    """Class names as unique single words: blanks become `_`."""
+    """Class names as unique single words: spaces become `_`."""
 
     def __init__(self, classes: Iterable[str], reserved: Sequence[str] = ()) -> None:
         """
@@ -65,7 +65,7 @@ def read_class_names(folder: Path) -> dict[str, str]:
     """Returns the class names in a dataset's `classes.txt` (`ClassWords.dump`), by word; empty without that file.
 
     Raises:
-        FormatError: the file cannot be read, or a line is not a word, a blank and a name, or repeats a word.
+        FormatError: the file cannot be read, or a line is not a word, a space and a name, or repeats a word.
     """
     path = folder / CLASS_NAMES
     if not path.is_file():
@@ -81,7 +81,7 @@ def read_class_names(folder: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class DatasetNames:
-    """The frame and class names of an exported dataset; empty for datasets of other software.
+    """The frame and class names of an exported dataset; empty for datasets from other software.
 
     Attributes:
         root: the folder with frames.csv; None without that file.

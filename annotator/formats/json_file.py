@@ -26,7 +26,10 @@ PairsHook = Callable[[list[tuple[str, object]]], object]
 
 
 def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Builds a dict from a JSON object's pairs; raises KeyError for a repeated key, whose labels `json` would drop."""
+    """Builds a dict from a JSON object's pairs.
+
+    Raises KeyError for a repeated key; `json` itself would silently keep only the last value.
+    """
     content: dict[str, object] = {}
     for key, value in pairs:
         if key in content:

@@ -24,7 +24,7 @@ class Lost(StrEnum):
     OUTSIDE: objects outside the image, left out because the format needs a 2D box.
     NAME: characters of a class name that the format cannot store.
     TIME: capture times of frames.
-    SOLID: 3D boxes; their outlines on the image were written.
+    SOLID: 3D boxes; the 2D boxes around their projections were written.
     KIND: the information that 2D boxes enclose whole objects (projected 3D boxes), not only the visible parts.
     SAME: duplicate boxes of one class in a file, and duplicate images.
     OPEN: images with unreviewed proposals, left out.
@@ -52,7 +52,7 @@ class Lost(StrEnum):
     UNREADABLE = "unreadable"
 
 
-# A smaller tilt counts as upright, radians: angles in files have two to six decimals.
+# A box with a smaller tilt counts as upright, radians: angles in files are rounded to two to six decimals.
 LEAST_TILT_RAD = 1e-3
 
 _WORDS = {

@@ -43,7 +43,7 @@ def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> Non
 
 
 def read_ply(path: Path) -> PointCloud:
-    """Reads a file of `write_ply` in the camera frame.
+    """Reads a file that `write_ply` wrote with the default comment, so in the camera frame.
 
     Raises:
         FormatError: the file cannot be read, has a different layout, or is truncated.

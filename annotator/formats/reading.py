@@ -26,7 +26,7 @@ def raise_fault(fault: FormatError) -> None:
     raise fault
 
 
-# Characters of an invalid text that a message quotes.
+# Maximum number of characters that a message quotes from an invalid text.
 SHOWN = 40
 
 

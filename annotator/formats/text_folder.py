@@ -9,7 +9,7 @@ from pathlib import Path, PurePath, PurePosixPath
 from annotator.files import ARCHIVE_ERRORS, read_at_most
 from annotator.types.errors import FormatError
 
-# Label files of one frame have some kilobytes.
+# The label file of one frame takes a few kilobytes.
 MAX_BYTES = 16 * 2**20
 MAX_FILES = 1_000_000
 
@@ -17,7 +17,7 @@ MAX_FILES = 1_000_000
 def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> Iterator[tuple[str, Path, str]]:
     """Yields key (the name without suffix), path and content of each text file, sorted by name.
 
-    In an archive the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
+    In an archive, the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
     adds `._KEY.txt` for each file that it packs.
 
     Args:

@@ -1,12 +1,12 @@
 """Reads YOLO detection datasets: `data.yaml` with its image folders, or label files with `classes.txt`.
 
-The label file of an image has the image's name. It is in the folder where the last `images` of the path is replaced by
-`labels`, or beside the image. An image without a label file has no objects. Labels without images are read, too: their
-boxes are fractions of the image size. Source: `img2label_paths` and `check_det_dataset` in Ultralytics'
-`data/utils.py`.
+The label file of an image has the image's name. It is beside the image, or in the folder that results if the last
+`images` in the image's path is replaced by `labels`. An image without a label file has no objects. Label files without
+an image are also read, since boxes are fractions of the image size. Source: `img2label_paths` and `check_det_dataset`
+in Ultralytics' `data/utils.py`.
 
-Nothing outside the dataset's folder is read, through `data.yaml` or through links. Where `path` in `data.yaml` leads
-elsewhere, as in a moved dataset, its parts are looked up beside `data.yaml`.
+Nothing outside the dataset's folder is read, even if `data.yaml` or a link points there. If `path` in `data.yaml` is
+outside, as in a moved dataset, its parts are looked up beside `data.yaml`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ READABLE = (".png", ".jpg", ".jpeg")
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
 LEADS_OUT = "leads out of the dataset's folder, or is not a valid path"
-# Characters of an invalid path that a message quotes.
+# Maximum number of characters that a message quotes from an invalid path.
 SHOWN = 60
 
 

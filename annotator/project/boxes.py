@@ -41,11 +41,11 @@ class ViewBoxes:
 
     Attributes:
         view_id: id of the view's image, for `Views.load`.
-        frame_id: the frame that the view was drawn from, or None.
+        frame_id: the frame that the view was rendered from, or None.
         revision: of the frame, or of a view without a frame, after the latest change.
         boxes: in the view's pixels.
         box_kind: what the boxes enclose.
-        step: the step of the recursion that drew the view, from 0, if known.
+        step: the step of the recursion that rendered the view, from 0, if known.
         geometry: pose and scale of the view, if known.
         author, time_ns, source, event_id: of the latest change.
     """
@@ -95,7 +95,7 @@ class Boxes:
 
         Args:
             context: with the revision of the frame, or for a view without a frame that of the view, initially 0.
-            frame_id: the frame that the view was drawn from; None for imported images.
+            frame_id: the frame that the view was rendered from; None for imported images.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`; or the image is missing.

@@ -59,8 +59,8 @@ class ProjectSettings(BaseModel):
 
     Attributes:
         rotation: permitted rotations of boxes.
-        rcv: settings of the recursion that differ from the defaults, groups as objects. They are validated when the
-            recursion is run (`annotator.workflows.settings`), not here.
+        rcv: settings of the recursion that differ from the defaults, groups as JSON objects. They are validated when
+            the recursion is run (`annotator.workflows.settings`), not here.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,4 +1,4 @@
-"""Operators' effort per box, by the box's origin, and the quality of the proposals; from the events of actions."""
+"""Operators' effort per box, by the box's origin, and the quality of proposals, computed from the event log."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def read_review(connection: Connection) -> ReviewStatistics:
 
 @dataclass(frozen=True)
 class _ActionCost:
-    """The effort of one action, and the uids of the labels or ids of the drafts that it was for."""
+    """The effort of one action, and the ids of the labels or drafts that it was for."""
 
     effort: Effort
     targets: tuple[str, ...]

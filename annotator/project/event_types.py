@@ -112,7 +112,7 @@ class ViewBoxesSet(_Payload):
 
     Attributes:
         view: SHA-256 of the view's PNG, as returned by `Views.store`.
-        step: the step of the recursion that drew the view, from 0, if known.
+        step: the step of the recursion that rendered the view, from 0, if known.
         geometry: pose and scale of the view, if known.
     """
 

@@ -263,7 +263,7 @@ def _restoring(rows: Sequence[AnyRow]) -> list[Payload]:
 
 
 def _target_name(target: str, state: str | None) -> str:
-    """Name of a target, such as "the person label"; `state` as of `read_state`."""
+    """Name of a target, such as "the person label"; `state` as returned by `read_state`."""
     kind = target.partition(":")[0]
     if kind == LABEL and state is not None:
         return f"the {parsed(LabelState.model_validate_json, state).label} label"

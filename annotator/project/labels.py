@@ -77,8 +77,8 @@ class LabelSignals:
     """The sort keys of a label: a `StoredLabel` without its box, which takes most of the reading time.
 
     Attributes:
-        frame_id, quality: as of `StoredLabel`.
-        uid, label, score, track_id: as of `Label`.
+        frame_id, quality: as in `StoredLabel`.
+        uid, label, score, track_id: as in `Label`.
     """
 
     frame_id: int

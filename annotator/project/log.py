@@ -38,7 +38,7 @@ class Log:
         return self.writer.to_frame(frame_id, payloads, context)
 
     def append_to_frames(self, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
-        """Appends events to several frames as one action, which one undo reverts, all or none.
+        """Appends events to several frames, all or none, as one action that a single undo reverts.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.

@@ -208,7 +208,7 @@ def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: Write
 
 
 def _encoded(where: str, payload: Payload) -> tuple[str, Payload]:
-    """The payload as JSON, and the payload parsed from that JSON, which updates the tables, as in a rebuild."""
+    """The payload as JSON, and parsed again from that JSON, so that the tables are updated as in a rebuild."""
     with storable(f"{where}: {payload.kind}"):
         content = payload.model_dump_json(warnings="error")
         return content, PAYLOAD.validate_json(content)

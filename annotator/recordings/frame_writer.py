@@ -25,7 +25,7 @@ from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import RecordingError
 
 JPEG_QUALITY = 95
-# Fast compression; files are some percent larger.
+# Fast compression; files are a few percent larger.
 PNG_COMPRESSION = 1
 MM_PER_M, MOST_MM = 1000.0, 2**16 - 1
 COLOR, DEPTH, CLOUDS, GRAVITY = "color", "depth", "clouds", "gravity.json"

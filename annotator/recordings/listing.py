@@ -62,7 +62,7 @@ def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:
 
 
 def _natural(key: str) -> str:
-    """Returns a sort key: each number is prefixed by its length without leading zeros, after a NUL character."""
+    """Returns a sort key: each number is replaced by NUL, its length and its digits, without leading zeros."""
     return NUMBER.sub(_with_length, key)
 
 

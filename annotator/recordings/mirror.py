@@ -27,7 +27,7 @@ from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
-# Small files beside a recording's folders, which readers need when they open it.
+# Suffixes of the small files beside a recording's folders, which readers need when they open it.
 DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml")
 LARGEST_DESCRIPTION_BYTES = 10**6
 

@@ -7,7 +7,7 @@ import numpy as np
 # Limit for all numbers, metres or pixels.
 LARGEST = 1e9
 SMALLEST_FOCAL_PX = 1e-3
-# Image sides beyond any camera's.
+# No camera's image has a longer side.
 LARGEST_SIDE_PX = 1 << 16
 
 

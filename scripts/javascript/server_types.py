@@ -2,8 +2,8 @@
 
     .venv/bin/python scripts/javascript/server_types.py
 
-The types of the page's requests and answers are defined once, as pydantic models in `annotator/web`, and `tsc` checks
-the page against them. `scripts/test` writes the file before it calls `tsc`.
+The types of the server's requests and responses are defined once, as pydantic models in `annotator/web`, and `tsc`
+checks the page against them. `scripts/test` writes the file before it calls `tsc`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _reached(start: Any, schemas: dict[str, Any]) -> set[str]:
 
 
 def _declaration(name: str, schema: dict[str, Any], is_answer: bool) -> str:
-    """The declaration of one type. Answers have all fields; requests may leave out fields that have a default."""
+    """The declaration of one type. Responses have all fields; requests may leave out fields that have a default."""
     text = f"/** {schema['description']} */\n" if "description" in schema else ""
     if "properties" not in schema:
         return f"{text}type {_identifier(name)} = {_type(schema)};\n"

@@ -1,7 +1,8 @@
 """Converts boxes to KITTI rows: upright, with rotation_y, alpha, 2D box, truncation and occlusion.
 
-KITTI's labels are in the frame of rectified camera 0. Recordings whose labels are only shifted against the colour
-camera (KITTI's own) keep that frame; for all others the colour camera's frame is used.
+KITTI's labels are in the frame of rectified camera 0. A recording's own label frame is kept if it differs from the
+colour camera's only by a translation, as KITTI's does. Otherwise rows are written in the colour camera's frame. Either
+one is called the labels' frame here.
 
 The 2D box encloses the projected corners and is clipped to the pixel centres 0..width-1 and 0..height-1, as in the
 devkit's drawings (`computeBox3D.m`). Edges that reach behind the camera are cut at `NEAR_M`. The occlusion follows from
@@ -41,13 +42,13 @@ NO_TURN_RAD = 1e-9
 
 
 def label_frame(frame: Frame) -> RigidTransform | None:
-    """Returns the transform from rectified camera 0 of a frame's KITTI labels to its colour camera; None: identity."""
+    """Returns the transform from the labels' frame (see above) to the colour camera's; None if they are the same."""
     T = frame.T_camera_label
     return None if T is None or T.rotation.magnitude() > NO_TURN_RAD else T
 
 
 def upright_box(box: OrientedBox, frame: Frame) -> tuple[OrientedBox, float]:
-    """Returns the nearest box that a row can store, in the labels' frame, and its rotation from `box`, radians.
+    """Returns the nearest box that a row can store, in the labels' frame, and the angle between it and `box`, radians.
 
     KITTI's boxes rotate about the camera's y axis only, whatever the direction of gravity.
     """

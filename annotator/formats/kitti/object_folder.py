@@ -3,7 +3,7 @@
 training/image_2/ID.png  velodyne/ID.bin  calib/ID.txt  label_2/ID.txt,  ImageSets/{train,val,test,trainval}.txt, and
 frames.csv with the origin of each frame.
 
-Scans (float32 x y z reflectance; x forward, y left, z up; reflectance 0 if unknown) have their origin in rectified
+Scans (float32 x y z reflectance; x forward, y left, z up; reflectance 0 if unknown) have their origin at rectified
 camera 0 (x right, y down, z forward), and P2 = K [I | t] shifts that camera to the colour camera:
 `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar` with R0_rect the identity (KITTI object devkit, readme.txt). All images
 are in `training/`, including those of the part `test`, because their labels are known.

@@ -57,7 +57,10 @@ class TrackingSequence:
     untracked: int = 0
 
     def track_of(self, label: Label, in_frame: set[int]) -> int:
-        """Returns the id of a label's row: its own, or a new one if another class or box of the frame has it."""
+        """Returns the track id for a label: its own, or a new one if it has none or its own is taken.
+
+        An id is taken if another class of the sequence, or another box of the frame, has it.
+        """
         track = label.track_id
         if track is None or track < 0 or track in in_frame or self.owners.setdefault(track, label.label) != label.label:
             track, self.fresh = self.fresh, self.fresh + 1

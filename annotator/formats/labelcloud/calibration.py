@@ -23,7 +23,7 @@ MOST_OFF_ROTATION = 1e-2
 
 
 def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
-    """Returns the text for an ideal camera with all digits; P0 to P3 are that camera, the IMU's matrix is identity."""
+    """Returns the text for an ideal camera, unrounded; P0 to P3 are that camera, the IMU's matrix is the identity."""
     P = np.hstack([camera.matrix, np.zeros((3, 1))])
     matrices = {f"P{number}": P for number in range(4)} | {
         "R0_rect": np.eye(3),

@@ -1,6 +1,6 @@
 """Writes a folder that labelCloud opens, one frame in memory at a time.
 
-    [PART/]pointclouds/ID.ply   coloured clouds, z up, with ID.png (or .jpg) beside: labelCloud looks for images there
+    [PART/]pointclouds/ID.ply   coloured clouds, z up; ID.png (or .jpg) is beside them, where labelCloud looks for it
     [PART/]labels/ID.json       the boxes, in the cloud's frame; _classes.json: classes and the form of all labels
     [PART/]calib/ID.txt         transform from the cloud's frame to the camera
     frames.csv                  the origin of each frame

@@ -139,8 +139,10 @@ class Tables:
         }
 
     def _shifted(self, key: Key, time_us: int) -> int:
-        """Returns the time, shifted by some microseconds if another scene begins at the same time: the devkit sorts
-        scenes by their start and fails on equal ones."""
+        """Returns the time, shifted by a few microseconds if another scene begins at the same time.
+
+        The devkit sorts scenes by their start and fails on equal ones.
+        """
         if key not in self._shifts_us:
             start_us = next(each for each in count(time_us) if each not in self._starts_us)
             self._starts_us.add(start_us)
@@ -221,7 +223,7 @@ def linked(rows: Sequence[Row]) -> list[Row]:
 
 
 def _visibility(sight: Sight, label: Label) -> str:
-    """Returns the visibility level of an object; without any line of sight to it the lowest."""
+    """Returns the visibility level of an object: the lowest one if there is no line of sight to it."""
     share = sight.hidden(label.box).share
     seen = 0.0 if isnan(share) else 1.0 - share
     return max(name for name, (least, _) in VISIBILITY.items() if seen >= least)

@@ -14,7 +14,7 @@ from annotator.formats.openlabel.shapes import transform_from
 class Coordinates:
     """The tree of a document's coordinate systems, with the transforms of one frame.
 
-    Source: ASAM OpenLABEL 1.0.0: `pose_wrt_parent` and `transform_src_to_dst` both are matrices that multiply column
+    Source: ASAM OpenLABEL 1.0.0: `pose_wrt_parent` and `transform_src_to_dst` are matrices that multiply column
     vectors of the child (the source) from the left. A frame's transform replaces the pose between the two systems.
     """
 

@@ -1,4 +1,4 @@
-"""The `rcv` dataset: a folder of images, coloured point clouds and oriented boxes, after 3D_HUMAN and 3D_HAND.
+"""The `rcv` dataset: a folder of images, coloured point clouds and oriented boxes, modelled on 3D_HUMAN and 3D_HAND.
 
 readme.py writes the README.md that describes the folder; model.py defines its JSON.
 """

@@ -18,7 +18,7 @@ from annotator.image_bytes import decode_image
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
 
-# Characters of an invalid name that a message quotes.
+# Maximum number of characters that a message quotes from an invalid name.
 SHOWN = 60
 MOST_LENGTH = 1e6
 

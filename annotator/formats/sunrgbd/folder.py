@@ -1,4 +1,4 @@
-"""Writes SUN RGB-D in the layout that VoteNet extracts, with the data set's own label table beside it.
+"""Writes SUN RGB-D in the layout of VoteNet's extracted data, with the data set's own label table beside it.
 
 image/ID.jpg  calib/ID.txt  depth/ID.mat  label/ID.txt  PART_data_idx.txt, `SUNRGBDMeta3DBB_v2.mat` (`meta_table.py`)
 and frames.csv with the origin of each frame.

@@ -84,7 +84,7 @@ def extracted_truth(fields: list[str], T_camera_label: RigidTransform | None, pa
 
 
 def read_scene_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
-    """Returns the objects of one `annotation3Dfinal/index.json`, in file order; blanks in names become `_`.
+    """Returns the objects of one `annotation3Dfinal/index.json`, in file order; spaces in names become `_`.
 
     Arguments and errors as in `read_extracted_labels`.
     """

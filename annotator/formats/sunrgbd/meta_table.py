@@ -8,9 +8,9 @@ in this order, and in groundtruth3DBB, one element per object,
 
     basis coeffs centroid classname sequenceName orientation label  gtBb2D
 
-of which the last, the 2D box x y width height, is only in the first version of the labels. All is in upright depth
-(`upright_depth.py`), metres, pixels counted from 1. The rows of `basis` are the box's axes and `coeffs` its half sizes
-along them (`get_corners_of_bb3d.m`): across (to the right), along the heading, and up, as VoteNet reads them.
+of which the last, the 2D box x y width height, is only in the first version of the labels. Everything is in upright
+depth (`upright_depth.py`), metres, pixels counted from 1. The rows of `basis` are the box's axes and `coeffs` its half
+sizes along them (`get_corners_of_bb3d.m`): across (to the right), along the heading, and up, as VoteNet reads them.
 """
 
 from __future__ import annotations

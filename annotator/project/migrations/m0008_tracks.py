@@ -1,4 +1,4 @@
-"""Version 8: labels hold whether linking assigned their track id; all older ids come from operators and files."""
+"""Version 8: labels record whether linking assigned their track id; all older ids come from operators and files."""
 
 from __future__ import annotations
 

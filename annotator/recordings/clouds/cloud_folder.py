@@ -181,7 +181,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
 
 
 def _level_camera(path: Path, raw: RawCloud) -> CloudCamera:
-    """Returns a virtual camera at a level LiDAR's origin; for map coordinates, in the middle (whole metres)."""
+    """Returns a virtual camera at a level LiDAR's origin; for map coordinates, at the cloud's median, whole metres."""
     nearest_m = np.sqrt((raw.xyz_m**2).sum(axis=1).min())
     place_m = np.floor(np.median(raw.xyz_m, axis=0)) if nearest_m > FARTHEST_SEEN_M else np.zeros(3)
     return CloudCamera(path, T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m), VIRTUAL_CAMERA, UP)

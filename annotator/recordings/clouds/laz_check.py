@@ -117,7 +117,7 @@ def _table_size(data: bytes, layout: LazLayout) -> int | None:
 
 
 def _chunk_problem(data: bytes, layout: LazLayout, chunks: int, layers: int) -> str:
-    """Follows the layered chunks by the sizes at their beginning."""
+    """Follows the layered chunks by the sizes at their beginning; returns the first problem, or ""."""
     sizes = struct.Struct(f"<{1 + layers}I")
     at = layout.start + 8
     for number in range(chunks):

@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from annotator.geometry.projection import inside_image, project
 from annotator.types import Camera, PointCloud
 
-# A point is drawn as a square with the projected side of this length, within these bounds.
+# A point is drawn as a square: this length, projected, is its side, within these bounds in pixels.
 POINT_SIZE_M = 0.06
 SMALLEST_PX, LARGEST_PX = 2, 9
 NEAREST_M = 0.1

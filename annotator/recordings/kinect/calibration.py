@@ -1,7 +1,7 @@
 """The Azure Kinect's calibration from a recording's attachment, for the recorded camera modes.
 
 The attachment describes both cameras at full sensor size, in fractions of it. Each mode bins or scales the sensor and
-crops a window; tables and rules as in the Azure Kinect Sensor SDK (`src/sdk/..calibration`, MIT):
+crops a window; tables and rules as in the Azure Kinect Sensor SDK (`mode_specific_calibration.c`, MIT):
 `c_px = c * width - window - 0.5`, `f_px = f * width`, where -0.5 makes the centre of the first pixel (0, 0). The lens
 model is Brown-Conrady with six radial coefficients, as in OpenCV.
 """

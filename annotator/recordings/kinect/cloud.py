@@ -60,7 +60,7 @@ def _hidden(
     v: Int32[np.ndarray, "n"],
     z_m: Float32[np.ndarray, "n"],
 ) -> Bool[np.ndarray, "n"]:
-    """True for each point, at its pixel of the colour image, that is hidden by others.
+    """True for each point that is hidden by others; `u` and `v` are its pixel in the colour image.
 
     The image is divided into cells that are so large that a frontal surface has a point in nearly every one.
     """

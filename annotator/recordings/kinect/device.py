@@ -114,7 +114,7 @@ class KinectDevice:
         """Waits for the next frame; returns None once `stop` is set.
 
         Raises:
-            DeviceError: no frame arrived for some seconds, or the device is disconnected.
+            DeviceError: no frame arrived for several seconds, or the device is disconnected.
         """
         within_s = NEXT_FRAME_WITHIN_S if self._frames else FIRST_FRAME_WITHIN_S
         end_s = time.monotonic() + within_s

@@ -1,8 +1,8 @@
 """The direction of gravity from the Azure Kinect's accelerometer, while the device is at rest.
 
-The track IMU holds samples of 40 bytes: time and acceleration, time and turn rate, in the sensor's own axes, already
-corrected by the device's calibration (Azure Kinect Sensor SDK, `src/record/internal`, `matroska_imu_sample_t`; MIT).
-A block has one of them or, laced, several.
+The track IMU holds samples of 40 bytes: time and acceleration, time and angular velocity, in the sensor's own axes.
+They are already corrected by the device's calibration (Azure Kinect Sensor SDK, `src/record/internal`,
+`matroska_imu_sample_t`; MIT). A block has one of them or, laced, several.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SAMPLE = np.dtype(
     [("time_ns", "<u8"), ("acceleration_mps2", "<f4", 3), ("turn_time_ns", "<u8"), ("turn_rad_s", "<f4", 3)]
 )
 STANDARD_GRAVITY_MPS2 = 9.80665
-# Limit for a device at rest; the sensor's bias is some hundredths.
+# Limit for a device at rest; the sensor's bias is a few hundredths.
 MOST_OFF_MPS2 = 0.3
 WITHIN_NS = 500_000_000
 MOST_SAMPLES = 100

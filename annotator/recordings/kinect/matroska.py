@@ -35,7 +35,7 @@ MOST_HEADER_BYTES = 1 << 20
 MOST_BLOCKS = 4_000_000
 # A century; sums and differences of two such times fit into 64 bits.
 MOST_NS = 1 << 62
-# Chunk sizes for the search after a damaged part: they grow, so that many small damages stay cheap.
+# Chunk sizes for the search after a damaged part: they grow, so that many small damaged parts stay cheap.
 FIRST_CHUNK, LARGEST_CHUNK = 1 << 12, 1 << 20
 
 

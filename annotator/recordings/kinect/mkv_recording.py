@@ -73,7 +73,7 @@ class AzureKinect(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        # the image is decoded in parallel to the geometry: both take similar time
+        # the image is decoded in parallel with the geometry: both take a similar time
         with ThreadPoolExecutor(1) as executor:
             decoding = executor.submit(self.color_image, i)
             xyz_m, pixel = seen_points(self.calibration, self.depth_image(i))

@@ -32,7 +32,7 @@ class KittiCalibration:
     """The calibration of one frame.
 
     The `camera` frame is that of colour camera 2, an ideal pinhole with the K of P2. KITTI's labels are in the frame
-    of rectified camera 0, which P2 = K [I | t] shifts by t; t has all three components.
+    of rectified camera 0, which P2 = K [I | t] shifts by t. No component of t is zero.
 
     Attributes:
         path: the file.

@@ -58,7 +58,7 @@ class KittiFolder(KeyedFrames, ABC):
         """
 
     def time_ns(self, number: int) -> int | None:
-        """Returns the time of frame `number` of the drive, from its frame 0; None if frames have no time.
+        """Returns the time of frame `number` of the drive, counted from its frame 0; None if frames have no time.
 
         Raises:
             FrameError: the drive's own times are broken.

@@ -2,8 +2,8 @@
 
 The data set counts pixels from 1, so 1 is subtracted from its principal point. Labels and extracted clouds are in the
 frame "upright depth": x right, y forward, z up, origin at the camera, tilt removed. A camera's point is mapped there by
-`Rtilt * [X, Z, -Y]`. Raw scenes have extrinsics E instead, with `Rtilt = A E B`; A and B only swap between camera axes
-and upright axes, so that E by itself levels the camera (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
+`Rtilt * [X, Z, -Y]`. Raw scenes have extrinsics E instead, with `Rtilt = A E B`; A and B only convert between camera
+axes and upright axes, so E alone levels the camera (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
 """
 
 from __future__ import annotations
