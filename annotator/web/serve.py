@@ -21,7 +21,7 @@ from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
 from annotator.web.window import check_window, has_display, in_window
 
-# The largest message that a browser sends, bytes.
+# Maximum size of a WebSocket message from a browser, bytes.
 WS_LIMIT = 1 << 22
 
 

@@ -47,7 +47,7 @@ def add_recordings(
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
         ConfigError: one name for several recordings, or another name or up direction for a known recording.
-        ProjectError: the store refuses, e.g. an `up` of length zero.
+        ProjectError: the store refuses a value, e.g. an `up` of length zero.
     """
     if name is not None and len(paths) > 1:
         raise ConfigError(f"{len(paths)} recordings cannot all be called {name!r}; add them one by one")

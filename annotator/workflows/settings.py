@@ -59,7 +59,7 @@ def rcv_config(
 
 
 def checked_config(settings: Settings) -> RcvConfig:
-    """The default settings with these values replaced.
+    """Returns the default settings with these values replaced.
 
     Raises:
         ConfigError: an unknown field or a value out of its range; the message names the field.

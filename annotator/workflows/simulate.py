@@ -31,7 +31,7 @@ from annotator.workflows.views.places import geometry_of
 AUTHOR = "simulated operator"
 # Objects with fewer points are too hard to see.
 MIN_VISIBLE_POINTS = 20
-# 3D IoU from which a true box and a label of the frame are the same up to rounding; it is not imported again.
+# 3D IoU from which a true box is the same as a label of the frame, up to rounding. Such a box is not imported again.
 SAME_BOX_IOU = 0.99
 
 

@@ -24,7 +24,7 @@ SHIFT = 4
 def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WIDTH_PX) -> UInt8[np.ndarray, "h w 3"]:
     """The image, at most `width_px` wide, with the boxes of the image detector and the projected 3D boxes.
 
-    Image boxes without a 3D box are gray.
+    Image boxes without a 3D box are grey.
     """
     scale = min(width_px / frame.camera.width_px, 1.0)
     size = (round(scale * frame.camera.width_px), round(scale * frame.camera.height_px))

@@ -26,7 +26,7 @@ HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
 
 @dataclass(frozen=True, eq=False)
 class ViewPlacement:
-    """The pose of a pseudo-view's image in space, facing the direction that it was drawn from.
+    """The pose of a pseudo-view's image in space, facing the direction that it was rendered from.
 
     Attributes:
         center_m: centre of the image, camera frame.

@@ -100,7 +100,7 @@ class Scene:
 
     @property
     def selected(self) -> ShownBox | None:
-        """The box on the gizmo."""
+        """The selected box, which the gizmo moves."""
         return next((b for b in self.content.boxes if b.uid is not None and b.uid == self.content.selected), None)
 
     def show(self, content: SceneContent, hold_gizmo: bool = False) -> PointCounts:

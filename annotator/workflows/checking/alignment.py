@@ -22,6 +22,7 @@ from annotator.types import Camera, Frame
 # The tested rotations, degrees: about x and y (shifts of the image), and about z (in the image plane).
 TURNS_DEG = np.arange(-3.0, 3.01, 0.5)
 ROLLS_DEG = np.arange(-3.0, 3.01, 1.0)
+# Maximum number of examined frames, and minimum number for a result.
 FRAMES = 24
 LEAST_FRAMES = 4
 LEAST_EDGES, MOST_EDGES = 200, 1500
@@ -30,6 +31,7 @@ MOST_POINTS = 60_000
 STEP_LIDAR, STEP_DEPTH = (0.5, 0.05), (0.1, 0.05)
 # Pixels without depth count as far away: the background beside an edge often has no depth.
 FAR_M = 20.0
+# A point of a LiDAR is compared with this many neighbours on the image, within this distance.
 NEIGHBOURS, REACH_PX = 6, 12.0
 # A LiDAR's rows are further apart than the points within a row.
 ROW_SPREAD = 3.0
@@ -37,6 +39,7 @@ ROW_SPREAD = 3.0
 LEAST_TURN_DEG = 1.4
 # Minimum gain over the unrotated camera, in standard deviations over all rotations.
 LEAST_GAIN = 0.8
+# Maximum difference between the best rotation of half of the frames and that of all.
 MOST_APART_DEG = 0.75
 # Minimum score of the unrotated camera, in the same unit. Real recordings have 2.1 to 4.7; if the calibration is off by
 # more than the tested rotations, the score is at most 0.6.

@@ -1,7 +1,7 @@
 """Checks one dataset, frame by frame, and then all frames together.
 
-Frames are read one at a time; after an unreadable frame the check continues. Only the sizes of all labels are kept in
-memory, for their medians.
+Frames are read one at a time; after an unreadable frame the check continues. The size and place of each label are
+kept in memory until the end, because only then is the usual size of its class known.
 """
 
 from __future__ import annotations

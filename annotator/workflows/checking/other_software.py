@@ -1,6 +1,6 @@
 """Datasets of other software: their labels are read as `annotator import` reads them, and faults are reported.
 
-Their boxes are not checked further, because their frames belong to a project.
+Their boxes are not checked further, because the frames that they label belong to a project, not to the dataset.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ LISTS, INDICES = "ImageSets", "*_data_idx.txt"
 TESTING, TEST_LIST = "testing", "test.txt"
 
 Stray = tuple[Path, int | None, str]
-"""File, line and name of a missing frame."""
+"""A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
 
 
 def stray_names(recording: Recording) -> Iterator[Stray]:

@@ -31,7 +31,7 @@ from annotator.workflows.recorded.reading import has_truth, load_truth
 class Measured(StrEnum):
     """The boxes to evaluate.
 
-    LABELS: all present boxes, except rejected ones.
+    LABELS: the current labels, except rejected ones.
     PROPOSALS: the proposals of the last automatic pass over each frame, before any review.
     """
 

@@ -127,7 +127,7 @@ def divided(
 
 
 def _no_labels(project: Project, choose: ExportFilter, states: tuple[ReviewState, ...]) -> str:
-    """Returns the error message for a filter that fits no label."""
+    """Returns the error message for a filter that no label matches."""
     others = [state for state in (ReviewState.PROPOSED,) if state not in states]
     waiting = len(project.labels.select(states=others, recordings=choose.recordings, classes=choose.classes))
     advice = (

@@ -57,8 +57,9 @@ def import_image_boxes(
     """Imports boxes of camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg`: 000012).
 
     An image without boxes is stored as empty. Finalised frames stay unchanged; on all others the boxes replace existing
-    ones, and replaced boxes of other authors are counted. Boxes on pseudo-views that were drawn from a removed box are
-    removed, too. Images listed in a `views.json` beside them are pseudo-views, imported as in `import_view_boxes`.
+    ones, and replaced boxes of other authors are counted. If a box is removed, the boxes on the
+    pseudo-views that were rendered from it are removed, too. Images listed in a `views.json` beside them are
+    pseudo-views, imported as in `import_view_boxes`.
 
     Args:
         path: a file, or the folder of a dataset.
@@ -110,7 +111,7 @@ def _import(
     ]
     images = checked_images(project, dataset, on_images, recording) if on_images or not on_views else None
     views = checked_views(project, dataset.path, on_views)
-    # an imported view was drawn from a box on its image; the file may have rounded that box
+    # an imported view was rendered from a box on its image; the file may have rounded that box
     drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]

@@ -56,7 +56,10 @@ def rcv_labels(path: Path) -> RcvLabels:
 
 @dataclass(frozen=True)
 class KittiLabels:
-    """Labels in rectified camera 0: of the dataset's calibration, else of the frame's recording, else the camera.
+    """Labels in the frame of rectified camera 0.
+
+    The transform to the camera frame comes from the dataset's calibration, else from the frame's recording. Without
+    either, the labels are taken as being in the camera frame.
 
     Attributes:
         objects: objects by frame name.
@@ -195,7 +198,7 @@ def openlabel_labels(path: Path) -> OpenLabelLabels:
 
 @dataclass(frozen=True)
 class LabelCloudLabels:
-    """Boxes in the frames of their clouds; moved to the camera by the dataset's calibration, else the frame's."""
+    """Boxes in the frames of their clouds; transformed to the camera by the dataset's calibration, else the frame's."""
 
     path: Path
     by_frame: Mapping[str, LabelCloudFrame]

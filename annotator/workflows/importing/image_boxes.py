@@ -23,7 +23,7 @@ from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
 from annotator.workflows.views.follow_image_boxes import view_followers
 
-# Boxes that differ by less are the same box, rounded in a file; a box that is drawn again differs by more, pixels.
+# Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01
 
 
@@ -39,8 +39,9 @@ class OnImage:
 class Stored(Enum):
     """The outcome of storing the boxes of an image."""
 
+    # stored, without replacing boxes of another author
     KEPT = "kept"
-    # replaced boxes drawn by another author
+    # stored, in place of boxes drawn by another author
     REPLACED = "replaced"
     # not stored: the frame is finalised
     LEFT_ALONE = "left alone"
@@ -159,7 +160,7 @@ def store_on_image(
 
     Args:
         path: the dataset, for messages.
-        drawn_from: boxes on this image that imported views were drawn from.
+        drawn_from: boxes on this image that imported views were rendered from.
     """
     while True:
         page = read_page(project, image.frame_id)
@@ -177,7 +178,7 @@ def store_on_image(
 
 
 def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
-    """Replaces boxes that a file has only rounded by the known ones, so that views drawn from them stay valid."""
+    """Returns the known box for each box that a file has only rounded, so that views rendered from it stay valid."""
     return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
 
 

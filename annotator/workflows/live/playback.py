@@ -19,9 +19,9 @@ RATE_BY_FORMAT = {"kitti_object": 10.0, "kitti_tracking": 10.0, "kitti_raw": 10.
 DEFAULT_RATE = 30.0
 # Longer gaps in a recording are shortened to this, seconds.
 MAX_GAP_S = 1.0
-# If the next frame is due within this time, seconds and share of the gap between the two, the present one is left out.
-# At 30 frames per second and random read times, frames are then 9 ms old on average instead of 17 ms, for 1 ms of
-# waiting.
+# A frame is left out if the next one is due within this time: the smaller of a number of seconds and a share of the gap
+# between the two. At 30 frames per second and random read times, frames are then 9 ms old on average instead of 17 ms,
+# for 1 ms of waiting.
 PATIENCE_S, PATIENCE_SHARE = 0.010, 0.25
 
 
@@ -138,7 +138,7 @@ class Playback:
 
 
 def times_s(recording: Recording) -> Sequence[float] | None:
-    """Returns when each frame was taken, seconds of any one clock; None unless all times are recorded."""
+    """Returns the time of each frame, seconds on an arbitrary clock; None unless all times are recorded."""
     times_ns: Sequence[int | None] | None = getattr(recording, "times_ns", None)
     if times_ns is None or any(each is None for each in times_ns):
         return None

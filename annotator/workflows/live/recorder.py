@@ -69,7 +69,8 @@ class Recorder:
             rescue(self.out, report)
             self._part = Path(tempfile.mkdtemp(prefix=_prefix(self.out), dir=self.out.parent))
             self._lock_file = _lock(self._part)
-            # unbuffered, so that a full disk fails at the frame itself; beside the recording, since /tmp may be memory
+            # unbuffered, so that an error names the frame that did not fit on the disk; beside the recording, since
+            # /tmp may be in memory
             self._results = tempfile.TemporaryFile(buffering=0, dir=self.out.parent)  # noqa: SIM115 - closed by `close`
         except OSError as error:
             raise ConfigError(

@@ -62,7 +62,7 @@ def store(
 
     Raises:
         RecordingError: the recording cannot be read.
-        ProjectError: the store refuses.
+        ProjectError: the recording or its proposals cannot be stored.
     """
     recording = open_recording(recorder.out)
     stored = register_recording(project, recording)

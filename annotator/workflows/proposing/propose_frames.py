@@ -37,7 +37,7 @@ def propose_image_boxes(
     rotation: BoxRotation,
     compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
-    """As `propose_frames` from given boxes on the images, one list per frame; sets only the orientation of `config`."""
+    """As `propose_frames`, but with given image boxes, one list per frame; sets only the orientation of `config`."""
     groups: dict[Orientation, list[int]] = defaultdict(list)
     for index, frame in enumerate(frames):
         groups[orientation_for(rotation, frame)].append(index)

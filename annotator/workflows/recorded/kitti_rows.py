@@ -16,7 +16,7 @@ from annotator.workflows.recorded.reading import file_version, frame_number, lab
 
 # The only format whose labels have the difficulty fields of KITTI's evaluation.
 OBJECT = "kitti_object"
-# Its labels have DontCare areas, too.
+# The labels of this format have DontCare areas, too.
 TRACKING = "kitti_tracking"
 
 

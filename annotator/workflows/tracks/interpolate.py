@@ -36,7 +36,7 @@ class Interpolated:
 
 @dataclass(frozen=True, eq=False)
 class _Key:
-    """A key frame: its index in the recording's present frames, and its label."""
+    """A key frame: its index among the frames that are still in the recording, and its label."""
 
     index: int
     label: Label

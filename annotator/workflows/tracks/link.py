@@ -67,7 +67,7 @@ def link_tracks(
     config: TrackingConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> LinkSummary:
-    """Links the labels of recordings into tracks, rejected ones left out.
+    """Links the labels of recordings into tracks, except rejected labels.
 
     Args:
         recordings: ids; None = all.

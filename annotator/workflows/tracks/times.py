@@ -24,7 +24,7 @@ class Timed(Protocol):
 
     @property
     def times_ns(self) -> tuple[int | None, ...] | None:
-        """When each frame was taken, nanoseconds of any one clock; None if not recorded."""
+        """The time of each frame, nanoseconds on an arbitrary clock; None if not recorded."""
 
 
 def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:

@@ -2,7 +2,8 @@
 
 The image detector learns from the boxes on camera images, and from 3D labels projected onto them. The pseudo-view
 detector learns from the boxes drawn on pseudo-views, and from generated views along random axes of every object whose
-3D extent is known: from an accepted, edited or imported 3D box, or from the points inside an operator's drags.
+3D extent is known: from an accepted, edited or imported 3D box, or from the points inside all boxes that an operator
+drew around it.
 """
 
 from __future__ import annotations
@@ -169,8 +170,8 @@ def view_samples(
 def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
     """Returns the views of each fully drawn object by frame, if the box kind is silhouette; else nothing.
 
-    The drags cut the object's points out of the cloud, which give its silhouette from any direction. Boxes around the
-    whole object include unseen parts, so other directions require its 3D box.
+    The drawn boxes cut the object's points out of the cloud, which give its silhouette from any direction. Boxes
+    around the whole object include unseen parts, so other directions require its 3D box.
     """
     finished: dict[int, list[tuple[ViewBoxes, ...]]] = defaultdict(list)
     if material.kind is not BoxKind.SILHOUETTE:
@@ -184,7 +185,7 @@ def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
 
 
 def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | None:
-    """Returns the object that the drags on its views cut out; None if it has too few points.
+    """Returns the object that the boxes drawn on its views cut out; None if it has too few points.
 
     Args:
         views: with one box each, and known geometry.

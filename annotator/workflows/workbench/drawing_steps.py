@@ -1,13 +1,13 @@
-"""Labelling an object with five drags (the paper's Fig. 6): image box -> two views -> two more views -> its 3D box.
+"""Labelling an object with five drawn boxes (the paper's Fig. 6): on the image, on two views, on two more views.
 
-No state is stored between drags: each step is computed from the frame and the boxes drawn so far.
+No state is stored between them: each step is computed from the frame and the boxes drawn so far.
 
 How the final box is computed was chosen by measurement with the simulated operator: 24 people and 24 hands of generated
-recordings, mean IoU to the true box, with exact drags | edges off by 1 % of the view.
+recordings, mean IoU to the true box, with exactly drawn boxes | with edges off by 1 % of the view.
 
     boxes around silhouettes                                 people        hands
     span of the second step's boxes (used)                   0.79 | 0.74   0.51 | 0.50
-    tightest box of the points inside all drags              0.72 | 0.64   0.47 | 0.28
+    tightest box of the points inside all drawn boxes        0.72 | 0.64   0.47 | 0.28
     one fit through all four views                           0.56 | 0.48   0.40 | 0.39
 
 For boxes around the whole object (`BoxKind.BOX`) with a known up direction, the fit reaches 1.00 | 0.74 and the span
@@ -161,7 +161,7 @@ def final_box(
     kind: BoxKind,
     config: RcvConfig,
 ) -> OrientedBox:
-    """Returns the 3D box of all four drags; the module docstring compares the methods."""
+    """Returns the 3D box of all four drawn boxes; the module docstring compares the methods."""
     span = cross_box((views[2], views[3]), (boxes[2], boxes[3]), up)
     if kind is BoxKind.SILHOUETTE or up is None:
         return span

@@ -14,12 +14,12 @@ from annotator.workflows.workbench.drawing_steps import MAX_BOXES, label_steps
 from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 from annotator.workflows.workbench.open_frame import OpenFrame
 
-# Tolerance for boxes of the same drags: metres, and entries of the rotation matrix.
+# Tolerance for 3D boxes from the same drawn boxes: metres, and entries of the rotation matrix.
 SAME_BOX = 1e-9
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
-    """Returns the edits of those labels whose drags now give another box. Labels corrected since then are not changed.
+    """Returns the edits of those labels whose drawn boxes now give another 3D box, except labels corrected since.
 
     Args:
         page: the frame before the change.
@@ -51,7 +51,7 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
 
 
 def _measured(opened: OpenFrame, item: ShownObject, config: RcvConfig, kind: BoxKind) -> OrientedBox | None:
-    """Returns the box that an object's drags give; None if drags are missing."""
+    """Returns the 3D box that an object's drawn boxes give; None if one of these is missing."""
     if len(item.views) != MAX_BOXES or any(len(view.boxes) != 1 for view in item.views):
         return None
     return label_steps(opened, item.image_box, [view.boxes[0] for view in item.views], config, kind).box

@@ -24,7 +24,7 @@ import math
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7
-# Bad values: share of the box's size, share of points, 1 - IoU (twice), 1 - score.
+# The bad values. In this order, they are: share of the box's size, share of points, 1 - IoU, 1 - IoU, 1 - score.
 BAD_DISAGREEMENT = 0.25
 BAD_LOST_SHARE = 0.9
 BAD_CHANGE = 0.3

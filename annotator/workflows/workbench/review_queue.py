@@ -149,7 +149,7 @@ def _distance(index: int, labelled: Sequence[int]) -> int:
 
 
 def _octave(distance: int) -> int:
-    """Returns the distance's power of two: distances that differ little count as equal."""
+    """Returns the number of the distance's binary digits, so that distances that differ little count as equal."""
     return distance.bit_length()
 
 

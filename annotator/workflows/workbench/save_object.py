@@ -61,8 +61,8 @@ def save_object(
 ) -> Saved:
     """Stores the boxes on the image and on an object's views and, once all four are drawn, its 3D label: all or none.
 
-    Boxes on views are removed if their image box is gone or a changed earlier box has replaced the view: such views
-    are no longer a step of any object.
+    Boxes on a view are removed if their image box is gone, or if an earlier box of the object has changed, which gives
+    the object another view: the old view is no longer a step of any object.
 
     Args:
         image_boxes: all boxes of the image, the object's included.
@@ -151,8 +151,8 @@ def _label_change(
 ) -> LabelCreated | LabelEdited | None:
     """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
 
-    A label is created once all four boxes are drawn. An existing label gets a new 3D box only if the drags have changed
-    and are complete: its present box may be a correction. Otherwise only its class and image box are updated.
+    A label is created once all four boxes are drawn. An existing label gets a new 3D box only if the drawn boxes have
+    changed and are complete: its present box may be a correction. Otherwise only its class and image box are updated.
     """
     is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
     measured = labelling.box if is_complete else None

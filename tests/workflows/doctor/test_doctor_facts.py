@@ -31,7 +31,7 @@ def lines(check: Callable[[Path], Iterator[Line]], projects: Path = Path("projec
 
 
 def hide(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
-    """Lets imports of these packages fail as if they were not installed."""
+    """Makes imports of these packages fail as if they were not installed."""
     for name in names:
         monkeypatch.setitem(sys.modules, name, None)
 

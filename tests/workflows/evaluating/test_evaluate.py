@@ -49,7 +49,7 @@ def test_exact_kitti_detections_have_full_precision(tmp_path: Path) -> None:
     assert list(content(report)) == ["Car"]
     assert list(content(report)["Car"]) == ["bbox", "aos", "bev", "3d"]
     for ap in content(report)["Car"].values():
-        # six objects: samples 0 to 5
+        # with six objects, precision is above 0 at the recall samples 0 to 5 only
         assert ap == {"R11": pytest.approx([200 / 11] * 3), "R40": pytest.approx([12.5] * 3)}
     assert [row[:2] for row in report.rows] == [("Car", "bbox"), ("Car", "aos"), ("Car", "bev"), ("Car", "3d")]
     assert len(report.diagrams) == 4
@@ -268,7 +268,7 @@ def test_the_kitti_protocol_works_for_other_recordings(
     import_own_labels(project, 1)
     found = content(evaluate_project(project, Protocol.KITTI))["Pedestrian"]
     assert list(found) == ["bbox", "aos", "bev", "3d"]
-    # all scores are 1, so there is one threshold per recall, for up to 15 objects
+    # each of up to 15 counted objects gives one recall sample; R40 leaves out sample 0
     assert found["3d"]["R40"][1] == pytest.approx(100 * 14 / 40, abs=7.6)
 
 

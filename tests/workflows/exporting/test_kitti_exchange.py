@@ -226,6 +226,6 @@ def test_kittis_labels_are_exported_unchanged(make_project: MakeProject, shared:
                 compared += 1
     assert compared >= 70
     known = [(theirs, ours) for theirs, ours in levels if theirs != 3]
-    # KITTI's levels are judged by people, ours are measured; they agree for 91 % of the objects (docs/formats.md)
+    # people have judged KITTI's occlusion levels, ours are measured; 91 % of them agree (docs/formats.md)
     assert np.mean([theirs == ours for theirs, ours in known]) > 0.8
     assert max(abs(theirs - ours) for theirs, ours in known) == 1

@@ -136,7 +136,7 @@ def test_a_key_of_several_recordings_needs_the_recording(make_project: Callable[
 
 
 def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
-    """Other recordings may have the same keys. If only one recording name is unknown, it is taken as renamed."""
+    """Other recordings may have the same keys. Only the single recording of a dataset is taken as renamed."""
     first, second = (frame.key for frame in people.frames.of()[:2])
     both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)

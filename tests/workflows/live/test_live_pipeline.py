@@ -300,7 +300,7 @@ class QueueingPlayback(Playback):
 
 
 def test_slow_stages_drop_frames_instead_of_delaying_others(frame: Frame) -> None:
-    """Each stage is slower than the one before it, by counting frames instead of by time."""
+    """Each stage is slower than the one before it. Detection and display wait for further frames, not for a time."""
     shown, source = Shown(), QueueingPlayback(FakeRecording(frame, (None,) * 40), rate=math.inf)
 
     class Waiting(FakeDetection):

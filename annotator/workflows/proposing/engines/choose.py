@@ -42,7 +42,7 @@ def make_engine(
         source: of the detectors.
         frames: maximum number of frames to do.
         workers: number of workers; None = one per GPU, or one per core without GPUs (of the cluster, with Ray).
-        threads: processor threads of each worker; None = its share of the machine's cores, with Ray one.
+        threads: processor threads of each worker; None = its share of the machine's cores (Ray: one thread).
         address: of a Ray cluster; None = one on this machine.
         storage: where workers read recordings.
 

@@ -20,7 +20,8 @@ from annotator.workflows.proposing.engines.sources import DetectorSource, Packed
 from annotator.workflows.proposing.engines.storage import Storage
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
 
-# Read by Ray when it is imported. The first one switches usage reports off.
+# Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
+# keep the machine's CUDA_VISIBLE_DEVICES.
 SWITCHES = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
 # Makes a cluster started here listen on 127.0.0.1 only; in spite of its name, it applies to Linux, too.
 LOCAL_SWITCHES = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
