@@ -143,7 +143,7 @@ def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:
         raise FormatError(out, "exists and is not a folder; choose another folder")
     if out.is_dir() and any(out.iterdir()) and not may_replace(out):
         raise FormatError(
-            out, "exists and is not empty; choose another folder, or allow to overwrite an existing dataset"
+            out, "exists and is not empty; choose another folder, or allow overwriting an existing dataset"
         )
 
 

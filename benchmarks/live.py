@@ -3,8 +3,8 @@
     python -m benchmarks.live DIR [--project P] [--warm-start] [--backend B] [--seconds S] [--json]
 
 The frames are played forward and backward, so that motion is continuous. They are played faster than the detection can
-process them, and it uses the newest frame. So the pipeline limits the frame rate. Without a kept project,
-the detectors are trained as in `benchmarks.loop`.
+process them, and the detection always takes the newest frame. So the pipeline limits the frame rate. Without a kept
+project, the detectors are trained as in `benchmarks.loop`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Arguments:
     rate: float | None = None
     """Frames per second of the source; None = 1.25 times the pipeline's rate, and at least 30."""
     epochs: int | None = None
-    """Epochs of both trainings if needed; None = as many as show the default number of images."""
+    """Epochs of both training runs if needed; None = as many as show the default number of images."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 

@@ -66,7 +66,7 @@ class Arguments:
     label: str | None = None
     """Class of the objects in a folder with masks but no boxes; None = "object"."""
     epochs: int | None = None
-    """Epochs of both trainings; None = as many as show the default number of images."""
+    """Epochs of both training runs; None = as many as show the default number of images."""
     model: str | None = None
     """Name of an ultralytics detection model for both detectors; None = the default of each."""
     size: int | None = None
@@ -78,7 +78,7 @@ class Arguments:
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
     project: Path | None = None
-    """Folder in which to keep the project. The detectors of a kept project are used, such as to compare strategies."""
+    """Folder in which to keep the project. If it exists, its detectors are used, for example to compare strategies."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 

@@ -1,4 +1,4 @@
-"""The paper's tables, from the data set to the figures: 2D boxes from 3D boxes, both trainings, RCV, official AP.
+"""The paper's tables, from the data set to the figures: 2D boxes from 3D boxes, training, RCV, official AP.
 
     python -m benchmarks.paper kitti --root KITTI --fraction 0.25 [--settings product] [--limit 20] [--json]
     python -m benchmarks.paper sunrgbd --root SUNRGBD [--classes votenet] [--settings product] [--limit 20] [--json]
@@ -58,7 +58,7 @@ class Arguments:
     limit: int | None = None
     """Maximum number of training frames and of test frames."""
     seed: int = 0
-    """Seed of the choice of frames and of the trainings."""
+    """Seed of the choice of frames and of training."""
     model: str | None = None
     """Name of an ultralytics detection model for both detectors; default: that of --settings."""
     weights: str = "auto"

@@ -1,4 +1,4 @@
-"""Quality of the tracks from the linking of boxes, compared with the true tracks.
+"""Quality of the tracks that linking finds, compared with the true tracks.
 
 python -m benchmarks.tracks RECORDING [--json]
 

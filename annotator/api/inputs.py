@@ -33,7 +33,7 @@ def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
     """
     image = np.asarray(rgb)
     if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
-        raise ArgumentError(f"rgb has shape {image.shape}: channels come last; give np.moveaxis(rgb, 0, -1)")
+        raise ArgumentError(f"rgb has shape {image.shape}: but channels must come last; pass np.moveaxis(rgb, 0, -1)")
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or 0 in image.shape:

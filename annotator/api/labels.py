@@ -94,9 +94,9 @@ def evaluate(found: Boxes, truth: Boxes) -> Report:
         ArgumentError: `truth` has no box, or the two have no frame in common.
     """
     if not any(truth.values()):
-        raise ArgumentError("the truth has no box to evaluate against")
+        raise ArgumentError("truth has no box to evaluate against")
     if not set(found) & set(truth):
-        raise ArgumentError(f"no frame in common: found has {list(found)[:3]}, the truth {list(truth)[:3]}")
+        raise ArgumentError(f"no frame in common: found has {list(found)[:3]}, truth has {list(truth)[:3]}")
     columns = [box_table([list(map(_scored_box, side.get(key, ()))) for key in truth]) for side in (found, truth)]
     return oriented_report(evaluate_oriented(columns[0], columns[1]))
 

@@ -259,7 +259,7 @@ class Project:
         if format not in tuple(ExportFormat):
             raise ArgumentError(f"format must be one of {', '.join(ExportFormat)}, not {format!r}")
         if unknown := set(states or ()) - set(ReviewState):
-            raise ArgumentError(f"states must be some of {', '.join(ReviewState)}, not {', '.join(unknown)}")
+            raise ArgumentError(f"states must be from {', '.join(ReviewState)}, not {', '.join(unknown)}")
         choose = ExportFilter(states=tuple(map(ReviewState, states))) if states else None
         return export_project(self.stored, Path(out), ExportFormat(format), choose=choose, overwrite=overwrite)
 

@@ -35,7 +35,9 @@ COMMANDS: dict[str, Command] = {
     "check": Command("annotator.cli.check:run", "find errors in a dataset, or suspicious labels in a project"),
     "project move": Command("annotator.cli.project_move:run", "set the new path of a moved recording"),
     "generate": Command("annotator.cli.generate:run", "generate a synthetic recording with ground truth"),
-    "doctor": Command("annotator.cli.doctor:run", "show what this machine has, and test that it computes correctly"),
+    "doctor": Command(
+        "annotator.cli.doctor:run", "report packages, devices and detector backends, and run a self-test"
+    ),
     "demo": Command("annotator.cli.demo:run", "run the whole loop on a generated recording"),
     "completion": Command("annotator.cli.completion:run", "print a shell's completion script"),
 }

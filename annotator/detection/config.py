@@ -31,7 +31,7 @@ class Augmentation(BaseModel):
     saturation: float = Field(0.2, ge=0, le=1, description="largest change of saturation, share")
     brightness: float = Field(0.2, ge=0, le=1, description="largest change of brightness, share")
     mosaic: float = Field(0.0, ge=0, le=1, description="probability of an image composed of four")
-    mosaic_off_epochs: int = Field(10, ge=0, description="number of last epochs without mosaic")
+    mosaic_off_epochs: int = Field(10, ge=0, description="number of epochs without mosaic at the end of training")
 
 
 def default_augmentation(role: DetectorKind, free_rotation: bool) -> Augmentation:

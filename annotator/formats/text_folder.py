@@ -45,7 +45,7 @@ def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     if not files:
-        raise FormatError(path, f"has no {suffix} file; give the folder that holds them")
+        raise FormatError(path, f"has no {suffix} files; give the folder that contains them")
     for file in files:
         yield file.stem, file, read_text(file)
 

@@ -38,7 +38,7 @@ class YoloWriter:
         if parts and (not set(parts) <= set(PARTS) or not {"train", "val"} <= set(parts)):
             raise ConfigError(
                 f"YOLO's parts are called train, val and (optionally) test, not {', '.join(parts)}; "
-                "divide with --split train=0.8,val=0.2"
+                "split the dataset with --split train=0.8,val=0.2"
             )
         self._folder, self._classes = folder, tuple(classes)
         self._numbers = {name: number for number, name in enumerate(classes)}

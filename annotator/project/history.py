@@ -143,7 +143,7 @@ class History:
                 if not skip:
                     raise HistoryError(
                         f"{self._description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
-                        f"{conflict}; nothing was changed, both versions are in the log",
+                        f"{conflict}; nothing was changed; both versions are in the log",
                         frame_id=rows[0].frame_id,
                     )
             else:

@@ -138,7 +138,7 @@ class WarmConfig(BaseModel):
         0.3,
         gt=0,
         le=1,
-        description="minimum IoU on the image between the image box and the start box, and between it and the result",
+        description="minimum IoU on the image of the image box with the start box, and with the result",
     )
     room: float = Field(
         0.2,
@@ -209,13 +209,13 @@ class RcvConfig(BaseModel):
     stranger_weight: float = Field(
         0.1,
         ge=0,
-        description="weight of a detection: this, plus its IoU with the last box",
+        description="added to a detection's IoU with the last box to give its weight",
     )
     border_px: float = Field(
         1.0, ge=0, description="an edge within this distance of the view's border counts as cut off, pixels"
     )
     cut_room: float = Field(
-        1.4, ge=1, description="after a cut-off, the next views show the box enlarged by this factor"
+        1.4, ge=1, description="if the object was cut off, the next views show its box enlarged by this factor"
     )
     keep_margin: float = Field(
         0.03, ge=0, le=1, description="margin around the box within which points are kept, share of its mean side"

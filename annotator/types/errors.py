@@ -116,7 +116,7 @@ class StaleRevisionError(ProjectError):
         self.expected = expected
         self.actual = actual
         super().__init__(
-            f"{where} is at revision {actual}, the change was made on revision {expected}; "
+            f"{where} is at revision {actual}, but the change was made on revision {expected}; "
             "reload the frame and apply the change again"
         )
 

@@ -80,7 +80,7 @@ def test_a_grey_image_is_repeated_in_three_channels() -> None:
         (RGB / 255.0 - 0.5, ["floats from"]),
         (RGB.astype(np.uint16), ["uint16", "uint8"]),
         (RGB > 128, ["bool"]),
-        (np.moveaxis(RGB, -1, 0), ["channels come last", "moveaxis"]),
+        (np.moveaxis(RGB, -1, 0), ["channels must come last", "moveaxis"]),
         (RGB[..., :2], ["(H, W, 3)"]),
         (RGB[None], ["(H, W, 3)"]),
         (np.where(RGB[0, 0] == RGB, np.nan, RGB / 255.0), ["NaN"]),

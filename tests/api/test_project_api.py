@@ -118,7 +118,7 @@ def test_recordings_bring_their_labels(tmp_path: Path, generated: Path) -> None:
 def test_invalid_option_values_are_errors(people: annotator.Project, tmp_path: Path, knowing: Knowing) -> None:
     with pytest.raises(ArgumentError, match="format must be one of rcv"):
         people.export(tmp_path / "out", "pascal")
-    with pytest.raises(ArgumentError, match="states must be some of proposed"):
+    with pytest.raises(ArgumentError, match="states must be from proposed"):
         people.export(tmp_path / "out", states=["good"])
     with pytest.raises(ArgumentError, match="engine must be one of"):
         people.annotate(engine="slurm")

@@ -127,7 +127,7 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
 
     said = run(capsys, "export", project, "yolo", "--format", "yolo", "--boxes-on", "both")
     assert said.startswith("yolo: 3 images, 3 person\nlost in yolo: 2 boxes enclose the whole object")
-    assert said.endswith("; divide with --split train=0.8,val=0.2\n")
+    assert said.endswith("; split the dataset with --split train=0.8,val=0.2\n")
     assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
         "3 boxes on 1 camera images and 2 pseudo-views\n"
     )

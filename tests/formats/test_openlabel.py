@@ -204,7 +204,7 @@ CUBOID = r"frames\.0\.objects\.12\.object_data\.cuboid\.0"
         (cuboid_with(val=[0, 0, 0, 0, 0, 0, 1, -1, 1]), CUBOID + ".*sizes must be positive"),
         (cuboid_with(val=[0, 0, "a", 0, 0, 0, 1, 1, 1]), CUBOID + r"\.val\.2"),
         (cuboid_with(coordinate_system="mars"), CUBOID + ".*the coordinate systems 'mars' and 'cam' are not connected"),
-        (cuboid_with(coordinate_system=None), CUBOID + ": names no coordinate_system"),
+        (cuboid_with(coordinate_system=None), CUBOID + ": has no coordinate_system"),
         (cuboid_with(attributes={"num": [{"name": "track_id", "val": 1.5}]}), CUBOID + ": track_id must be"),
         (cuboid_with(attributes={"num": [{"name": "track_id", "val": 2.0**54}]}), r"num\.0\.val"),
         (numbered("1" + "0" * 17), "the object's number is its track id"),

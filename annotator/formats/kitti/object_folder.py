@@ -100,7 +100,8 @@ def _check_part(name: str | None) -> None:
     """Raises ConfigError for a part that KITTI does not have, since KITTI's tools would ignore it."""
     if name is not None and name not in SPLITS:
         raise ConfigError(
-            f"KITTI's parts are called {', '.join(SPLITS)}, not {name}; divide with --split train=0.8,val=0.2"
+            f"KITTI's parts are called {', '.join(SPLITS)}, not {name}; split the dataset with "
+            "--split train=0.8,val=0.2"
         )
 
 

@@ -122,6 +122,6 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
         raise FormatError(
             folder,
             "the angles may be radians or degrees; put labelCloud's _classes.json beside the labels, with "
-            f'"format" "{CENTROID_REL}" (radians) or "{CENTROID_ABS}" (degrees)',
+            f'"format": "{CENTROID_REL}" (radians) or "format": "{CENTROID_ABS}" (degrees)',
         )
     return degrees

@@ -123,7 +123,7 @@ def _sensors(path: Path, content: Content) -> dict[str, bool]:
     clouds = [name for name, stream in streams.items() if stream.type == "lidar"]
     if len(clouds) != 1:
         raise FormatError(
-            path, "has no stream of type camera, and no single one of type lidar; add the sensor of the boxes"
+            path, "has no stream of type camera, and not exactly one of type lidar; add the sensor of the boxes"
         )
     return {clouds[0]: False}
 
@@ -155,7 +155,7 @@ def _box(
 ) -> OpenLabelBox:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
-        raise FormatError(path, f"{where}: names no coordinate_system, nor does its object; add one")
+        raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
     attributes = cuboid.attributes or Attributes()
     numbers = {num.name: num.val for num in attributes.num or ()}
     state = next((text.val for text in attributes.text or () if text.name == "state"), None)

@@ -53,11 +53,11 @@ def _note(rule_id: str, meaning: str) -> Rule:
 # Files
 UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset but cannot be opened")
 MISSING_FILE = _error("missing-file", "a frame lacks one of its files, such as an image without its cloud")
-UNREADABLE_FILE = _error("unreadable-file", "a frame's file is damaged, or has another size than those beside it")
+UNREADABLE_FILE = _error("unreadable-file", "a frame's file is damaged, or differs in size from those beside it")
 UNREADABLE_CALIBRATION = _error(
     "unreadable-calibration", "a calibration lacks a matrix, or has an invalid camera matrix or rotation"
 )
-UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing, damaged or of another size than its image")
+UNREADABLE_MASK = _error("unreadable-mask", "a mask is missing or damaged, or differs in size from its image")
 MISSING_LABELS = _error("missing-labels", "a frame has no label file, but others of its dataset have one")
 STRAY_FILE = _error(
     "stray-file",

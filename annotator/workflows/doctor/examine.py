@@ -98,7 +98,7 @@ def run_check(name: str, check: Check, projects: Path) -> list[Line]:
 
 
 def _lost(name: str, why: str) -> Line:
-    return Line(section="lost checks", name=name, state=State.FAILED, found=why, remedy=REPORT_IT)
+    return Line(section="failed checks", name=name, state=State.FAILED, found=why, remedy=REPORT_IT)
 
 
 def _ending(code: int | None) -> str:

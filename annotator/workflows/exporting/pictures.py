@@ -39,7 +39,10 @@ from annotator.workflows.views.places import ViewPlace, write_places
 MIN_SIDE_PX = 1.0
 # Boxes of a class that differ by less are equal, pixels.
 SAME_PX = 0.01
-UNDIVIDED = "without parts: the same images are used for training and validation; divide with --split train=0.8,val=0.2"
+UNDIVIDED = (
+    "without parts: the same images are used for training and validation; split the dataset with "
+    "--split train=0.8,val=0.2"
+)
 
 Make = Callable[[Path, Sequence[str], Sequence[str]], PictureWriter]
 

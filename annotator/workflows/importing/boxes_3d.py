@@ -148,7 +148,7 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
             matched[frames[0].id] = (name, frames[0])
     if not matched:
         shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-        raise FormatError(path, f"the project has none of the dataset's frames ({shown or 'it has none'})")
+        raise FormatError(path, f"the project has none of the dataset's frames ({shown or 'the dataset has none'})")
     renamed = finder.renamed(stored for name, stored in matched.values() if places[name][0] is not None)
     in_order = sorted(matched.values(), key=lambda pair: order[pair[1].id])
     return MatchedFrames(tuple(in_order), tuple(unmatched), renamed)

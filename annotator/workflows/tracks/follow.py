@@ -15,7 +15,7 @@ from annotator.rcv.warm_start import WarmStart
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.motion import predicted
 from annotator.types import OrientedBox
-from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.fit_boxes import FitBox
@@ -133,6 +133,8 @@ class _Step:
         next_id = neighbours(project, frame)[1]
         if next_id is None:
             raise ConfigError(f"frame {frame.key} is the last of its recording; there is no next frame")
+        if not labels and uid is not None:
+            raise NotFoundError(f"frame {frame.key} has no label {uid}; reload the frame")
         if not labels:
             raise ConfigError(f"frame {frame.key} has no reviewed box to start from; accept one first")
         next_frame = project.frames.get(next_id)

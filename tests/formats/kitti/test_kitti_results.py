@@ -106,7 +106,7 @@ def test_unusable_folders_and_archives_are_errors(tmp_path: Path) -> None:
         "missing": "there is no such folder",
         "file.txt": "is neither a folder",
         "cut.zip": "is neither a folder",
-        "empty.zip": "has no .txt file",
+        "empty.zip": "has no .txt files",
         "twice.zip": "two files called 1.txt",
     }.items():
         with pytest.raises(FormatError, match=problem):

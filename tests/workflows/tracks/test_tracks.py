@@ -19,7 +19,7 @@ from annotator.recordings import open_recording
 from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
-from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
@@ -259,6 +259,13 @@ def test_boxes_are_copied_to_their_predicted_positions(
     assert iou_3d(label.box, truths[2][0].box) > 0.9
     with pytest.raises(ConfigError, match="last of its recording"):
         copy_next(people, frames[4].id, 0, ANN)
+
+
+def test_an_unknown_label_cannot_be_continued(people: Project, truths: list[list[Truth]]) -> None:
+    frame = people.frames.of()[0]
+    accept_truth(people, frame, truths[0][:1], track_id=None)
+    with pytest.raises(NotFoundError, match="has no label gone; reload the frame"):
+        copy_next(people, frame.id, 1, ANN, uid="gone")
 
 
 def test_recordings_without_a_time_order_have_no_next_frame(people: Project, truths: list[list[Truth]]) -> None:

@@ -241,7 +241,7 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
       finalise.replaceChildren(glyph("lock"), state.frame.finalised ? "Reopen frame" : "Finalise");
       finalise.title = state.frame.finalised
         ? "Allow changes to this frame again"
-        : "Make the frame read-only, also for automatic passes (Ctrl+Enter)";
+        : "Lock the frame: no drawing here, no changes by automatic passes (Ctrl+Enter)";
     },
     clear() {
       finalise.hidden = true;

@@ -1,7 +1,7 @@
 /** The queue of proposals to review: its order, its filter, and the next item. */
 
 export const ORDERS = [
-  ["worst", "Worst first"],
+  ["worst", "Most doubtful first"],
   ["time", "In time order"],
   ["class", "By class"],
   ["track", "By track"],

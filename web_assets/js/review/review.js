@@ -376,7 +376,7 @@ export function mount(root, app) {
         desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
       } else {
         const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
-        app.toast(`${why}: draw boxes on its four views to finish it.`, "warn");
+        app.toast(`${why}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
         app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
       }
     } catch (error) {

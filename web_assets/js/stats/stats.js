@@ -109,7 +109,7 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels }) 
     ["Seconds per box", number(effort.seconds_a_box), "of work"],
     ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
-    ["IoU proposal to final", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
+    ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
   ].map(([name, value, help]) =>
     h(
       "div",

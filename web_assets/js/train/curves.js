@@ -8,8 +8,8 @@ const QUALITY = /^map50(_95)?$/;
 const LOSS = /loss$/;
 /** @type {Record<string, string>} */
 const NAMES = {
-  map50: "mAP 50",
-  map50_95: "mAP 50–95",
+  map50: "mAP50",
+  map50_95: "mAP50-95",
   box_loss: "box loss",
   cls_loss: "class loss",
   dfl_loss: "edge loss",

@@ -5,8 +5,8 @@ import { count, h } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
 const COLUMNS = [
-  ["map50", "mAP 50"],
-  ["map50_95", "mAP 50–95"],
+  ["map50", "mAP50"],
+  ["map50_95", "mAP50-95"],
   ["precision", "Precision"],
   ["recall", "Recall"],
 ];

@@ -8,8 +8,8 @@ import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
 
 /** The server's defaults, which empty fields show. */
-const PICTURES = { image: 1600, view: 18000 };
-const SIZES_PX = { image: 256, view: 128 };
+const PICTURES = { image: 1600, view: 48000 };
+const SIZES_PX = { image: 256, view: 64 };
 /** @type {[Api.DetectorKind, string, string][]} */
 const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
