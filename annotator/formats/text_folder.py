@@ -86,7 +86,7 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
                     raise FormatError(path, f"has two files called {name.name}; keep one")
                 named[name.stem] = info
             if not named:
-                raise FormatError(path, f"has no {suffix} file")
+                raise FormatError(path, f"has no {suffix} files")
             for key in sorted(named):
                 with archive.open(named[key]) as stream:
                     # the size that an archive declares may be wrong
