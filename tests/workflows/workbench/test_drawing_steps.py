@@ -314,7 +314,7 @@ def test_invalid_saves_are_errors_and_change_nothing(desk: Desk) -> None:
         desk.save([], ObjectDrawn(image_box, []))
     with pytest.raises(NotFoundError, match="has no label ab"):
         desk.save([image_box], ObjectDrawn(image_box, desk.four(), "ab"))
-    with pytest.raises(StaleRevisionError, match="is at revision 0, the change was made on revision 3"):
+    with pytest.raises(StaleRevisionError, match="is at revision 0, but the change was made on revision 3"):
         desk.save([image_box], None, revision=3)
     assert desk.revision == 0
 

@@ -4,20 +4,20 @@ import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
 import { count, h } from "../dom.js";
 
 const CENTER = [
-	["x", "to the right of the camera"],
-	["y", "below the camera"],
-	["z", "in front of the camera"],
+  ["x", "to the right of the camera"],
+  ["y", "below the camera"],
+  ["z", "in front of the camera"],
 ];
 const SIZE = [
-	["length", "along the heading"],
-	["width", "across the heading"],
-	["height", "along the box's z axis"],
+  ["length", "along the heading"],
+  ["width", "across the heading"],
+  ["height", "along the box's z axis"],
 ];
 /** @type {[keyof Angles, string][]} */
 const ANGLES = [
-	["yaw", "about the scene's up direction; 0° points away from the camera"],
-	["pitch", "a positive angle lowers the front"],
-	["roll", "about the heading"],
+  ["yaw", "about the scene's up direction; 0° points away from the camera"],
+  ["pitch", "a positive angle lowers the front"],
+  ["roll", "about the heading"],
 ];
 
 /**
@@ -26,251 +26,227 @@ const ANGLES = [
  * @param {{ classes: () => string[], up: () => Vector | null }} options
  */
 export function createFields(host, desk, { classes, up }) {
-	/** @type {Record<string, HTMLInputElement>} */
-	const inputs = {};
-	/**
-	 * The field that is being typed in.
-	 *
-	 * @type {HTMLInputElement | null}
-	 */
-	let typed = null;
-	/** @type {string | null} */
-	let shownUid = null;
-	const title = h("h2", { class: "ellipsis" });
-	const chip = h("span", { class: "chip", "data-testid": "label-state" });
-	const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
-	const problem = h("div", {
-		class: "error-box",
-		role: "alert",
-		hidden: true,
-		"data-testid": "not-saved",
-	});
-	const form = h("form", { class: "box-fields", "data-testid": "fields" });
-	const nothing = h(
-		"div",
-		{ class: "empty" },
-		h(
-			"p",
-			{},
-			"No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view.",
-		),
-	);
-	host.replaceChildren(
-		h("header", {}, title, h("span", { class: "grow" }), chip),
-		problem,
-		form,
-		nothing,
-	);
+  /** @type {Record<string, HTMLInputElement>} */
+  const inputs = {};
+  /**
+   * The field that is being typed in.
+   *
+   * @type {HTMLInputElement | null}
+   */
+  let typed = null;
+  /** @type {string | null} */
+  let shownUid = null;
+  const title = h("h2", { class: "ellipsis" });
+  const chip = h("span", { class: "chip", "data-testid": "label-state" });
+  const facts = h("dl", { class: "facts", "data-testid": "label-facts" });
+  const problem = h("div", {
+    class: "error-box",
+    role: "alert",
+    hidden: true,
+    "data-testid": "not-saved",
+  });
+  const form = h("form", { class: "box-fields", "data-testid": "fields" });
+  const nothing = h(
+    "div",
+    { class: "empty" },
+    h("p", {}, "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."),
+  );
+  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
 
-	/**
-	 * @param {string} name
-	 * @param {string} label
-	 * @param {string} help
-	 * @param {string} unit
-	 * @param {number} step
-	 * @param {(value: number) => void} change
-	 */
-	function number(name, label, help, unit, step, change) {
-		/** @type {HTMLInputElement} */
-		const input = h("input", {
-			type: "number",
-			step,
-			"aria-label": `${label} in ${unit}`,
-			title: `${label}: ${help}`,
-			"data-testid": `field-${name}`,
-			oninput: () => {
-				typed = input;
-				if (Number.isFinite(input.valueAsNumber)) change(input.valueAsNumber);
-			},
-			onchange: () => leave(input),
-			onkeydown: (event) => {
-				if (event.key !== "Escape") return;
-				event.preventDefault();
-				typed = null;
-				desk.revert();
-			},
-		});
-		inputs[name] = input;
-		return h(
-			"label",
-			{ class: "number-field" },
-			h("span", {}, label),
-			input,
-			h("span", { class: "unit" }, unit),
-		);
-	}
+  /**
+   * @param {string} name
+   * @param {string} label
+   * @param {string} help
+   * @param {string} unit
+   * @param {number} step
+   * @param {(value: number) => void} change
+   */
+  function number(name, label, help, unit, step, change) {
+    /** @type {HTMLInputElement} */
+    const input = h("input", {
+      type: "number",
+      step,
+      "aria-label": `${label} in ${unit}`,
+      title: `${label}: ${help}`,
+      "data-testid": `field-${name}`,
+      oninput: () => {
+        typed = input;
+        if (Number.isFinite(input.valueAsNumber)) change(input.valueAsNumber);
+      },
+      onchange: () => leave(input),
+      onkeydown: (event) => {
+        if (event.key !== "Escape") return;
+        event.preventDefault();
+        typed = null;
+        desk.revert();
+      },
+    });
+    inputs[name] = input;
+    return h("label", { class: "number-field" }, h("span", {}, label), input, h("span", { class: "unit" }, unit));
+  }
 
-	// Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
-	/** @param {HTMLInputElement} input */
-	function leave(input) {
-		typed = null;
-		if (!Number.isFinite(input.valueAsNumber)) desk.revert();
-		else void desk.commit();
-	}
+  // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
+  /** @param {HTMLInputElement} input */
+  function leave(input) {
+    typed = null;
+    if (!Number.isFinite(input.valueAsNumber)) desk.revert();
+    else void desk.commit();
+  }
 
-	/** @param {(box: Box3D) => Box3D} change */
-	function setBox(change) {
-		if (desk.shown) desk.preview({ box: change(copyBox(desk.shown.box)) });
-	}
-	/**
-	 * @param {number[]} list
-	 * @param {number} i
-	 * @param {number} value
-	 */
-	const place = (list, i, value) =>
-		list.map((old, k) => (k === i ? value : old));
-	const choice = h(
-		"select",
-		{
-			"aria-label": "Class",
-			"data-testid": "field-class",
-			onchange: () => {
-				// so that Space and the digits are keys of the mode again
-				choice.blur();
-				void desk.edit({ label: choice.value });
-			},
-		},
-		classes().map((name) => h("option", { value: name }, name)),
-	);
-	/** @type {HTMLInputElement} */
-	const track = h("input", {
-		type: "number",
-		step: 1,
-		min: 0,
-		placeholder: "none",
-		"aria-label": "Track id",
-		title: "The object's id in the recording",
-		"data-testid": "field-track",
-		oninput: () =>
-			desk.shown &&
-			desk.preview({
-				track_id: Number.isInteger(track.valueAsNumber)
-					? track.valueAsNumber
-					: null,
-			}),
-		onchange: () => void desk.commit(),
-	});
-	form.append(
-		h(
-			"fieldset",
-			{ class: "wide" },
-			h("label", { class: "number-field" }, h("span", {}, "Class"), choice),
-			h("label", { class: "number-field" }, h("span", {}, "Track"), track),
-		),
-		group(
-			"Centre",
-			CENTER.map(([name, help], i) =>
-				number(`center-${name}`, name, help, "m", 0.01, (value) =>
-					setBox((old) => ({ ...old, center: place(old.center, i, value) })),
-				),
-			),
-		),
-		group(
-			"Size",
-			SIZE.map(([name, help], i) =>
-				number(`size-${name}`, name, help, "m", 0.01, (value) =>
-					setBox((old) => ({
-						...old,
-						size: place(old.size, i, Math.max(value, MIN_SIZE_M)),
-					})),
-				),
-			),
-		),
-		group(
-			"Rotation",
-			ANGLES.map(([name, help]) =>
-				number(name, name, help, "°", 1, (value) =>
-					setBox((old) =>
-						withAnglesDeg(old, up(), {
-							...anglesDeg(old, up()),
-							[name]: value,
-						}),
-					),
-				),
-			),
-		),
-		facts,
-	);
-	form.addEventListener("submit", (event) => event.preventDefault());
+  /** @param {(box: Box3D) => Box3D} change */
+  function setBox(change) {
+    if (desk.shown) desk.preview({ box: change(copyBox(desk.shown.box)) });
+  }
+  /**
+   * @param {number[]} list
+   * @param {number} i
+   * @param {number} value
+   */
+  const place = (list, i, value) => list.map((old, k) => (k === i ? value : old));
+  const choice = h(
+    "select",
+    {
+      "aria-label": "Class",
+      "data-testid": "field-class",
+      onchange: () => {
+        // so that Space and the digits are keys of the mode again
+        choice.blur();
+        void desk.edit({ label: choice.value });
+      },
+    },
+    classes().map((name) => h("option", { value: name }, name)),
+  );
+  /** @type {HTMLInputElement} */
+  const track = h("input", {
+    type: "number",
+    step: 1,
+    min: 0,
+    placeholder: "none",
+    "aria-label": "Track id",
+    title: "The object's id in the recording",
+    "data-testid": "field-track",
+    oninput: () =>
+      desk.shown &&
+      desk.preview({
+        track_id: Number.isInteger(track.valueAsNumber) ? track.valueAsNumber : null,
+      }),
+    onchange: () => void desk.commit(),
+  });
+  form.append(
+    h(
+      "fieldset",
+      { class: "wide" },
+      h("label", { class: "number-field" }, h("span", {}, "Class"), choice),
+      h("label", { class: "number-field" }, h("span", {}, "Track"), track),
+    ),
+    group(
+      "Centre",
+      CENTER.map(([name, help], i) =>
+        number(`center-${name}`, name, help, "m", 0.01, (value) =>
+          setBox((old) => ({ ...old, center: place(old.center, i, value) })),
+        ),
+      ),
+    ),
+    group(
+      "Size",
+      SIZE.map(([name, help], i) =>
+        number(`size-${name}`, name, help, "m", 0.01, (value) =>
+          setBox((old) => ({
+            ...old,
+            size: place(old.size, i, Math.max(value, MIN_SIZE_M)),
+          })),
+        ),
+      ),
+    ),
+    group(
+      "Rotation",
+      ANGLES.map(([name, help]) =>
+        number(name, name, help, "°", 1, (value) =>
+          setBox((old) =>
+            withAnglesDeg(old, up(), {
+              ...anglesDeg(old, up()),
+              [name]: value,
+            }),
+          ),
+        ),
+      ),
+    ),
+    facts,
+  );
+  form.addEventListener("submit", (event) => event.preventDefault());
 
-	/**
-	 * Shows a number, but not in the field that is being typed in.
-	 *
-	 * @param {string} name
-	 * @param {number} value
-	 * @param {number} digits
-	 */
-	function put(name, value, digits) {
-		// -0.0 is 0
-		const text = value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
-		if (inputs[name] !== typed && inputs[name].value !== text)
-			inputs[name].value = text;
-	}
+  /**
+   * Shows a number, but not in the field that is being typed in.
+   *
+   * @param {string} name
+   * @param {number} value
+   * @param {number} digits
+   */
+  function put(name, value, digits) {
+    // -0.0 is 0
+    const text = value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
+    if (inputs[name] !== typed && inputs[name].value !== text) inputs[name].value = text;
+  }
 
-	function showProblem() {
-		const why = desk.problemOf();
-		problem.hidden = !why;
-		if (!why) return;
-		problem.replaceChildren(
-			h("p", {}, `Not saved. ${why}`),
-			h(
-				"div",
-				{ class: "row" },
-				h(
-					"button",
-					{
-						type: "button",
-						onclick: () => void desk.retry(),
-						"data-testid": "draft-retry",
-					},
-					"Try again",
-				),
-				h(
-					"button",
-					{
-						type: "button",
-						onclick: () => desk.revert(),
-						"data-testid": "draft-discard",
-					},
-					"Discard",
-				),
-			),
-		);
-	}
+  function showProblem() {
+    const why = desk.problemOf();
+    problem.hidden = !why;
+    if (!why) return;
+    problem.replaceChildren(
+      h("p", {}, `Not saved. ${why}`),
+      h(
+        "div",
+        { class: "row" },
+        h(
+          "button",
+          {
+            type: "button",
+            onclick: () => void desk.retry(),
+            "data-testid": "draft-retry",
+          },
+          "Try again",
+        ),
+        h(
+          "button",
+          {
+            type: "button",
+            onclick: () => desk.revert(),
+            "data-testid": "draft-discard",
+          },
+          "Discard",
+        ),
+      ),
+    );
+  }
 
-	function show() {
-		const label = desk.shown;
-		if (desk.uid !== shownUid) [shownUid, typed] = [desk.uid, null];
-		form.hidden = !label;
-		chip.hidden = !label;
-		nothing.hidden = Boolean(label);
-		title.textContent = label ? label.label : "Box";
-		showProblem();
-		if (!label) return;
-		const state = desk.hasDraft
-			? "not saved"
-			: label.isNew
-				? "new"
-				: label.state;
-		chip.textContent = state;
-		chip.className = `chip state-${label.state}`;
-		const turn = anglesDeg(label.box, up());
-		CENTER.forEach(([name], i) => {
-			put(`center-${name}`, label.box.center[i], 3);
-		});
-		SIZE.forEach(([name], i) => {
-			put(`size-${name}`, label.box.size[i], 3);
-		});
-		for (const [name] of ANGLES) put(name, turn[name], 1);
-		if (![...choice.options].some(({ value }) => value === label.label))
-			choice.append(h("option", { value: label.label }, label.label));
-		choice.value = label.label;
-		if (document.activeElement !== track)
-			track.value = String(label.track_id ?? "");
-		facts.replaceChildren(...describe(label));
-	}
+  function show() {
+    const label = desk.shown;
+    if (desk.uid !== shownUid) [shownUid, typed] = [desk.uid, null];
+    form.hidden = !label;
+    chip.hidden = !label;
+    nothing.hidden = Boolean(label);
+    title.textContent = label ? label.label : "Box";
+    showProblem();
+    if (!label) return;
+    const state = desk.hasDraft ? "not saved" : label.isNew ? "new" : label.state;
+    chip.textContent = state;
+    chip.className = `chip state-${label.state}`;
+    const turn = anglesDeg(label.box, up());
+    CENTER.forEach(([name], i) => {
+      put(`center-${name}`, label.box.center[i], 3);
+    });
+    SIZE.forEach(([name], i) => {
+      put(`size-${name}`, label.box.size[i], 3);
+    });
+    for (const [name] of ANGLES) put(name, turn[name], 1);
+    if (![...choice.options].some(({ value }) => value === label.label))
+      choice.append(h("option", { value: label.label }, label.label));
+    choice.value = label.label;
+    if (document.activeElement !== track) track.value = String(label.track_id ?? "");
+    facts.replaceChildren(...describe(label));
+  }
 
-	return { show };
+  return { show };
 }
 
 /**
@@ -278,60 +254,34 @@ export function createFields(host, desk, { classes, up }) {
  * @param {Node[]} fields
  */
 function group(name, fields) {
-	return h("fieldset", {}, h("legend", {}, name), fields);
+  return h("fieldset", {}, h("legend", {}, name), fields);
 }
 
 /** @param {number | null | undefined} value */
-const percent = (value) =>
-	value === null || value === undefined ? "–" : `${(100 * value).toFixed(0)} %`;
+const percent = (value) => (value === null || value === undefined ? "–" : `${(100 * value).toFixed(0)} %`);
 
 /** @param {PageLabel} label */
 function describe(label) {
-	const rows = [
-		["Points", label.points.toLocaleString("en"), "in the stored box"],
-		[
-			"Score",
-			label.score === null ? "–" : label.score.toFixed(2),
-			"of both detectors together",
-		],
-		[
-			"Created by",
-			label.source === "auto" ? "proposal" : label.source,
-			"who created the box",
-		],
-		["Changed by", label.author, "who changed it last"],
-	];
-	if (label.doubt !== null)
-		rows.push([
-			"Doubt",
-			percent(label.doubt),
-			"sets the 'Most doubtful first' order of the queue",
-		]);
-	if (label.quality) {
-		rows.push([
-			"Disagree",
-			percent(label.quality.view_disagreement),
-			"difference between the views' measurements, as a share of the box's size",
-		]);
-		rows.push([
-			"Kept",
-			percent(label.quality.kept_share),
-			"share of the last view's points that are in the box",
-		]);
-		rows.push([
-			"Last step",
-			percent(label.quality.last_change),
-			"how much the last step changed the box",
-		]);
-	}
-	return rows.map(([name, value, help]) =>
-		h(
-			"div",
-			{ title: `${name}: ${help}` },
-			h("dt", {}, name),
-			h("dd", { class: "number ellipsis" }, value),
-		),
-	);
+  const rows = [
+    ["Points", label.points.toLocaleString("en"), "in the stored box"],
+    ["Score", label.score === null ? "–" : label.score.toFixed(2), "of both detectors together"],
+    ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
+    ["Changed by", label.author, "who changed it last"],
+  ];
+  if (label.doubt !== null)
+    rows.push(["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"]);
+  if (label.quality) {
+    rows.push([
+      "Disagree",
+      percent(label.quality.view_disagreement),
+      "difference between the views' measurements, as a share of the box's size",
+    ]);
+    rows.push(["Kept", percent(label.quality.kept_share), "share of the last view's points that are in the box"]);
+    rows.push(["Last step", percent(label.quality.last_change), "how much the last step changed the box"]);
+  }
+  return rows.map(([name, value, help]) =>
+    h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
+  );
 }
 
 /**
@@ -340,10 +290,10 @@ function describe(label) {
  * @param {PageLabel[]} labels
  */
 export function summary(labels) {
-	const states = ["proposed", "accepted", "edited", "rejected"];
-	const parts = states.flatMap((state) => {
-		const number = labels.filter((label) => label.state === state).length;
-		return number > 0 ? [`${number} ${state}`] : [];
-	});
-	return parts.length ? parts.join(", ") : count(0, "box", "boxes");
+  const states = ["proposed", "accepted", "edited", "rejected"];
+  const parts = states.flatMap((state) => {
+    const number = labels.filter((label) => label.state === state).length;
+    return number > 0 ? [`${number} ${state}`] : [];
+  });
+  return parts.length ? parts.join(", ") : count(0, "box", "boxes");
 }
