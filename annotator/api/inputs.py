@@ -44,12 +44,12 @@ def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
         low, high = float(image.min()), float(image.max())
         if low < 0 or high > 1:
             raise ArgumentError(
-                f"rgb holds floats from {low:g} to {high:g}; give floats in 0..1, or uint8 (rgb.astype(np.uint8) if "
+                f"rgb holds floats from {low:g} to {high:g}; pass floats in 0..1, or uint8 (rgb.astype(np.uint8) if "
                 "they go from 0 to 255)"
             )
         image = np.rint(image * 255).astype(np.uint8)
     elif image.dtype != np.uint8:
-        raise ArgumentError(f"rgb has the type {image.dtype}; give uint8 in 0..255, or floats in 0..1")
+        raise ArgumentError(f"rgb has the type {image.dtype}; pass uint8 in 0..255, or floats in 0..1")
     return np.ascontiguousarray(np.broadcast_to(image[..., :3], (*image.shape[:2], 3)))
 
 
@@ -77,7 +77,7 @@ def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[
     fx, fy, cx, cy = _pinhole(values)
     if min(fx, fy) < LEAST_FOCAL_SHARE * max(width, height):
         raise ArgumentError(
-            f"focal lengths of {fx:g} and {fy:g} px do not fit an image of {width} x {height} px; give them in "
+            f"focal lengths of {fx:g} and {fy:g} px do not fit an image of {width} x {height} px; pass them in "
             "pixels, not in millimetres, metres or fractions of the image size"
         )
     if not (0 <= cx <= width and 0 <= cy <= height):
@@ -104,7 +104,7 @@ def _pinhole(values: Float64[np.ndarray, "..."]) -> tuple[float, float, float, f
         raise ArgumentError(f"intrinsics must be a matrix K (3, 3) or (fx, fy, cx, cy), not of shape {values.shape}")
     if tuple(values[2]) != (0, 0, 1):
         if tuple(values[:, 2]) == (0, 0, 1):
-            raise ArgumentError("the intrinsic matrix is transposed: its last row must be 0 0 1; give K.T")
+            raise ArgumentError("the intrinsic matrix is transposed: its last row must be 0 0 1; pass K.T")
         raise ArgumentError(f"the last row of the intrinsic matrix must be 0 0 1, not {values[2].tolist()}")
     if values[0, 1] or values[1, 0]:
         raise ArgumentError(
@@ -127,7 +127,7 @@ def depth_of(depth: Any, depth_scale: float | None, image_shape: Sequence[int]) 
             f"depth has shape {values.shape}, the image {tuple(image_shape[:2])}; register the depth to the image"
         )
     if not (np.issubdtype(values.dtype, np.floating) or np.issubdtype(values.dtype, np.integer)):
-        raise ArgumentError(f"depth has the type {values.dtype}; give floats in metres, or whole millimetres")
+        raise ArgumentError(f"depth has the type {values.dtype}; pass floats in metres, or whole millimetres")
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise ArgumentError(f"depth_scale must be positive (units per metre), not {depth_scale}")
     usable = np.isfinite(values) & (values != 0)
@@ -154,7 +154,7 @@ def _guessed_scale(known: np.ndarray) -> float:
     median = float(np.median(known))
     if median > LONGEST_MEDIAN_DEPTH_M:
         raise ArgumentError(
-            f"depth holds floats with a median of {median:g}, too large for metres; give metres, or "
+            f"depth holds floats with a median of {median:g}, too large for metres; pass metres, or "
             "depth_scale=1000 for millimetres"
         )
     return 1.0
@@ -173,11 +173,11 @@ def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
     if points.ndim != 2 or points.shape[1] != 3:
         hint = ""
         if points.ndim == 2 and points.shape[0] == 3:
-            hint = "; give xyz.T"
+            hint = "; pass xyz.T"
         elif points.ndim == 2 and points.shape[1] > 3:
-            hint = "; give xyz[:, :3], and a fourth column as reflectance"
+            hint = "; pass xyz[:, :3], and a fourth column as reflectance"
         elif points.ndim == 3 and points.shape[2] == 3:
-            hint = "; give xyz.reshape(-1, 3)"
+            hint = "; pass xyz.reshape(-1, 3)"
         raise ArgumentError(f"xyz_m must have shape (N, 3), not {points.shape}{hint}")
     rows = np.flatnonzero(np.isfinite(points).all(axis=1))
     if not len(rows):
@@ -186,7 +186,7 @@ def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
     median_m = float(np.median(np.linalg.norm(points, axis=1)))
     if median_m > LONGEST_MEDIAN_RANGE_M:
         raise ArgumentError(
-            f"xyz_m has a median distance of {median_m:g}, too large for metres; give metres, not millimetres"
+            f"xyz_m has a median distance of {median_m:g}, too large for metres; pass metres, not millimetres"
         )
     return points, rows
 
@@ -211,7 +211,7 @@ def transform_of(transform: Any) -> RigidTransform:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ArgumentError(f"{name} must be a matrix of shape (4, 4) with finite numbers; its shape is {matrix.shape}")
     if tuple(matrix[3]) != (0, 0, 0, 1):
-        hint = "; it is transposed, give T.T" if tuple(matrix[:, 3]) == (0, 0, 0, 1) else ""
+        hint = "; it is transposed, pass T.T" if tuple(matrix[:, 3]) == (0, 0, 0, 1) else ""
         raise ArgumentError(f"the last row of {name} must be 0 0 0 1, not {matrix[3].tolist()}{hint}")
     R = matrix[:3, :3]
     determinant = float(np.linalg.det(R))
@@ -221,7 +221,7 @@ def transform_of(transform: Any) -> RigidTransform:
         )
     if np.abs(R @ R.T - np.eye(3)).max() > MOST_OFF_ROTATION:
         raise ArgumentError(
-            f"{name} scales or shears (determinant {determinant:.3g}); give a rotation and a translation"
+            f"{name} scales or shears (determinant {determinant:.3g}); pass a rotation and a translation"
         )
     return RigidTransform.from_matrix(matrix)
 
@@ -246,7 +246,7 @@ def require_on_image(boxes: Sequence[Any], camera: Camera) -> None:
         if not isinstance(box, Box2D):
             raise ArgumentError(f"image boxes must be Box2D, not {type(box).__name__}")
         if max(map(abs, box.xyxy)) <= 1 and max(camera.width_px, camera.height_px) > 2:
-            raise ArgumentError(f"the box {box.xyxy} has edges in 0..1; give them in pixels")
+            raise ArgumentError(f"the box {box.xyxy} has edges in 0..1; pass them in pixels")
         if box.x_max < 0 or box.y_max < 0 or box.x_min > camera.width_px or box.y_min > camera.height_px:
             raise ArgumentError(
                 f"the box {box.xyxy} lies outside the image of {camera.width_px} x {camera.height_px} px; edges are "

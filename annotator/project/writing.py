@@ -173,9 +173,10 @@ class Writer:
         # read from the file: another process may have added a class
         known = read_config(self.folder).classes
         if unknown := sorted(used - set(known)):
+            is_not = "is not a class" if len(unknown) == 1 else "are not classes"
             raise ProjectError(
-                f"{where}: {', '.join(map(repr, unknown))} is not a class of the project ({', '.join(known)}); "
-                "use one of these, or add the class to the project first"
+                f"{where}: {', '.join(map(repr, unknown))} {is_not} of the project ({', '.join(known)}); "
+                "use one of these, or add the missing ones to the project first"
             )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -14,6 +15,10 @@ from annotator.types import BoxKind
 
 # Part of the fingerprint of annotated frames. Increase it when the same settings give different boxes.
 REVISION = 6
+
+
+# The two classes of a class-agnostic view detector, by what a box measures.
+AGNOSTIC_LABELS = {BoxKind.BOX: "whole", BoxKind.SILHOUETTE: "seen"}
 
 
 class Strategy(StrEnum):
@@ -175,6 +180,21 @@ class WarmConfig(BaseModel):
     max_steps: int = Field(2, ge=1, le=20, description="maximum number of steps after a warm start")
 
 
+class FirstLookConfig(BaseModel):
+    """The first step with a class-agnostic view detector (`rcv/first_look.py`)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    depth_percentiles: tuple[Annotated[float, Field(ge=0, le=100)], ...] = Field(
+        (5.0, 20.0, 40.0, 60.0, 80.0),
+        description="positions of the crops: percentiles of the depths in the box's middle",
+    )
+    length: float = Field(1.0, gt=0, description="length of a crop, multiples of the image box's longer side there")
+    plane_noise_px: float = Field(
+        2.0, ge=0, description="expected error of the image box's edges as bounds of the 3D box, pixels; 0: no bounds"
+    )
+
+
 class RcvConfig(BaseModel):
     """Settings of the recursion. The defaults gave the best results (docs/benchmarks.md)."""
 
@@ -188,6 +208,10 @@ class RcvConfig(BaseModel):
     consensus: ConsensusConfig = ConsensusConfig()
     fit: FitConfig = FitConfig()
     warm: WarmConfig = WarmConfig()
+    first_look: FirstLookConfig = FirstLookConfig()
+    class_agnostic: bool = Field(
+        False, description="whether the view detector measures the object of a crop, whatever its class"
+    )
 
     max_steps: int = Field(
         5, ge=1, le=20, description="maximum number of steps, including the first one along the camera axes"
@@ -236,6 +260,11 @@ class RcvConfig(BaseModel):
     nms_iou: float = Field(
         0.3, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
+
+    @property
+    def view_label(self) -> str | None:
+        """The class of a class-agnostic detector's boxes that is used; None: the class of the image box."""
+        return AGNOSTIC_LABELS[self.box_kind] if self.class_agnostic else None
 
     def with_box_kind(self, kind: BoxKind) -> RcvConfig:
         """The same settings for a view detector whose boxes measure `kind`. Only this method sets `box_kind`."""

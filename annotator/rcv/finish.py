@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from annotator.geometry.nms import nms_3d
-from annotator.geometry.oriented_box import aligned_box, canonical_box
+from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.recursion import ObjectState
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
+
+# Margin within which points of the image box's middle count as inside a rival, share of its mean side.
+MIDDLE_MARGIN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +38,7 @@ def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> Fr
     """
     proposals: list[Proposal] = []
     lost: list[LostObject] = []
-    for state in states:
+    for state in best_rivals(frame.camera, states, config):
         box = _final_box(state, config)
         if box is None:
             lost.append(LostObject(state.image_box.label, state.image_box, state.steps))
@@ -49,6 +52,31 @@ def finish(frame: Frame, states: Sequence[ObjectState], config: RcvConfig) -> Fr
     keep = nms_3d([p.box for p in proposals], rank, [p.label for p in proposals], config.nms_iou)
     by_score = sorted((proposals[int(i)] for i in keep), key=lambda p: -p.score)
     return FrameProposals(frame.key, tuple(by_score), tuple(lost))
+
+
+def best_rivals(camera: Camera, states: Sequence[ObjectState], config: RcvConfig) -> list[ObjectState]:
+    """For each image box that a class-agnostic detector measured from several crops, the best result.
+
+    A rival's rank is its agreement with the image box, times its score on the views, times the share of the points in
+    the middle of the image box that lie inside. The first factor alone would choose badly, because the image box also
+    bounds each fit, so that wrong boxes agree with it, too.
+    """
+    chosen: dict[int, tuple[float, int]] = {}
+    for index, state in enumerate(states):
+        rank = _rival_rank(camera, state, config)
+        if id(state.image_box) not in chosen or rank > chosen[id(state.image_box)][0]:
+            chosen[id(state.image_box)] = rank, index
+    best = {index for _, index in chosen.values()}
+    return [state for index, state in enumerate(states) if state.frustum is None or index in best]
+
+
+def _rival_rank(camera: Camera, state: ObjectState, config: RcvConfig) -> float:
+    box = _final_box(state, config)
+    if box is None or state.frustum is None:
+        return -1.0
+    margin_m = MIDDLE_MARGIN * float(box.size_m.mean())
+    share = float(contains(box, state.frustum.middle_m, margin_m).mean())
+    return image_agreement(camera, state, box, config) * state.view_score * share
 
 
 def image_agreement(camera: Camera, state: ObjectState, box: OrientedBox, config: RcvConfig) -> float:

@@ -75,11 +75,13 @@ def measure_consensus(
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
     start_box: OrientedBox | None = None,
+    bounds: Intervals | None = None,
 ) -> Measurement | None:
     """The box fitted to the intervals of all detections, of this and earlier steps.
 
     Args:
         start_box: the box of a warm start; used as an additional measurement of low weight.
+        bounds: further intervals for the fit, which later steps do not inherit.
 
     Returns:
         the fit, or the pair of least volume if the intervals do not determine a box; None without detections.
@@ -92,7 +94,8 @@ def measure_consensus(
     if start_box is not None:
         parts.append(_start_intervals(start_box, parts[0], config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
-    fit = fit_box(intervals, up, None if last is None else last.rotation, config.fit)
+    known = intervals if bounds is None else Intervals.concatenate([intervals, bounds])
+    fit = fit_box(known, up, None if last is None else last.rotation, config.fit)
     if fit is None:
         pairs = _pairs(axes, views, boxes, used)
         return _least_volume(pairs, used, intervals, (UNDETERMINED,))

@@ -11,7 +11,7 @@ from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
-from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start
+from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start, start_rivals
 from annotator.rcv.warm_start import WarmStart, check_first_step, match_warm_starts, start_warm
 from annotator.types import Box2D, Detector, Frame, StopReason
 
@@ -74,7 +74,15 @@ def _advanced(
     advanced = absorb_step(state, plan, detections, config)
     if state.cold is None:
         return advanced
-    return [check_first_step(frame.camera, state, after, config) for after in advanced]
+    checked = [check_first_step(frame.camera, state, after, config) for after in advanced]
+    if not config.class_agnostic:
+        return checked
+    dropped = [state.cold is None and state.is_first for state in checked]
+    return [
+        begun
+        for state, is_dropped in zip(checked, dropped, strict=True)
+        for begun in (start_rivals(frame.camera, state, config) if is_dropped else [state])
+    ]
 
 
 def _initial_states(
@@ -94,10 +102,13 @@ def _initial_states(
     if boxes and needs_normals(config):
         cloud = with_normals(frame, np.logical_or.reduce(masks), config, compute)
     states = [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
-    if not warm_starts:
-        return states
-    start_boxes = match_warm_starts(frame.camera, boxes, warm_starts, config)
-    return [
-        state if box is None or state.stop is not StopReason.CONTINUES else start_warm(state, box, config)
-        for state, box in zip(states, start_boxes, strict=True)
-    ]
+    start_boxes = match_warm_starts(frame.camera, boxes, warm_starts, config) if warm_starts else [None] * len(states)
+    begun: list[ObjectState] = []
+    for state, box in zip(states, start_boxes, strict=True):
+        if box is not None and state.stop is StopReason.CONTINUES:
+            begun.append(start_warm(state, box, config))
+        elif config.class_agnostic:
+            begun.extend(start_rivals(frame.camera, state, config))
+        else:
+            begun.append(state)
+    return begun

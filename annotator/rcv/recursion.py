@@ -10,15 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains
+from annotator.geometry.outline import NEAR_M
 from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
-from annotator.rcv.frustum_views import frustum_views
+from annotator.rcv.first_look import depth_crops, image_planes, in_middle
+from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
@@ -26,6 +28,7 @@ from annotator.types import (
     Box2D,
     BoxKind,
     BoxTrace,
+    Camera,
     OrientedBox,
     PointCloud,
     PseudoView,
@@ -34,6 +37,24 @@ from annotator.types import (
     StopReason,
     ViewTrace,
 )
+
+# Points of the middle of an image box that are kept to compare rivals.
+MIDDLE_POINTS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class FrustumFacts:
+    """The frustum of an object that starts from a crop of it.
+
+    Attributes:
+        cloud: all its points.
+        middle_m: (k, 3) a sample of the points in the middle of the image box.
+        camera: the frame's camera.
+    """
+
+    cloud: PointCloud
+    middle_m: Float32[np.ndarray, "k 3"]
+    camera: Camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +77,7 @@ class ObjectState:
         notes: how the object started, for the trace of the first step.
         is_warm: whether the object started from its previous box (`warm_start`).
         cold: the state without the warm start; None if there is no warm start, or after it has been checked.
+        frustum: what a class-agnostic detector's object needs of its whole frustum; None with other detectors.
     """
 
     frame_index: int
@@ -75,6 +97,7 @@ class ObjectState:
     notes: tuple[str, ...] = ()
     is_warm: bool = False
     cold: ObjectState | None = None
+    frustum: FrustumFacts | None = None
 
     @property
     def is_first(self) -> bool:
@@ -114,6 +137,22 @@ def start(
         step = StepTrace(Strategy.CAMERA, (), (), None, len(cloud), 0, StopReason.TOO_FEW_POINTS)
         return replace(state, steps=(step,), stop=StopReason.TOO_FEW_POINTS)
     return state
+
+
+def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
+    """The states of an object that a class-agnostic detector measures: its frustum, and crops along its depth.
+
+    Args:
+        state: from `start`.
+    """
+    if state.stop is not StopReason.CONTINUES:
+        return [state]
+    xyz_m = state.cloud.xyz_m
+    middle = xyz_m[in_middle(camera, xyz_m, state.image_box)]
+    facts = FrustumFacts(state.cloud, middle[:: max(len(middle) // MIDDLE_POINTS, 1)], camera)
+    crops = depth_crops(camera, xyz_m, state.image_box, config.first_look, config.min_points)
+    whole = [] if crops and is_deep(state.cloud, config) else [replace(state, frustum=facts)]
+    return whole + [replace(state, cloud=state.cloud.select(crop), frustum=facts) for crop in crops]
 
 
 def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:
@@ -173,8 +212,13 @@ def absorb_step(
     Args:
         detections: per view of the plan, best first; classes other than the frustum's are ignored.
     """
+    wanted, label = config.view_label or state.image_box.label, state.image_box.label
     boxes = [
-        tuple(b for b in on_view if b.label == state.image_box.label and b.score >= config.min_view_score)
+        tuple(
+            b if b.label == label else replace(b, label=label)
+            for b in on_view
+            if b.label == wanted and b.score >= config.min_view_score
+        )
         for on_view in detections
     ]
     if state.is_first:
@@ -186,9 +230,17 @@ def absorb_step(
     else:
         start_box = state.box if state.is_warm and not state.steps else None
         measured = measure_consensus(
-            plan.axes, plan.views, boxes, state.box, state.measured, state.up, config, start_box
+            plan.axes, plan.views, boxes, state.box, state.measured, state.up, config, start_box, _planes(state, config)
         )
     return [_advance(state, plan, boxes, measured, config)]
+
+
+def _planes(state: ObjectState, config: RcvConfig) -> Intervals | None:
+    """The bounds that the image box gives the fit, with class-agnostic detectors; None without any."""
+    if state.frustum is None or state.box is None or not config.first_look.plane_noise_px:
+        return None
+    depth_m = max(float(state.box.center_m[2]), NEAR_M)
+    return image_planes(state.frustum.camera, state.image_box, depth_m, config.first_look.plane_noise_px)
 
 
 def _absorb_first(
@@ -224,6 +276,9 @@ def _advance(
         return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
     box = canonical_box(measured.box, state.up)
     cloud = cut_cloud(state.cloud, box, plan.views, config)
+    if state.frustum is not None and measured.cut and state.is_first:
+        # the object may extend beyond the crop
+        cloud = cut_cloud(state.frustum.cloud, shown_box(box, True, config), plan.views, config)
     inside = int(np.count_nonzero(contains(box, cloud.xyz_m)))
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)
     turned = np.inf if state.box is None else axes_angle_rad(measured.axes, state.axes)

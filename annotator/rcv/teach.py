@@ -17,9 +17,10 @@ from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.axes import camera_axes
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.cross_view import span_box
-from annotator.rcv.frustum_views import frustum_views
+from annotator.rcv.first_look import depth_crop, in_middle, width_at
+from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import face_camera
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
@@ -29,10 +30,33 @@ from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 MIN_POINTS = 5
 # An object is labelled on a view if the view shows at least this share of its points.
 MIN_SHARE = 0.3
-FRUSTUM_SHARE, WIDE_SHARE = 0.2, 0.45
 SPAN_JITTER, NEAR_JITTER = 0.06, 0.06
 NEAR_TURN_RAD = 0.35
 IMAGE_JITTER = 0.04
+
+
+@dataclass(frozen=True)
+class Stages:
+    """How often each stage of the recursion is imitated, and how inaccurate its crops are.
+
+    Attributes:
+        frustum: share of the crops that are whole frustums.
+        depth: share of the crops along the depth of a frustum (`first_look`), for class-agnostic detectors.
+        wide: share of first cross-view boxes; the rest are nearly correct boxes.
+        span_jitter: error of the ends of a first cross-view box, share of its sides.
+    """
+
+    frustum: float = 0.2
+    depth: float = 0.0
+    wide: float = 0.45
+    span_jitter: float = SPAN_JITTER
+
+
+WITH_CLASSES = Stages()
+# The first look of a class-agnostic detector is less accurate, and its views are harder.
+CLASS_AGNOSTIC = Stages(frustum=0.1, depth=0.3, wide=0.3, span_jitter=0.1)
+# Crops along the depth: share of those at the depth of the object itself, and the largest factor on their length.
+AT_OBJECT_SHARE, LENGTH_FACTOR = 0.75, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +133,39 @@ def teach_views(
         # all crops except the frustum are close to the object, so most points of a large cloud can be skipped
         near = scene.near(target.box)
         for _ in range(draws):
-            taught.extend(_draw(scene, near, target, kind, config, up, rng))
+            drawn = _draw(scene, near, target, WITH_CLASSES, config, up, rng)
+            if drawn is not None:
+                taught.extend(_label(view, drawn, kind) for view in drawn.views)
+    return taught
+
+
+def teach_agnostic_views(
+    frame: Frame,
+    objects: Sequence[TaughtObject],
+    targets: Sequence[int],
+    draws: int,
+    config: RcvConfig,
+    up: Float64[np.ndarray, "3"] | None,
+    rng: np.random.Generator,
+) -> list[TaughtView]:
+    """As `teach_views`, for a class-agnostic detector: only the object that a crop is about is labelled.
+
+    It gets two boxes, one of each class of `AGNOSTIC_LABELS`: around its 3D box, and around its points on the view. A
+    crop that misses the object has none.
+
+    Args:
+        objects: all objects, with their points.
+        targets: indices of the objects to take crops of.
+    """
+    masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
+    scene = _Scene(frame, objects, masks, [])
+    taught: list[TaughtView] = []
+    for index in targets:
+        near = scene.near(objects[index].box)
+        for _ in range(draws):
+            drawn = _draw(scene, near, objects[index], CLASS_AGNOSTIC, config, up, rng)
+            if drawn is not None:
+                taught.extend(_label_target(view, drawn, index) for view in drawn.views)
     return taught
 
 
@@ -135,56 +191,111 @@ class _Scene:
         return any(is_shown(int((mask & keep).sum()), int(whole_mask.sum())) for mask, whole_mask in pairs)
 
 
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """The views of a crop.
+
+    Attributes:
+        scene: the scene, or its part near the object.
+        keep: mask of the crop's points in the scene's cloud.
+        totals: number of points of each object.
+    """
+
+    views: Sequence[PseudoView]
+    scene: _Scene
+    keep: Bool[np.ndarray, "n"]
+    totals: Sequence[int]
+
+
 def _draw(
     whole: _Scene,
     near: _Scene,
     target: TaughtObject,
-    kind: BoxKind,
+    stages: Stages,
     config: RcvConfig,
     up: np.ndarray | None,
     rng: np.random.Generator,
-) -> list[TaughtView]:
+) -> _Drawn | None:
+    """The views of a random crop; None if they cannot be labelled."""
     scene, choice = near, rng.random()
     xyz = scene.frame.cloud.xyz_m
-    if choice < FRUSTUM_SHARE:
+    if choice < stages.frustum + stages.depth:
         box = _image_box(whole.frame, target, rng)
         if box is None:
-            return []
+            return None
         scene, xyz = whole, whole.frame.cloud.xyz_m
         keep, axes, show = in_frustum(scene.frame.camera, xyz, box), camera_axes(up), None
         target_mask = whole.masks[list(whole.objects).index(target)]
         if not is_shown(int((target_mask & keep).sum()), int(target_mask.sum())):
-            return []  # mostly behind the camera or outside the image; the visible rest would be unlabelled background
-    elif choice < FRUSTUM_SHARE + WIDE_SHARE:
-        crop = _camera_crop(target.box, up, rng)
+            return None  # mostly behind the camera or outside the image; the visible rest would be background
+        if choice >= stages.frustum:
+            keep = _along_depth(scene.frame, keep, target_mask, box, config, rng)
+        elif stages.depth and is_deep(scene.frame.cloud.select(keep), config):
+            return None  # class-agnostic detectors see deep frustums only as crops
+    elif choice < stages.frustum + stages.depth + stages.wide:
+        crop = _camera_crop(target.box, up, stages.span_jitter, rng)
         keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
     else:
         crop = _near_crop(target.box, up, rng)
         keep, axes, show = contains(crop, xyz), face_camera(_near_turn(crop, up, rng), up), box_corners(crop)
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
-        return []
+        return None
     cloud = scene.frame.cloud.select(keep)
     is_frustum = show is None
     views = frustum_views(cloud, axes, config) if is_frustum else render_pairs(cloud, [axes], config.view, show)
-    totals = [int(mask.sum()) for mask in whole.masks]
-    return [_label(view, scene, keep, totals, kind) for view in views]
+    return _Drawn(views, scene, keep, [int(mask.sum()) for mask in whole.masks])
 
 
-def _label(view: PseudoView, scene: _Scene, keep: np.ndarray, totals: Sequence[int], kind: BoxKind) -> TaughtView:
+def _along_depth(
+    frame: Frame,
+    in_box: np.ndarray,
+    target_mask: np.ndarray,
+    image_box: Box2D,
+    config: RcvConfig,
+    rng: np.random.Generator,
+) -> Bool[np.ndarray, "n"]:
+    """A random crop along the depth of a frustum, mostly at the object's own depth."""
+    inside = np.flatnonzero(in_box)
+    xyz = frame.cloud.xyz_m[inside]
+    if rng.random() < AT_OBJECT_SHARE:
+        depths = frame.cloud.xyz_m[target_mask & in_box, 2]
+    else:
+        depths = xyz[in_middle(frame.camera, xyz, image_box), 2]
+    depth = float(np.percentile(depths, rng.uniform(0, 100)))
+    factor = np.exp(rng.uniform(-0.5, 1.0) * np.log(LENGTH_FACTOR))
+    length = config.first_look.length * width_at(frame.camera, image_box, depth) * factor
+    keep = np.zeros(len(in_box), np.bool_)
+    keep[inside[depth_crop(xyz, depth, length)]] = True
+    return keep
+
+
+def _label(view: PseudoView, drawn: _Drawn, kind: BoxKind) -> TaughtView:
     boxes: list[Box2D] = []
     objects: list[int] = []
-    for index, (item, mask, total) in enumerate(zip(scene.objects, scene.masks, totals, strict=True)):
-        shown = mask & keep
+    scene = drawn.scene
+    for index, (item, mask, total) in enumerate(zip(scene.objects, scene.masks, drawn.totals, strict=True)):
+        shown = mask & drawn.keep
         if not is_shown(int(shown.sum()), total):
             continue
-        if kind is BoxKind.BOX:
-            box = project_box(view, item.box, item.label)
-        else:
-            box = span_on_view(view, scene.frame.cloud.xyz_m[shown], item.label)
+        box = _box_of(view, item, scene.frame.cloud.xyz_m[shown], kind, item.label)
         if box is not None:
             boxes.append(box)
             objects.append(index)
     return TaughtView(view, tuple(boxes), tuple(objects))
+
+
+def _label_target(view: PseudoView, drawn: _Drawn, index: int) -> TaughtView:
+    shown = drawn.scene.masks[index] & drawn.keep
+    if not is_shown(int(shown.sum()), drawn.totals[index]):
+        return TaughtView(view, (), ())
+    xyz, item = drawn.scene.frame.cloud.xyz_m[shown], drawn.scene.objects[index]
+    boxes = [_box_of(view, item, xyz, kind, label) for kind, label in AGNOSTIC_LABELS.items()]
+    known = tuple(box for box in boxes if box is not None)
+    return TaughtView(view, known, (index,) * len(known))
+
+
+def _box_of(view: PseudoView, item: TaughtObject, shown_m: np.ndarray, kind: BoxKind, label: str) -> Box2D | None:
+    return project_box(view, item.box, label) if kind is BoxKind.BOX else span_on_view(view, shown_m, label)
 
 
 def is_shown(points: int, total: int) -> bool:
@@ -204,13 +315,13 @@ def _image_box(frame: Frame, target: TaughtObject, rng: np.random.Generator) -> 
     return Box2D(target.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _camera_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> OrientedBox:
+def _camera_crop(box: OrientedBox, up: np.ndarray | None, jitter: float, rng: np.random.Generator) -> OrientedBox:
     """A random first cross-view box along the camera axes, slightly inaccurate and usually too large."""
     axes = camera_axes(up)
     along = box_corners(box) @ axes.T
     spans = np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
     reach = spans[:, 1] - spans[:, 0]
-    shift = rng.normal(SPAN_JITTER / 2, SPAN_JITTER, (3, 2)) * reach[:, None]
+    shift = rng.normal(jitter / 2, jitter, (3, 2)) * reach[:, None]
     spans = spans + shift * np.array([-1.0, 1.0])
     return span_box(axes, spans)
 

@@ -113,7 +113,7 @@ class Stage:
         drawn = layer.depth_m[pixels]
         nearer = np.flatnonzero((hits.triangle >= 0) & ((drawn == 0) | (hits.t < drawn)))
         at, t = pixels[nearer], hits.t[nearer]
-        surface = _surface(mesh, hits.triangle[nearer], hits.uv[nearer], self._origin, t, directions[nearer])
+        surface = surface_at(mesh, hits.triangle[nearer], hits.uv[nearer], self._origin, t, directions[nearer])
         layer.depth_m[at] = t
         layer.facing[at] = np.abs((surface.normal * surface.view).sum(axis=1))
         layer.track[at] = mesh.track[mesh.triangles[hits.triangle[nearer], 0]]
@@ -147,7 +147,7 @@ def _directions(camera: Camera, T_world_camera: RigidTransform) -> Float32[np.nd
     return (rays.reshape(-1, 3) @ rotation.T).astype(np.float32)
 
 
-def _surface(
+def surface_at(
     mesh: Mesh, triangle: np.ndarray, uv: np.ndarray, origin: np.ndarray, t: np.ndarray, directions: np.ndarray
 ) -> Surface:
     """The surface points that rays hit, from triangle indices, barycentric weights (n, 2) and t along each ray."""

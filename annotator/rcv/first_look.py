@@ -1,0 +1,100 @@
+"""The first look of an object that a class-agnostic view detector measures: crops along the depth of its frustum.
+
+In a view of a whole frustum, an object is small beside the background, and nothing tells which of several objects the
+frustum is about. So the frustum is also cut at several depths, each crop as long as the object would be wide there.
+All crops go through the recursion as rivals (`finish.best_rival`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from annotator.geometry.projection import project, undistort_px
+from annotator.rcv.config import FirstLookConfig
+from annotator.rcv.interval_fit import Intervals
+from annotator.types import Box2D, Camera
+
+# Share of the image box, in width and height, that counts as its middle.
+MIDDLE = 0.5
+# Crops that share more of their points than this (IoU) are the same.
+SAME_CROP = 0.9
+# An image box that ends this close to the image's border may be cut off there, pixels.
+BORDER_PX = 2.0
+
+
+def in_middle(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D) -> Bool[np.ndarray, "n"]:
+    """Which points project into the middle of a 2D box; all points if none does."""
+    u, v = project(camera, xyz_m).T
+    half_u, half_v = MIDDLE * image_box.width_px / 2, MIDDLE * image_box.height_px / 2
+    u_middle, v_middle = (image_box.x_min + image_box.x_max) / 2, (image_box.y_min + image_box.y_max) / 2
+    middle = (np.abs(u - u_middle) <= half_u) & (np.abs(v - v_middle) <= half_v)
+    return middle if middle.any() else np.ones(len(xyz_m), np.bool_)
+
+
+def width_at(camera: Camera, image_box: Box2D, depth_m: float) -> float:
+    """The longer side of a 2D box at a depth, metres."""
+    return depth_m * max(image_box.width_px / camera.fx, image_box.height_px / camera.fy)
+
+
+def depth_crop(xyz_m: Float[np.ndarray, "n 3"], depth_m: float, length_m: float) -> Bool[np.ndarray, "n"]:
+    """Which points are at most half of `length_m` nearer or farther than `depth_m`."""
+    return np.asarray(np.abs(xyz_m[:, 2] - depth_m) <= length_m / 2)
+
+
+def depth_crops(
+    camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D, config: FirstLookConfig, min_points: int
+) -> list[Bool[np.ndarray, "n"]]:
+    """The masks of different crops along the depth, nearest first.
+
+    Args:
+        xyz_m: the points in the frustum of `image_box`, camera frame.
+        min_points: crops with fewer points are left out.
+    """
+    depths = np.percentile(xyz_m[in_middle(camera, xyz_m, image_box), 2], config.depth_percentiles)
+    crops: list[np.ndarray] = []
+    for depth in depths.tolist():
+        crop = depth_crop(xyz_m, depth, config.length * width_at(camera, image_box, depth))
+        if crop.sum() >= min_points and all(_mask_iou(crop, other) <= SAME_CROP for other in crops):
+            crops.append(crop)
+    return crops
+
+
+def _mask_iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+def image_planes(camera: Camera, image_box: Box2D, depth_m: float, noise_px: float) -> Intervals | None:
+    """The planes through the camera and the edges of an image box, as intervals of the fit with one known end.
+
+    A 3D box whose outline is the image box touches each of these planes from inside. Edges at the image's border are
+    left out, because the object may extend beyond them.
+
+    Args:
+        depth_m: depth of the object, which turns the error of an edge into metres.
+        noise_px: expected error of an edge of the image box, pixels.
+    """
+    u_middle, v_middle = (image_box.x_min + image_box.x_max) / 2, (image_box.y_min + image_box.y_max) / 2
+    edges = np.array(
+        [
+            (image_box.x_min, v_middle),
+            (image_box.x_max, v_middle),
+            (u_middle, image_box.y_min),
+            (u_middle, image_box.y_max),
+        ]
+    )
+    limits = np.array([0.0, camera.width_px - 1.0, 0.0, camera.height_px - 1.0])
+    known = np.abs(edges[[0, 1, 2, 3], [0, 0, 1, 1]] - limits) > BORDER_PX
+    known &= np.array([edges[0, 0] > 0, edges[1, 0] < limits[1], edges[2, 1] > 0, edges[3, 1] < limits[3]])
+    rays = undistort_px(camera, edges)
+    normals = np.array(
+        [(-1.0, 0.0, rays[0, 0]), (1.0, 0.0, -rays[1, 0]), (0.0, -1.0, rays[2, 1]), (0.0, 1.0, -rays[3, 1])]
+    )
+    known &= np.isfinite(normals).all(axis=1)
+    if not known.any():
+        return None
+    directions: Float64[np.ndarray, "k 3"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    sigma_m = noise_px * depth_m / np.array([camera.fx, camera.fx, camera.fy, camera.fy])
+    sigma_m = sigma_m / np.linalg.norm(normals, axis=1)
+    ends = np.zeros((int(known.sum()), 2))
+    return Intervals(directions[known], ends, np.stack([np.full(4, np.inf), sigma_m], axis=1)[known])
