@@ -34,7 +34,8 @@ def run(
 
     Args:
         out: new folder for everything; default: a folder in ./out.
-        preset: scene to generate: people who walk, turn and gesture in a room, or hands in front of the camera.
+        preset: scene to generate: people who walk, turn and gesture in a room, hands in front of the camera, or objects
+            of many shapes on a table or on the floor.
         frames: number of frames to generate; every second one is labelled.
         image_pictures: number of training images of the image detector, repeats included.
         view_pictures: number of training images of the pseudo-view detector, repeats included.

@@ -16,6 +16,7 @@ class Preset(StrEnum):
 
     PEOPLE = "people"
     HANDS = "hands"
+    OBJECTS = "objects"
 
 
 def run(
@@ -32,7 +33,8 @@ def run(
 
     Args:
         out: new folder for the recording.
-        preset: scene to generate: people who walk, turn and gesture in a room, or hands in front of the camera.
+        preset: scene to generate: people who walk, turn and gesture in a room, hands in front of the camera, or objects
+            of many shapes on a table or on the floor.
         frames: number of frames to generate, ten per second.
         width: width of the images, pixels.
         height: height of the images, pixels.

@@ -21,12 +21,12 @@ class StartingPoint:
     """What a training run starts from.
 
     Attributes:
-        model: ultralytics' model argument: a weights file, or "NAME.yaml" for random weights.
+        weights: the weights file; None for random weights.
         pretrained: whether the weights are pretrained.
         note: description for the user.
     """
 
-    model: str
+    weights: Path | None
     pretrained: bool
     note: str
 
@@ -41,25 +41,24 @@ def find_starting_point(config: TrainingConfig) -> StartingPoint:
     if isinstance(config.pretrained, Path):
         if not config.pretrained.is_file():
             raise ConfigError(f"{config.pretrained}: no such weights file; give another, or pretrained=auto")
-        return StartingPoint(str(config.pretrained.resolve()), True, f"starts from {config.pretrained}")
-    scratch = f"{name}.yaml"
+        return StartingPoint(config.pretrained.resolve(), True, f"starts from {config.pretrained}")
     if config.pretrained == "never":
-        return StartingPoint(scratch, False, "starts from random weights, as configured")
+        return StartingPoint(None, False, "starts from random weights, as configured")
     local = find_locally(f"{name}.pt")
     if local is not None:
-        return StartingPoint(str(local), True, f"starts from published weights in {local}")
+        return StartingPoint(local, True, f"starts from published weights in {local}")
     if api().user_offline:
         return StartingPoint(
-            scratch, False, f"starts from random weights: {name}.pt is not cached and YOLO_OFFLINE is set"
+            None, False, f"starts from random weights: {name}.pt is not cached and YOLO_OFFLINE is set"
         )
     try:
         path = within(config.download_timeout_s, lambda: download(f"{name}.pt"))
     except Exception as error:  # if the download fails for any reason, the training starts from random weights
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         return StartingPoint(
-            scratch, False, f"starts from random weights: {name}.pt is not cached and cannot be downloaded ({reason})"
+            None, False, f"starts from random weights: {name}.pt is not cached and cannot be downloaded ({reason})"
         )
-    return StartingPoint(str(path), True, f"starts from published weights, downloaded to {path}")
+    return StartingPoint(path, True, f"starts from published weights, downloaded to {path}")
 
 
 def check_start(config: TrainingConfig) -> None:

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from annotator.detection.checkpoint import BEST, LAST, read_checkpoint, write_checkpoint
 from annotator.detection.manifest import DatasetManifest
 from annotator.detection.muon import MuonSgd
-from annotator.detection.ultralytics_api import api
+from annotator.detection.ultralytics_api import api, load_weights
 
 _API = api()
 _Dataset: Any = _API.YOLODataset
@@ -45,6 +46,8 @@ class TrainerHooks:
         measure_every: epochs between validations; the last epoch is always validated.
         quarter_turns: turn training images by random multiples of 90 degrees.
         on_batch, on_epoch: called with the trainer after each batch, and after each epoch.
+        weights: file to start from; None = random weights.
+        checkpoint: to resume from; None = a new run.
     """
 
     dataset: Path
@@ -54,6 +57,8 @@ class TrainerHooks:
     quarter_turns: bool
     on_batch: Callable[[Any], None]
     on_epoch: Callable[[Any], None]
+    weights: Path | None = None
+    checkpoint: Path | None = None
 
 
 class QuarterTurn:
@@ -107,8 +112,6 @@ class ViewTrainer(_Trainer):
 
     hooks: TrainerHooks
     model: Any
-    last: Path
-    best: Path
     saved_at_s = 0.0
 
     def get_dataset(self) -> dict[str, Any]:
@@ -180,25 +183,38 @@ class ViewTrainer(_Trainer):
             return super().validate()
         return dict.fromkeys(self.metrics, float("nan")), None
 
+    def check_resume(self, overrides: dict[str, Any]) -> None:
+        """Decides whether the run is resumed; its settings are always those given."""
+        self.resume = self.hooks.checkpoint is not None
+
+    def setup_model(self) -> Any:
+        """Builds the network; returns the checkpoint to resume from, or None."""
+        checkpoint = None if self.hooks.checkpoint is None else read_checkpoint(self.hooks.checkpoint)
+        if checkpoint is not None:
+            weights = checkpoint["ema"]
+        else:
+            weights = None if self.hooks.weights is None else load_weights(self.hooks.weights, "cpu")
+        cfg = self.model if weights is None else weights.yaml
+        self.model = self.get_model(cfg=cfg, weights=weights)
+        return checkpoint
+
     def save_model(self) -> bool:
-        """Saves as the base class does, but atomically, and not after every short epoch."""
+        """Writes the checkpoints, which are no pickles as those of the base class; not after every short epoch."""
         measured, last = self.fitness is not None, self.epoch + 1 >= self.epochs
         if measured or last or time.monotonic() - self.saved_at_s > SAVE_EVERY_S:
-            self._save_whole()
+            self.wdir.mkdir(parents=True, exist_ok=True)
+            write_checkpoint(self.wdir / LAST, self)
+            if self.best_fitness == self.fitness:
+                write_checkpoint(self.wdir / BEST, self, with_optimiser=False)
             self.saved_at_s = time.monotonic()
         self.hooks.on_epoch(self)
         return True
 
-    def _save_whole(self) -> None:
-        names = self.last, self.best
-        self.last, self.best = (path.with_suffix(".part") for path in names)
-        try:
-            super().save_model()
-            for part, path in zip((self.last, self.best), names, strict=True):
-                if part.exists():
-                    part.replace(path)
-        finally:
-            self.last, self.best = names
+    def _handle_nan_recovery(self, epoch: int) -> bool:
+        """Ends a run whose loss is no longer finite; the base class would read a checkpoint of its own format."""
+        if self.loss is not None and not self.loss.isfinite() and epoch > self.start_epoch:
+            raise RuntimeError("the loss is no longer a finite number; use a smaller learning rate")
+        return False
 
     def final_eval(self) -> None:
         """Does nothing, because the best epoch has been validated already."""

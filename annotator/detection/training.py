@@ -11,9 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from annotator.detection.checkpoint import BEST, LAST, epochs_done, read_weights
 from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import DatasetManifest, read_manifest
-from annotator.detection.pretrained import StartingPoint, check_weights, find_starting_point
+from annotator.detection.network_file import write_network
+from annotator.detection.pretrained import StartingPoint, check_model_name, check_weights, find_starting_point
 from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
 from annotator.detection.ultralytics_api import api, pick_device
@@ -22,6 +24,7 @@ from annotator.types.errors import ConfigError, DetectionError
 
 # Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
+DETECTOR = "detector.safetensors"
 
 __all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]
 
@@ -41,7 +44,7 @@ def train_detector(
 
     Args:
         dataset: a folder written by `write_dataset`.
-        out: folder of the run; `detector.pt`, `model.json` and `curves.csv` are written there.
+        out: folder of the run; `detector.safetensors`, `model.json` and `curves.csv` are written there.
         config: settings.
         progress: called after every batch and every epoch.
         role: the detector's kind; it selects the augmentation.
@@ -68,18 +71,18 @@ def train_detector(
     run = _resumable(out, fingerprint)
     if run is None:
         start = find_starting_point(config)
-        if start.pretrained:
-            check_weights(Path(start.model))
+        if start.weights is not None:
+            check_weights(start.weights)
         _clear(out)
         out.mkdir(parents=True, exist_ok=True)
         run = RunRecord(fingerprint=fingerprint, pretrained=start.pretrained, note=start.note, seconds=0.0)
         run.write(out)
         checkpoint = None
     else:
-        start = StartingPoint("", run.pretrained, run.note)
-        checkpoint = out / "weights" / "last.pt"
+        start = StartingPoint(None, run.pretrained, run.note)
+        checkpoint = out / "weights" / LAST
     watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop)
-    if checkpoint is None or _epochs_done(checkpoint) < watch.epochs:
+    if checkpoint is None or epochs_done(checkpoint) < watch.epochs:
         _run(dataset, manifest, out, config, role, device, start, checkpoint, watch)
     return _finish(out, manifest, config, role, watch)
 
@@ -105,13 +108,14 @@ def _run(
         quarter_turns=config.augmentation_for(role).quarter_turns,
         on_batch=watch.on_batch,
         on_epoch=watch.on_epoch,
+        weights=start.weights,
+        checkpoint=checkpoint,
     )
     settings = trainer_settings(config, role, watch.epochs, str(device), out)
-    if checkpoint is None:
-        settings["model"] = start.model
-    else:
-        settings["model"] = settings["resume"] = str(checkpoint)
-        _trim_curves(out / "results.csv", _epochs_done(checkpoint))
+    settings["model"] = f"{check_model_name(config.model)}.yaml"
+    if checkpoint is not None:
+        settings["resume"] = True  # keeps the curves
+        _trim_curves(out / "results.csv", epochs_done(checkpoint))
     # The trainer checks that this file exists before it calls get_dataset.
     settings["data"] = str(dataset.resolve() / "data.yaml")
     with _unchanged_torch():
@@ -195,25 +199,14 @@ def _finished(out: Path, fingerprint: str) -> TrainedModel | None:
 
 def _resumable(out: Path, fingerprint: str) -> RunRecord | None:
     run = read_run(out)
-    if run is None or run.fingerprint != fingerprint or _epochs_done(out / "weights" / "last.pt") == 0:
+    if run is None or run.fingerprint != fingerprint or epochs_done(out / "weights" / LAST) == 0:
         return None
     return run
 
 
-def _epochs_done(checkpoint: Path) -> int:
-    """Number of finished epochs of a checkpoint; 0 if a run cannot be resumed from it."""
-    if not checkpoint.is_file():
-        return 0
-    try:
-        _, content = api().load_checkpoint(str(checkpoint))
-    except Exception:  # a damaged checkpoint: the run starts again
-        return 0
-    return int(content["epoch"]) + 1 if content.get("optimizer") is not None else 0
-
-
 def _clear(out: Path) -> None:
     """Removes the files of an earlier run, and no others."""
-    for name in ("model.json", "run.json", "detector.pt", "curves.csv", "results.csv", "args.yaml"):
+    for name in ("model.json", "run.json", DETECTOR, "detector.pt", "curves.csv", "results.csv", "args.yaml"):
         (out / name).unlink(missing_ok=True)
     shutil.rmtree(out / "weights", ignore_errors=True)
 
@@ -230,17 +223,16 @@ def _finish(
     out: Path, manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind, watch: Watch
 ) -> TrainedModel:
     """Writes the best weights, the curves and `model.json`; removes the files that only a resume needs."""
-    best = out / "weights" / "best.pt"
+    best = out / "weights" / BEST
     if not best.is_file():
         raise DetectionError(f"{best}: the training wrote no weights; train again")
-    part = out / "detector.part.pt"
-    content = api().strip_optimizer(str(best), s=str(part))
-    measured = {name: float(value) for name, value in content["train_metrics"].items() if value is not None}
-    part.replace(out / "detector.pt")
+    model, metrics = read_weights(best)
+    measured = {name: value for name, value in metrics.items() if value is not None}
+    write_network(out / DETECTOR, model)
     (out / "results.csv").replace(out / "curves.csv")
     trained = TrainedModel(
         role=role,
-        weights=out / "detector.pt",
+        weights=out / DETECTOR,
         classes=manifest.classes,
         kind=manifest.kind,
         image_size_px=config.image_size_px,

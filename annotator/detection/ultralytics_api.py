@@ -41,9 +41,9 @@ def cache_dir() -> Path:
 def api() -> SimpleNamespace:
     """The parts of ultralytics and torch that are used here, loaded on the first call.
 
-    Attributes: `torch`, `load_checkpoint`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`,
-    `strip_optimizer`, `downloads`, `weights_dir`, `version`; `threads`, torch's default number of threads; and
-    `user_offline`, whether the user had set YOLO_OFFLINE.
+    Attributes: `torch`, `load_checkpoint`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`, `downloads`,
+    `weights_dir`, `version`; `loads_safely`, whether weights files are read without running their code; `threads`,
+    torch's default number of threads; and `user_offline`, whether the user had set YOLO_OFFLINE.
 
     Raises:
         DetectionError: a package is missing or broken.
@@ -77,9 +77,9 @@ def _load() -> SimpleNamespace:
     from ultralytics.data.dataset import YOLODataset
     from ultralytics.engine import trainer
     from ultralytics.models.yolo.detect import DetectionTrainer
+    from ultralytics.nn import tasks
     from ultralytics.nn.tasks import DetectionModel, load_checkpoint
     from ultralytics.utils import downloads
-    from ultralytics.utils.torch_utils import strip_optimizer
 
     _hide_repository(trainer)
     _take_paths_as_they_are(downloads)
@@ -89,7 +89,7 @@ def _load() -> SimpleNamespace:
         DetectionModel=DetectionModel,
         DetectionTrainer=DetectionTrainer,
         YOLODataset=YOLODataset,
-        strip_optimizer=strip_optimizer,
+        loads_safely=bool(getattr(tasks, "SAFE_LOAD", False) and tasks._SafeLoad.SUPPORTED),
         downloads=downloads,
         threads=threads,
         weights_dir=Path(utils.SETTINGS["weights_dir"]),
@@ -163,6 +163,14 @@ def load_weights(path: Path, device: Any, remedy: str = "train the detector agai
     parts = api()
     if not path.is_file():
         raise DetectionError(f"{path}: no such weights file; train a detector first")
+    from annotator.detection.network_file import is_network_file, read_network
+
+    if is_network_file(path):
+        return read_network(path, device, remedy)
+    if not parts.loads_safely:
+        raise DetectionError(
+            f"{path}: ultralytics {parts.version} cannot read it without running its code; update ultralytics"
+        )
     try:
         model, _ = parts.load_checkpoint(str(path.resolve()), device=device)
     except Exception as error:  # torch and ultralytics raise many types for a damaged file

@@ -1,8 +1,8 @@
-"""The two presets: people in a room, and the hands of a person in front of the camera."""
+"""Generated scenes, and two presets: people in a room, and the hands of a person in front of the camera."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,9 +91,6 @@ def hands_scene(random: np.random.Generator) -> Scene:
     lights = Lights((random.uniform(-0.9, 0.9), 0.9, 2.5), key=0.8)
     both = random.random() < 0.6
     return Scene(palette, room.mesh, lights, pose, _hands(looks, nail, camera, both, random))
-
-
-PRESETS: dict[str, Callable[[np.random.Generator], Scene]] = {"people": people_scene, "hands": hands_scene}
 
 
 def _people(zone: Zone, looks: list[Looks], random: np.random.Generator) -> Iterator[Moment]:

@@ -85,14 +85,14 @@ def _hands_snapshot(seed: int, random: np.random.Generator) -> Snapshot:
     scene = hands_scene(random)
     for _ in range(int(random.integers(1, 12))):
         moment = next(scene.moments)
-    camera = _random_camera(random, 45, 75)
+    camera = _random_camera(random, 45.0, 75.0)
     stage = Stage(camera, scene.T_world_camera, scene.still, scene.palette, scene.lights)
     return _depth_frame(seed, stage, [*moment.rest], moment.actors, scene.T_world_camera, random)
 
 
 def _depth_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) -> Snapshot:
     stage = Stage(
-        _random_camera(random, 45, 95), scene.T_world_camera, joined(scene.still), scene.palette, scene.lights
+        _random_camera(random, 45.0, 95.0), scene.T_world_camera, joined(scene.still), scene.palette, scene.lights
     )
     return _depth_frame(seed, stage, [], _actors(scene), scene.T_world_camera, random)
 
@@ -124,7 +124,7 @@ def _depth_frame(
 
 def _lidar_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) -> Snapshot:
     actors = _actors(scene)
-    camera = _random_camera(random, 55, 95, aspect=float(random.choice([0.3, 0.56, 0.75])))
+    camera = _random_camera(random, 55.0, 95.0, aspect=float(random.choice([0.3, 0.56, 0.75])))
     level = Rotation.from_euler("z", 0.0)
     eye = scene.T_world_camera.translation + random.normal(0, 0.2, 3) + np.array([0.0, 0.0, 0.15])
     mesh = joined([*scene.still, *(actor.mesh for actor in actors)])

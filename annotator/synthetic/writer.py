@@ -17,8 +17,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from annotator.geometry.oriented_box import box_corners
+from annotator.synthetic.object_motion import objects_scene
 from annotator.synthetic.render import Stage
-from annotator.synthetic.scene import PERIOD_S, PRESETS, Scene
+from annotator.synthetic.scene import PERIOD_S, Scene, hands_scene, people_scene
 from annotator.synthetic.sensor import Sensor, colour_image, depth_image
 from annotator.synthetic.truth import TrueObject, true_objects
 from annotator.types import Camera
@@ -28,6 +29,12 @@ VERSION = 1
 # The field of view of common RGB-D cameras: 525 px at a width of 640.
 FOCAL_PER_WIDTH = 525 / 640
 JPEG_QUALITY = 95
+
+PRESETS: dict[str, Callable[[np.random.Generator], Scene]] = {
+    "people": people_scene,
+    "hands": hands_scene,
+    "objects": objects_scene,
+}
 
 Report = Callable[[int, int], None]
 
@@ -57,9 +64,9 @@ def write_generated(
 
     Args:
         path: the folder to create; it must not exist.
-        preset: "people" or "hands".
+        preset: "people", "hands" or "objects".
         frames: number of frames, at ten per second.
-        seed: random seed of the room and the people; the same seed gives the same bytes.
+        seed: random seed of the scene; the same seed gives the same bytes.
         width, height: image size, pixels.
         report: called with (frames done, frames) after each frame.
 

@@ -25,9 +25,9 @@ from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
 RECORDING, PROJECT = "recording", "demo"
-LABELS = {"people": "person", "hands": "hand"}
-# People stand upright; hands may be turned in any way.
-ROTATIONS = {"people": BoxRotation.UPRIGHT, "hands": BoxRotation.FREE}
+LABELS = {"people": "person", "hands": "hand", "objects": "object"}
+# People and objects stand upright; hands may be turned in any way.
+ROTATIONS = {"people": BoxRotation.UPRIGHT, "hands": BoxRotation.FREE, "objects": BoxRotation.UPRIGHT}
 
 Progress = Callable[[str, float, float], None]
 """Called with (stage, amount done, total amount)."""
@@ -38,7 +38,7 @@ class DemoPlan:
     """Settings of the demo.
 
     Attributes:
-        preset: people or hands.
+        preset: people, hands or objects.
         frames: length of the recording.
         every: every `every`-th frame is labelled; boxes are proposed on the others.
         image_pictures, view_pictures: number of images shown in each training.

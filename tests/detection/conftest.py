@@ -74,7 +74,7 @@ def tiny_model(tiny_dataset: Path, quick_config: TrainingConfig, made_once: Call
 @pytest.fixture
 def own_weights(tiny_model: TrainedModel, tmp_path: Path) -> Path:
     """A copy of the small detector's weights."""
-    path = tmp_path / "model" / "detector.pt"
+    path = tmp_path / "model" / "detector.safetensors"
     path.parent.mkdir()
     path.write_bytes(tiny_model.weights.read_bytes())
     return path

@@ -66,7 +66,9 @@ def test_auto_skips_backends_that_cannot_run_the_network(
     monkeypatch.setattr(export_module, "_WRITERS", dict.fromkeys(EXPORTED, fail))
     assert make(own_weights).backend == "torch"
     assert "unknown operation" in caplog.text
-    with pytest.raises(DetectionError, match=r"detector\.pt: cannot be converted for openvino .*use --backend torch"):
+    with pytest.raises(
+        DetectionError, match=r"detector\.safetensors: cannot be converted for openvino .*use --backend torch"
+    ):
         make(own_weights, backend="openvino")
 
 

@@ -45,7 +45,7 @@ def test_unknown_models_are_an_error_with_suggestions(name: str) -> None:
 
 def test_without_network_weights_are_random_with_a_note(downloads: list[str]) -> None:
     start = find_starting_point(TrainingConfig(model="yolo11n"))
-    assert (start.model, start.pretrained) == ("yolo11n.yaml", False)
+    assert (start.weights, start.pretrained) == (None, False)
     assert "random weights" in start.note
     assert "no route to host" in start.note
     assert len(downloads) == 1
@@ -68,7 +68,7 @@ def test_downloaded_weights_are_used(downloads: list[str], monkeypatch: pytest.M
     monkeypatch.setattr(api().downloads, "attempt_download_asset", fetch)
     start = find_starting_point(TrainingConfig(model="yolov8n"))
     assert start.pretrained
-    assert Path(start.model) == tmp_path / "cache" / "annotator" / "weights" / "yolov8n.pt"
+    assert start.weights == tmp_path / "cache" / "annotator" / "weights" / "yolov8n.pt"
     assert "downloaded" in start.note
 
 
@@ -77,7 +77,7 @@ def test_local_weights_are_used_without_a_download(downloads: list[str], tmp_pat
     folder.mkdir()
     (folder / "yolo11n.pt").write_bytes(b"weights")
     start = find_starting_point(TrainingConfig())
-    assert (start.model, start.pretrained) == (str(folder / "yolo11n.pt"), True)
+    assert (start.weights, start.pretrained) == (folder / "yolo11n.pt", True)
     assert downloads == []
 
 
@@ -95,7 +95,7 @@ def test_weights_from_a_file(downloads: list[str], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"own\.pt"):
         find_starting_point(TrainingConfig(pretrained=own))
     own.write_bytes(b"weights")
-    assert find_starting_point(TrainingConfig(pretrained=own)).model == str(own)
+    assert find_starting_point(TrainingConfig(pretrained=own)).weights == own
     assert downloads == []
 
 

@@ -34,7 +34,7 @@ def files_of_run(model: TrainedModel) -> list[str]:
 @pytest.mark.slow
 def test_a_finished_run_has_weights_metrics_and_curves(tiny_model: TrainedModel, tiny_dataset: Path) -> None:
     folder = tiny_model.weights.parent
-    assert files_of_run(tiny_model) == ["curves.csv", "detector.pt", "model.json", "run.json"]
+    assert files_of_run(tiny_model) == ["curves.csv", "detector.safetensors", "model.json", "run.json"]
     assert read_trained(folder) == tiny_model
     assert tiny_model.classes == ("blue", "red")
     # the accuracy depends on the processor
@@ -55,7 +55,7 @@ def test_a_finished_run_is_not_repeated_and_can_be_moved(
     for name in files_of_run(tiny_model):
         (folder / name).write_bytes((tiny_model.weights.parent / name).read_bytes())
     again = train_detector(tiny_dataset, folder, quick_config, lambda _: pytest.fail("trained again"))
-    assert again.weights == folder / "detector.pt"
+    assert again.weights == folder / "detector.safetensors"
     assert again.metrics == tiny_model.metrics
 
 
@@ -144,7 +144,7 @@ def test_other_settings_or_a_damaged_checkpoint_restart_the_training(tiny_datase
     with pytest.raises(KeyboardInterrupt):
         train_detector(tiny_dataset, out, SHORT, stop_after_one)
     assert first_epoch(SHORT) == 1
-    last = out / "weights" / "last.pt"
+    last = out / "weights" / "last.safetensors"
     last.write_bytes(last.read_bytes()[:5000])
     assert first_epoch(SHORT) == 0
     with pytest.raises(KeyboardInterrupt):

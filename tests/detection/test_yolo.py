@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
-from annotator.detection.ultralytics_api import api
+from annotator.detection.ultralytics_api import api, load_weights
 from annotator.detection.yolo import YoloDetector
 from annotator.types import Detector, PseudoView, Region
 from annotator.types.errors import DetectionError
@@ -103,7 +103,8 @@ def test_detections_agree_with_ultralytics_own_predictor(
     api()
     from ultralytics import YOLO
 
-    theirs = YOLO(str(tiny_model.weights))
+    api().torch.save({"model": load_weights(tiny_model.weights, "cpu")}, tmp_path / "theirs.pt")
+    theirs = YOLO(str(tmp_path / "theirs.pt"))
     ours = make(tiny_model.weights, confidence=ANY, iou=1.0, backend="torch")
     for seed, size in enumerate([(96, 96), (70, 96), (96, 50), (240, 180), (96, 96), (120, 130)]):
         one = scene(seed + 50, size)
@@ -122,7 +123,7 @@ def test_detections_agree_with_ultralytics_own_predictor(
         for box in best:
             alike = (np.abs(detected - box.xyxy) <= 1.0).all(axis=1) & (np.abs(result.conf.numpy() - box.score) <= 0.01)
             assert (alike & (result.cls.numpy() == ours.labels.index(box.label))).any()
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [tmp_path / "theirs.pt"]
 
 
 def test_boxes_scale_with_the_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:

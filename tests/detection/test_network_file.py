@@ -1,0 +1,126 @@
+"""Files of networks: nothing in them is run, and what does not fit is refused."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annotator.detection.network_file import (
+    DESCRIPTION,
+    NetworkDescription,
+    build,
+    describe,
+    is_network_file,
+    read_tensors,
+    write_network,
+    write_tensors,
+)
+from annotator.detection.ultralytics_api import api, load_weights
+from annotator.types.errors import DetectionError
+
+
+@pytest.fixture(scope="module")
+def model() -> Any:
+    with api().torch.random.fork_rng(devices=[]):
+        api().torch.manual_seed(0)
+        return build(NetworkDescription(architecture="yolo11n", labels=("cat", "dog"))).eval()
+
+
+@pytest.fixture
+def file(model: Any, tmp_path: Path) -> Path:
+    write_network(tmp_path / "network", model)
+    return tmp_path / "network"
+
+
+def test_a_network_is_read_as_it_was_written(model: Any, file: Path) -> None:
+    read = load_weights(file, "cpu")
+    assert describe(read) == describe(model)
+    assert read.names == {0: "cat", 1: "dog"}
+    written = model.state_dict()
+    for name, tensor in read.state_dict().items():
+        # half precision has 11 significant bits
+        assert api().torch.allclose(tensor.float(), written[name].float(), rtol=2**-10, atol=1e-7), name
+    assert file.stat().st_size < 6_000_000
+
+
+def test_an_end_to_end_network_stays_one(tmp_path: Path) -> None:
+    for end2end in (True, False):
+        network = build(NetworkDescription(architecture="yolo26n", labels=("cat",), end2end=end2end))
+        write_network(tmp_path / "network", network)
+        assert bool(load_weights(tmp_path / "network", "cpu").model[-1].end2end) == end2end
+
+
+def changed(file: Path, **changes: Any) -> Path:
+    """A copy of a file with other facts about its network."""
+    tensors, facts = read_tensors(file, "")
+    described = json.loads(facts[DESCRIPTION]) | changes
+    write_tensors(file.with_name("changed"), tensors, {DESCRIPTION: json.dumps(described)})
+    return file.with_name("changed")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"labels": ["cat", "dog", "cow"]},
+        {"labels": []},
+        {"architecture": "yolo11s"},
+        {"architecture": "../../yolo11n"},
+        {"architecture": "yolonothing"},
+        {"format": "annotator network 2"},
+        {"code": "print()"},
+    ],
+)
+def test_a_description_that_does_not_fit_is_refused(file: Path, changes: dict[str, Any]) -> None:
+    with pytest.raises(
+        DetectionError, match=r"changed: cannot be read as detector weights .*; train the detector again"
+    ):
+        load_weights(changed(file, **changes), "cpu")
+
+
+def test_every_cut_of_a_file_is_refused(file: Path) -> None:
+    content = file.read_bytes()
+    for length in (0, 4, 9, 100, 5000, len(content) // 2, len(content) - 1):
+        file.write_bytes(content[:length])
+        with pytest.raises(DetectionError, match="cannot be read as detector weights"):
+            load_weights(file, "cpu")
+
+
+class Touch:
+    """Creates a file when it is unpickled by an unsafe reader."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self._path,)
+
+
+@pytest.mark.parametrize("name", ["detector.pt", "detector.safetensors"])
+def test_no_code_of_a_weights_file_is_run(tmp_path: Path, name: str) -> None:
+    trap = tmp_path / "ran"
+    api().torch.save({"model": Touch(trap)}, tmp_path / name)
+    with pytest.raises(DetectionError, match=f"{name}: cannot be read as detector weights"):
+        load_weights(tmp_path / name, "cpu")
+    (tmp_path / name).write_bytes(pickle.dumps(Touch(trap)))
+    with pytest.raises(DetectionError, match=f"{name}: cannot be read as detector weights"):
+        load_weights(tmp_path / name, "cpu")
+    assert not trap.exists()
+
+
+def test_weights_are_not_read_without_safe_loading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    api().torch.save({"model": {}}, tmp_path / "detector.pt")
+    monkeypatch.setattr(api(), "loads_safely", False)
+    with pytest.raises(DetectionError, match=r"detector\.pt: ultralytics .* cannot read it without running its code"):
+        load_weights(tmp_path / "detector.pt", "cpu")
+
+
+def test_files_are_told_apart_by_their_content(file: Path, tmp_path: Path) -> None:
+    assert is_network_file(file)
+    for content in (b"", b"PK\x03\x04 a zip archive", struct.pack("<Q", 10**9) + b"{"):
+        (tmp_path / "other").write_bytes(content)
+        assert not is_network_file(tmp_path / "other")
