@@ -28,7 +28,7 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Detector, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import load_detector
-from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
 from benchmarks.clusters import cluster_box
 from benchmarks.report import Table, finish, guarded
 
@@ -71,11 +71,23 @@ class Given:
     image_box: Box2D
 
 
-def given_boxes(frame: Frame, truths: Sequence[Truth], args: Arguments, rng: np.random.Generator) -> list[Given]:
-    """The objects with enough points, with their 2D boxes."""
+def given_boxes(
+    recording: Recording, frame: Frame, truths: Sequence[Truth], args: Arguments, rng: np.random.Generator
+) -> list[Given]:
+    """The objects with enough points, with their 2D boxes.
+
+    Raises:
+        ConfigError: a label has no 2D box.
+    """
+    mask = load_mask(recording, frame) if args.image_box == "label" and has_masks(recording) else None
     objects = []
-    for truth in truths:
-        box = box_on_image(frame.camera, truth.box, truth.label)
+    for number, truth in enumerate(truths):
+        if args.image_box == "projected":
+            box = box_on_image(frame.camera, truth.box, truth.label)
+        else:
+            box = own_image_box(truth, number, mask)
+            if box is None and mask is None:
+                raise ConfigError(f"{recording.path}: its labels have no 2D boxes; use --image-box projected")
         shift = rng.normal(0, JITTER_PX, 4)
         if contains(truth.box, frame.cloud.xyz_m).sum() < args.min_points or box is None:
             continue
@@ -126,7 +138,7 @@ def run(args: Arguments) -> dict[str, object]:
         frame = recording.frame(index)
         truths = load_truth(recording, index, frame)
         frame = with_up(frame, truths, args)
-        objects = given_boxes(frame, truths, args, np.random.default_rng([args.seed, index]))
+        objects = given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index]))
         if not objects:
             continue
         config = settings(frame, args, 64)

@@ -19,7 +19,7 @@ from annotator.rcv.finish import FrameProposals
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import add_recordings
-from annotator.workflows.detectors import Detectors, active_model, load_detector
+from annotator.workflows.detectors import Detectors, active_model, load_detector, view_model
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
@@ -301,11 +301,12 @@ class Project:
         view = self._detector(DetectorKind.VIEW)
         # if the image boxes are given, the image detector is never called; the view detector takes its place
         detector = image if isinstance(image, Detector) else view
-        return Detectors(detector, view, active_model(self.stored, DetectorKind.VIEW).box_kind)
+        model = view_model(self.stored)
+        return Detectors(detector, view, model.box_kind, model.class_agnostic)
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
-        model = active_model(self.stored, kind)
+        model = view_model(self.stored) if kind is DetectorKind.VIEW else active_model(self.stored, kind)
         if kind not in self._loaded or self._loaded[kind][0] != model.fingerprint:
             self._loaded[kind] = (model.fingerprint, load_detector(model.path))
         return self._loaded[kind][1]
@@ -319,7 +320,8 @@ class Project:
                     f"{detector!r} is not a detector; pass an object with labels, fingerprint and detect"
                 )
         if view is None:
-            view, kind = self._detector(DetectorKind.VIEW), active_model(self.stored, DetectorKind.VIEW).box_kind
+            model = view_model(self.stored)
+            view, kind, agnostic = self._detector(DetectorKind.VIEW), model.box_kind, model.class_agnostic
         else:
-            kind = kind_of(view, box_kind)
-        return GivenDetectors(Detectors(image or self._detector(DetectorKind.IMAGE), view, kind))
+            kind, agnostic = kind_of(view, box_kind), False
+        return GivenDetectors(Detectors(image or self._detector(DetectorKind.IMAGE), view, kind, agnostic))

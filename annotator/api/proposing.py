@@ -132,7 +132,7 @@ def propose(
     several = [frames] if isinstance(frames, Frame) else list(frames)
     boxes = image_boxes_of(frames, image_boxes, image_detector)
     view = as_detector(view_detector)
-    config = checked_config(settings or {}).with_box_kind(kind_of(view_detector, box_kind))
+    config = checked_config(settings or {}).for_detector(kind_of(view_detector, box_kind))
     proposals = propose_image_boxes(several, boxes, view, config, rotation_of(rotation)) if several else []
     return proposals[0] if isinstance(frames, Frame) else proposals
 

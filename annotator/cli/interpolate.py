@@ -10,10 +10,10 @@ from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
 from annotator.project import Project
-from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
 from annotator.workflows.tracks.interpolate import interpolate
+from annotator.workflows.workbench.loaded_detectors import ready_view
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 AUTHOR = "annotator interpolate"
@@ -54,11 +54,4 @@ def run(
 
 def _box_fitter(project: Project) -> FitBox:
     source = FrameSource(project)
-    model = project.models.active(DetectorKind.VIEW)
-    detector: Detector | None = None
-    kind = BoxKind.BOX
-    if model is not None:
-        from annotator.workflows.detectors import load_detector
-
-        detector, kind = load_detector(model.path), model.box_kind
-    return box_fitter(project, lambda frame: OpenFrame(source.read(frame)), detector, kind)
+    return box_fitter(project, lambda frame: OpenFrame(source.read(frame)), ready_view(project))

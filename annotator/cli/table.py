@@ -25,6 +25,7 @@ COMMANDS: dict[str, Command] = {
     "views": Command("annotator.cli.views:run", "write pseudo-views as images, to be labelled in another tool"),
     "train": Command("annotator.cli.train:run", "train the two 2D detectors"),
     "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
+    "lift": Command("annotator.cli.lift:run", "propose oriented 3D boxes from 2D boxes, without training"),
     "track": Command("annotator.cli.track:run", "link the boxes of each object into tracks"),
     "interpolate": Command("annotator.cli.interpolate:run", "fill the frames between a track's reviewed boxes"),
     "export": Command("annotator.cli.export:run", "write the labels as a dataset"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -266,6 +266,19 @@ class RcvConfig(BaseModel):
         """The class of a class-agnostic detector's boxes that is used; None: the class of the image box."""
         return AGNOSTIC_LABELS[self.box_kind] if self.class_agnostic else None
 
-    def with_box_kind(self, kind: BoxKind) -> RcvConfig:
-        """The same settings for a view detector whose boxes measure `kind`. Only this method sets `box_kind`."""
-        return self.model_copy(update={"box_kind": kind})
+    def for_detector(self, kind: BoxKind, class_agnostic: bool = False) -> RcvConfig:
+        """The same settings for a view detector. Only this method sets `box_kind` and `class_agnostic`.
+
+        Args:
+            kind: what its boxes measure.
+            class_agnostic: whether it measures the object of a crop, whatever its class.
+        """
+        return self.model_copy(update={"box_kind": kind, "class_agnostic": class_agnostic})
+
+    def record(self) -> dict[str, Any]:
+        """The settings as JSON values, for the record of a run; those that do not apply are left out.
+
+        So frames that were annotated before these settings existed are not annotated again.
+        """
+        unused = set() if self.class_agnostic else {"class_agnostic", "first_look"}
+        return self.model_dump(mode="json", exclude={"orientation", *unused})

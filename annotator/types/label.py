@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
-from annotator.types.boxes import OrientedBox
+from annotator.types.boxes import Box2D, OrientedBox
 
 # Track ids range from -MOST_TRACK to MOST_TRACK, the integers that JSON and SQLite represent exactly.
 MOST_TRACK = 2**53
@@ -75,9 +75,11 @@ class Truth:
         box: the oriented box, camera frame.
         track_id: the object's id within the recording; None if unknown.
         score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if the file has none.
+        image_box: the label's own 2D box on the image; None if its file has none.
     """
 
     label: str
     box: OrientedBox
     track_id: int | None = None
     score: float | None = None
+    image_box: Box2D | None = field(default=None, compare=False)

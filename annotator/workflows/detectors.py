@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from annotator.detection.base_detector import NAME, base_weights, has_base
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
@@ -21,15 +22,21 @@ from annotator.types.errors import ConfigError, DetectionError
 
 @dataclass(frozen=True, eq=False)
 class Detectors:
-    """The image detector, the pseudo-view detector, and what the latter's boxes measure."""
+    """The image detector and the pseudo-view detector.
+
+    Attributes:
+        box_kind: what the view detector's boxes measure.
+        class_agnostic: whether it measures objects of any class, as the base detector does.
+    """
 
     image: Detector
     view: Detector
     box_kind: BoxKind = BoxKind.BOX
+    class_agnostic: bool = False
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """Adapts the settings `config` to these detectors."""
-        return config.with_box_kind(self.box_kind)
+        return config.for_detector(self.box_kind, self.class_agnostic)
 
     @property
     def backends(self) -> tuple[str, str]:
@@ -83,12 +90,54 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
     Raises:
         ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
     """
-    image, view = active_model(project, DetectorKind.IMAGE), active_model(project, DetectorKind.VIEW)
+    image, view = active_model(project, DetectorKind.IMAGE), view_model(project)
     return Detectors(
         load_detector(image.path, backend, threads=threads),
         load_detector(view.path, backend, threads=threads),
         view.box_kind,
+        view.class_agnostic,
     )
+
+
+@dataclass(frozen=True)
+class ViewModel:
+    """The view detector that a project uses.
+
+    Attributes:
+        path: weights file, in the folder of its training.
+        box_kind, class_agnostic: as in `Detectors`.
+        fingerprint: changes with the detector.
+        name: for people: the base detector's name, or "" for the project's own detector.
+    """
+
+    path: Path
+    box_kind: BoxKind
+    class_agnostic: bool
+    fingerprint: str
+    name: str = ""
+
+
+def view_model(project: Project) -> ViewModel:
+    """Returns the project's active view detector, or the base detector if it has none.
+
+    Raises:
+        DetectionError: there is none, and the base detector is missing.
+    """
+    model = project.models.active(DetectorKind.VIEW)
+    if model is not None:
+        return ViewModel(model.path, model.box_kind, False, model.fingerprint)
+    if not has_base():
+        active_model(project, DetectorKind.VIEW)  # raises the error that says what to do
+    return base_model()
+
+
+def base_model() -> ViewModel:
+    """Returns the base detector.
+
+    Raises:
+        DetectionError: this installation has none.
+    """
+    return ViewModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
 
 
 def active_model(project: Project, role: DetectorKind) -> StoredModel:

@@ -214,6 +214,7 @@ def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, p
         )
     try:
         box = label_box(row)
-        return Truth(row.label, box if T is None else box.transformed(T), track_id, row.score)
+        image_box = row.image_box if row.right > row.left and row.bottom > row.top else None
+        return Truth(row.label, box if T is None else box.transformed(T), track_id, row.score, image_box)
     except ValueError as error:
         raise FormatError(path, str(error), line) from error

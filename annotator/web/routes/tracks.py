@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path
 from fastapi.responses import JSONResponse
 
 from annotator.project import Project, StoredFrame
-from annotator.types import BoxKind, DetectorKind, ReviewState
+from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.frame_json import frame_state, stale_response
@@ -142,9 +142,9 @@ def _opener(ctx: Context, project: Project, operator: str) -> Callable[[StoredFr
 def _detectors(ctx: Context, project: Project) -> Detectors | None:
     """Both detectors, or None if the project lacks one."""
     image, view = (ctx.caches.detectors.get(project, role) for role in (DetectorKind.IMAGE, DetectorKind.VIEW))
-    return None if image is None or view is None else Detectors(image, view, view.box_kind)
+    return None if image is None or view is None else Detectors(image, view, view.box_kind, view.class_agnostic)
 
 
 def _box_fitter(ctx: Context, project: Project, open_frame: Callable[[StoredFrame], OpenFrame]) -> FitBox:
     view = ctx.caches.detectors.get(project, DetectorKind.VIEW)
-    return box_fitter(project, open_frame, view, BoxKind.BOX if view is None else view.box_kind)
+    return box_fitter(project, open_frame, view)

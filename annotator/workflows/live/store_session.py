@@ -67,7 +67,7 @@ def store(
     recording = open_recording(recorder.out)
     stored = register_recording(project, recording)
     settings = {
-        **config.model_dump(mode="json", exclude={"orientation"}),
+        **config.record(),
         "rotation": rotation.value,
         "method": REVISION,
         "live": "warm start" if warm_start else "each frame by itself",

@@ -70,7 +70,7 @@ def annotate_with(
 
     Args:
         engine: does the work; closed if an exception ends the batch, else it can be used again.
-        config: the recursion's settings; `box_kind` is set to that of the engine's detectors, the orientation for each
+        config: the recursion's settings; set to the engine's detectors (`for_detector`), the orientation for each
             frame from `rotation`.
         recordings: ids; None = all.
         rotation: None = the project's setting.
@@ -90,7 +90,7 @@ def annotate_with(
     rotation = rotation or project.config.settings.rotation
     try:
         identity = engine.start()
-        config = config.with_box_kind(identity.box_kind)
+        config = config.for_detector(identity.box_kind, identity.class_agnostic)
         run = project.jobs.start(**_description(identity, config, rotation, from_reviewed))
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
         frames = pending if limit is None else min(pending, limit)
@@ -119,7 +119,7 @@ def require_limit(limit: int | None) -> None:
 def _description(identity: Identity, config: RcvConfig, rotation: BoxRotation, from_reviewed: bool) -> dict[str, str]:
     """Returns a run's detectors and settings. The engine is not part of them, since it does not affect the result."""
     settings = {
-        **config.model_dump(mode="json", exclude={"orientation"}),
+        **config.record(),
         "rotation": rotation.value,
         "method": REVISION,
         # absent if False, so that frames annotated before this setting existed are not annotated again

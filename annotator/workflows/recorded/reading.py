@@ -18,7 +18,7 @@ from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_l
 from annotator.recordings import Recording
 from annotator.recordings.kitti.raw_drive import KittiRaw
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
-from annotator.types import Frame, Truth
+from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
 
 # Generated recordings have their truth in a separate folder.
@@ -107,6 +107,21 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
     if mask.shape != frame.rgb.shape[:2]:
         raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
     return mask
+
+
+def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | None) -> Box2D | None:
+    """Returns a label's own 2D box: the one in its file, or the extent of its mask; None without both.
+
+    Args:
+        number: position of the label in `load_truth`.
+        mask: of the frame, or None.
+    """
+    if truth.image_box is not None or mask is None:
+        return truth.image_box
+    rows, columns = np.nonzero(mask == number + 1)
+    if len(rows) == 0:
+        return None
+    return Box2D(truth.label, columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5)
 
 
 def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:

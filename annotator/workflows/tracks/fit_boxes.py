@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, StoredFrame
-from annotator.types import BoxKind, Detector, OrientedBox
+from annotator.types import OrientedBox
 from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import refit
 
@@ -19,19 +20,18 @@ FitBox = Callable[[StoredFrame, OrientedBox, str], OrientedBox]
 
 
 def box_fitter(
-    project: Project, open_frame: Callable[[StoredFrame], OpenFrame], detector: Detector | None, kind: BoxKind
+    project: Project, open_frame: Callable[[StoredFrame], OpenFrame], detector: ReadyDetector | None
 ) -> FitBox:
     """Returns a function that fits boxes with `refit`.
 
     Args:
         open_frame: returns a frame; its errors are passed on.
         detector: for pseudo-views; without one the sides move to the points inside.
-        kind: what the detector's boxes measure.
     """
 
     def fit(frame: StoredFrame, box: OrientedBox, label: str) -> OrientedBox:
         opened = open_frame(frame)
-        fitted = refit(opened, box, label, frame_config(project, opened.frame, kind), detector).box
+        fitted = refit(opened, box, label, frame_config(project, opened.frame, detector), detector).box
         return fitted if iou_3d(fitted, box) >= MIN_IOU else box
 
     return fit

@@ -68,7 +68,7 @@ def propose_next(
     """
     step = _Step.of(project, frame_id, revision, None)
     frame = open_frame(step.next_frame).frame
-    config = frame_config(project, frame, detectors.box_kind)
+    config = detectors.settings(frame_config(project, frame))
     seeds = [WarmStart(stored.label.label, stored.label.box) for stored in step.labels]
     proposals = propose([frame], detectors.image, detectors.view, config, [seeds], detectors.compute)[0].proposals
     matches = match_proposals([stored.label for stored in step.labels], proposals)

@@ -17,7 +17,7 @@ For boxes around the whole object (`BoxKind.BOX`) with a known up direction, the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,7 +25,7 @@ from jaxtyping import Float64
 from annotator.geometry.edges import visible_edges
 from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.project import Project
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.cross_view import choose, make_pair, measured_intervals, pair_all
 from annotator.rcv.interval_fit import fit_box
 from annotator.rcv.operator import first_views, next_views
@@ -34,6 +34,7 @@ from annotator.types import Box2D, BoxKind, Detector, Frame, OrientedBox, Pseudo
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 Views = tuple[PseudoView, PseudoView]
@@ -82,14 +83,15 @@ class Labelling:
         return tuple(view for step in self.steps for view in step.views)
 
 
-def frame_config(project: Project, frame: Frame, box_kind: BoxKind = BoxKind.BOX) -> RcvConfig:
+def frame_config(project: Project, frame: Frame, detector: ReadyDetector | None = None) -> RcvConfig:
     """Returns the recursion's settings for a frame of a project.
 
     Args:
-        box_kind: what the view detector's boxes measure.
+        detector: the view detector that will be used; None = one with the project's classes, for whole boxes.
     """
     orientation = orientation_for(project.config.settings.rotation, frame)
-    return rcv_config(project).with_box_kind(box_kind).model_copy(update={"orientation": orientation})
+    config = rcv_config(project).model_copy(update={"orientation": orientation})
+    return config if detector is None else config.for_detector(detector.box_kind, detector.class_agnostic)
 
 
 def label_config(project: Project, frame: Frame) -> RcvConfig:
@@ -132,7 +134,7 @@ def label_steps(
     if first is None:
         return _labelling(opened, (), None, f"fewer than {config.min_points} points lie in this box's frustum")
     is_open = drawn[0] is None or drawn[1] is None
-    steps = [Step(first, _suggest(opened, detector if is_open else None, first, image_box, None, config))]
+    steps = [Step(first, _suggest(opened, detector if is_open else None, first, image_box, None, kind, config))]
     if drawn[0] is None or drawn[1] is None:
         return _labelling(opened, tuple(steps), None, None)
     box = cross_box(first, (drawn[0], drawn[1]), held_direction(opened.frame.up, config))
@@ -142,7 +144,7 @@ def label_steps(
     if second is None:
         return _labelling(opened, tuple(steps), box, f"fewer than {config.min_points} points lie in both boxes")
     is_open = drawn[2] is None or drawn[3] is None
-    steps.append(Step(second, _suggest(opened, detector if is_open else None, second, image_box, box, config)))
+    steps.append(Step(second, _suggest(opened, detector if is_open else None, second, image_box, box, kind, config)))
     if drawn[2] is not None and drawn[3] is not None:
         four = (drawn[0], drawn[1], drawn[2], drawn[3])
         box = final_box((*first, *second), four, held_direction(opened.frame.up, config), kind, config)
@@ -177,13 +179,20 @@ def _suggest(
     views: Views,
     image_box: Box2D,
     last: OrientedBox | None,
+    kind: BoxKind,
     config: RcvConfig,
 ) -> tuple[Box2D | None, Box2D | None]:
     """Returns the best pair of detections in the first step, and those nearest to the last step's box afterwards."""
     if detector is None:
         return None, None
     front, side = opened.detections(views, detector)
-    front, side = ([box for box in boxes if box.label == image_box.label] for boxes in (front, side))
+    # a class-agnostic detector has one class for each kind of box
+    wanted = image_box.label
+    if isinstance(detector, ReadyDetector) and detector.class_agnostic:
+        wanted = AGNOSTIC_LABELS[kind]
+    front, side = (
+        [replace(box, label=image_box.label) for box in boxes if box.label == wanted] for boxes in (front, side)
+    )
     if last is None and front and side:
         cloud = opened.frame.cloud.select(opened.frustum(image_box))
         pairs = pair_all(views[0].axes, views, front, side, cloud, config)

@@ -13,26 +13,38 @@ from typing import Literal
 
 import numpy as np
 
-from annotator.project import Project, StoredModel
+from annotator.detection.base_detector import has_base
+from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import load_detector
+from annotator.workflows.detectors import ViewModel, load_detector, view_model
 
 LOG = logging.getLogger("annotator.detectors")
 
 
 @dataclass(frozen=True, eq=False)
 class ReadyDetector:
-    """A detector that runs one call at a time, and what its boxes measure."""
+    """A detector that runs one call at a time.
+
+    Attributes:
+        box_kind, class_agnostic: as in `workflows.detectors.Detectors`.
+        name: the base detector's name, or "" for the project's own detector.
+    """
 
     detector: Detector
     box_kind: BoxKind
     lock: threading.Lock
+    class_agnostic: bool = False
+    name: str = ""
 
     @property
     def labels(self) -> tuple[str, ...]:
         """The classes it detects."""
         return self.detector.labels
+
+    def knows(self, label: str) -> bool:
+        """Returns True if it can measure objects of a class."""
+        return self.class_agnostic or label in self.detector.labels
 
     @property
     def fingerprint(self) -> str:
@@ -67,6 +79,37 @@ class _Blank:
     rgb: np.ndarray
 
 
+def _model(project: Project, role: DetectorKind) -> ViewModel | None:
+    """Returns the detector that a role uses; the base detector takes the place of a missing view detector."""
+    if role is DetectorKind.VIEW:
+        return view_model(project) if has_base() or project.models.active(role) else None
+    model = project.models.active(role)
+    return None if model is None else ViewModel(model.path, model.box_kind, False, model.fingerprint)
+
+
+def ready_view(project: Project) -> ReadyDetector | None:
+    """Loads the view detector that a project uses; None if there is none.
+
+    Raises:
+        DetectionError, FormatError: it cannot be loaded.
+    """
+    model = _model(project, DetectorKind.VIEW)
+    return None if model is None else _ready(model, threading.Lock())
+
+
+def view_or_base(project: Project) -> ReadyDetector:
+    """As `ready_view`, but an error if there is none.
+
+    Raises:
+        DetectionError, FormatError: there is no view detector and no base detector, or it cannot be loaded.
+    """
+    return _ready(view_model(project), threading.Lock())
+
+
+def _ready(model: ViewModel, lock: threading.Lock) -> ReadyDetector:
+    return ReadyDetector(load_detector(model.path), model.box_kind, lock, model.class_agnostic, model.name)
+
+
 class ReadyDetectors:
     """Loads detectors in the background and keeps them. Thread-safe."""
 
@@ -90,11 +133,11 @@ class ReadyDetectors:
 
         A failure does not raise, since labels can be drawn without a detector. It stays until another model is active.
         """
-        model = project.models.active(role)
+        model = _model(project, role)
         if model is None:
             return Readiness("none")
         try:
-            return Readiness("ready", self._future(project, model).result(wait_s))
+            return Readiness("ready", self._future(project, role, model).result(wait_s))
         except NotYetError:
             return Readiness("loading")
         except AnnotatorError as error:
@@ -115,24 +158,24 @@ class ReadyDetectors:
         """Stops loading."""
         self._loader.shutdown(wait=False, cancel_futures=True)
 
-    def _future(self, project: Project, model: StoredModel) -> Future[ReadyDetector]:
-        key = (project.path, model.role)
+    def _future(self, project: Project, role: DetectorKind, model: ViewModel) -> Future[ReadyDetector]:
+        key = (project.path, role)
         with self._lock:
             known = self._loading.get(key)
             # another model, or the same one trained again
             if known is None or known[0] != model.fingerprint:
-                known = (model.fingerprint, self._loader.submit(self._load, model))
+                known = (model.fingerprint, self._loader.submit(self._load, role, model))
                 self._loading[key] = known
             return known[1]
 
-    def _load(self, model: StoredModel) -> ReadyDetector:
+    def _load(self, role: DetectorKind, model: ViewModel) -> ReadyDetector:
         try:
-            ready = ReadyDetector(load_detector(model.path), model.box_kind, self._use)
+            ready = _ready(model, self._use)
             ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
         except AnnotatorError as error:
-            LOG.warning("the %s detector %s cannot be loaded: %s", model.role.value, model.path, error)
+            LOG.warning("the %s detector %s cannot be loaded: %s", role.value, model.path, error)
             raise
         except Exception:
-            LOG.exception("the %s detector %s cannot be loaded", model.role.value, model.path)
+            LOG.exception("the %s detector %s cannot be loaded", role.value, model.path)
             raise
         return ready

@@ -16,7 +16,6 @@ Axes keep their names (x, y, z), so the heading stays as the operator set it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +29,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
 from annotator.types import Box2D, Detector, OrientedBox, PointCloud, Proposal, Quality, StepTrace, StopReason
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 RCV, POINTS = "rcv", "points"
@@ -143,7 +143,8 @@ def _why_no_detector(detector: Detector | None, label: str, problem: str | None)
     """Returns why no detector can be used for this class, or None."""
     if detector is None:
         return "there is no pseudo-view detector yet" if problem is None else f"no pseudo-view detector: {problem}"
-    return None if label in detector.labels else f"the pseudo-view detector was not trained on {label}"
+    knows = detector.knows(label) if isinstance(detector, ReadyDetector) else label in detector.labels
+    return None if knows else f"the pseudo-view detector was not trained on {label}"
 
 
 def with_axes_like(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
@@ -166,12 +167,8 @@ def _recurse(
     limited = config.model_copy(update={"max_steps": steps, "consensus": refining})
     while state.stop is StopReason.CONTINUES:
         plan = plan_step(state, limited)
-        state = absorb_step(state, plan, _only(label, detector.detect(plan.views)), limited)[0]
+        state = absorb_step(state, plan, detector.detect(plan.views), limited)[0]
     return None if state.stop in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else state
-
-
-def _only(label: str, detections: Sequence[Sequence[Box2D]]) -> list[list[Box2D]]:
-    return [[box for box in boxes if box.label == label] for boxes in detections]
 
 
 def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud, config: RcvConfig) -> ObjectState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from annotator.workflows.tracks.follow import copy_next, propose_next
 from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
 from annotator.workflows.tracks.previous_boxes import seeds_of
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 ANN = "ann"
@@ -253,7 +255,8 @@ def test_boxes_are_copied_to_their_predicted_positions(
     people.history.undo(ANN)
     # with a fit to the points of the frame
     detectors, source = knowing("people"), FrameSource(people)
-    fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), detectors.view, detectors.box_kind)
+    view = ReadyDetector(detectors.view, detectors.box_kind, Lock())
+    fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), view)
     copy_next(people, frames[1].id, people.frames.get(frames[1].id).revision, ANN, fit=fit)
     (label,) = people.labels.of_frame(frames[2].id)
     assert iou_3d(label.box, truths[2][0].box) > 0.9

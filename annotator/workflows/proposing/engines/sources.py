@@ -13,7 +13,7 @@ from annotator.files import write_atomic
 from annotator.project.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import DetectionError
-from annotator.workflows.detectors import Detectors, active_model, load_detector
+from annotator.workflows.detectors import Detectors, active_model, load_detector, view_model
 from annotator.workflows.proposing.engines.storage import scratch_folder
 
 
@@ -49,12 +49,14 @@ class TrainedDetectors:
         image, view: weights files, in the folders of their trainings.
         box_kind: what the boxes of the view detector measure.
         backend: as for `load_detector`.
+        class_agnostic: as in `Detectors`.
     """
 
     image: Path
     view: Path
     box_kind: BoxKind
     backend: Backend = "auto"
+    class_agnostic: bool = False
 
     def load(self, threads: int | None) -> Detectors:
         """Loads the detectors.
@@ -66,6 +68,7 @@ class TrainedDetectors:
             load_detector(self.image, self.backend, threads=threads),
             load_detector(self.view, self.backend, threads=threads),
             self.box_kind,
+            self.class_agnostic,
         )
 
 
@@ -75,8 +78,8 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
     Raises:
         DetectionError: one of them has not been trained yet.
     """
-    image, view = active_model(project, DetectorKind.IMAGE), active_model(project, DetectorKind.VIEW)
-    return TrainedDetectors(image.path, view.path, view.box_kind, backend)
+    image, view = active_model(project, DetectorKind.IMAGE), view_model(project)
+    return TrainedDetectors(image.path, view.path, view.box_kind, backend, view.class_agnostic)
 
 
 @dataclass(frozen=True)
@@ -126,13 +129,14 @@ class PackedDetectors:
 
     Attributes:
         image, view: files of the two trainings.
-        box_kind, backend: as in `TrainedDetectors`.
+        box_kind, backend, class_agnostic: as in `TrainedDetectors`.
     """
 
     image: _Files
     view: _Files
     box_kind: BoxKind
     backend: Backend
+    class_agnostic: bool = False
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
@@ -141,7 +145,8 @@ class PackedDetectors:
         Raises:
             DetectionError: they cannot be read.
         """
-        return cls(_Files.of(trained.image), _Files.of(trained.view), trained.box_kind, trained.backend)
+        image, view = _Files.of(trained.image), _Files.of(trained.view)
+        return cls(image, view, trained.box_kind, trained.backend, trained.class_agnostic)
 
     def load(self, threads: int | None) -> Detectors:
         """Writes the files into the machine's temporary folder, where they stay, and loads the detectors.
@@ -150,5 +155,5 @@ class PackedDetectors:
             DetectionError, FormatError: as `load_detector`.
         """
         folder = scratch_folder() / "detectors"
-        files = TrainedDetectors(self.image.unpacked(folder), self.view.unpacked(folder), self.box_kind, self.backend)
-        return files.load(threads)
+        image, view = self.image.unpacked(folder), self.view.unpacked(folder)
+        return TrainedDetectors(image, view, self.box_kind, self.backend, self.class_agnostic).load(threads)

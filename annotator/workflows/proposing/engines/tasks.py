@@ -98,12 +98,14 @@ class Identity:
         image, view: fingerprints of the detectors.
         backends: their backends, e.g. ("openvino", "openvino").
         box_kind: what the boxes of the view detector measure.
+        class_agnostic: whether it measures objects of any class.
     """
 
     image: str
     view: str
     backends: tuple[str, str]
     box_kind: BoxKind
+    class_agnostic: bool = False
 
 
 def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:

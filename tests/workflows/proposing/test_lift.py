@@ -1,0 +1,148 @@
+"""3D boxes from 2D boxes of any origin: stored as proposals, with their origin, and no frame is lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock
+
+import pytest
+
+from annotator.cli.main import main
+from annotator.detection import base_detector
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.outline import box_on_image
+from annotator.project import Project, WriteContext
+from annotator.project.event_types import ImageBoxesSet
+from annotator.rcv.config import AGNOSTIC_LABELS
+from annotator.types import Box2D, BoxKind, Detector, Image, ReviewState, Source
+from annotator.types.errors import ConfigError, DetectionError, FormatError
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing import FlatFormat
+from annotator.workflows.proposing.lift import GivenBoxes, boxes_of_detector, boxes_of_file, drawn_boxes, lift
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.workbench import loaded_detectors
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector, view_or_base
+
+
+class AnyClass:
+    """As a base detector: the boxes of another detector without their classes."""
+
+    labels = tuple(AGNOSTIC_LABELS.values())
+    fingerprint = "any class"
+
+    def __init__(self, detector: Detector) -> None:
+        self._detector = detector
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
+
+
+@pytest.fixture
+def base(knowing: Callable[..., Detectors]) -> ReadyDetector:
+    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, "base detector")
+
+
+def outlines(project: Project, index: int) -> tuple[Box2D, ...]:
+    """The outlines of a frame's true boxes."""
+    source, stored = FrameSource(project), project.frames.of()[index]
+    frame = source.read(stored)
+    truths = load_truth(source.recording(stored.recording_id), index, frame)
+    boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
+    return tuple(box for box in boxes if box is not None)
+
+
+def test_drawn_boxes_become_proposals(people: Project, base: ReadyDetector) -> None:
+    with pytest.raises(ConfigError, match="has no boxes on its images; give --boxes or --detector, or draw some"):
+        drawn_boxes(people)
+    stored = people.frames.of()[1]
+    drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
+    people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    done = lift(people, drawn_boxes(people), base, rcv_config(people))
+    labels = [stored.label for stored in people.labels.select()]
+    assert (done.done, done.proposals, done.failures) == (1, len(drawn.boxes), 0)
+    assert {label.state for label in labels} == {ReviewState.PROPOSED}
+    assert {label.source for label in labels} == {Source.AUTO}
+    frame = FrameSource(people).read(stored)
+    truths = load_truth(FrameSource(people).recording(stored.recording_id), 1, frame)
+    for truth in truths:
+        assert max(iou_3d(truth.box, label.box) for label in labels) > 0.8
+    run = people.jobs.all()[-1]
+    assert json.loads(run.config)["lifted from"] == "boxes drawn on the images"
+    assert run.view_detector == "any class"
+
+
+def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
+    people: Project, base: ReadyDetector, tmp_path: Path
+) -> None:
+    boxes = outlines(people, 0)
+    camera = FrameSource(people).read(people.frames.of()[0]).camera
+    content = {
+        "images": [{"id": 1, "file_name": "000000.jpg", "width": camera.width_px, "height": camera.height_px}],
+        "categories": [{"id": 1, "name": "human"}, {"id": 2, "name": "cat"}],
+        "annotations": [
+            {"id": i, "image_id": 1, "category_id": 1, "bbox": [b.x_min + 0.5, b.y_min + 0.5, b.width_px, b.height_px]}
+            for i, b in enumerate(boxes)
+        ]
+        + [{"id": 99, "image_id": 1, "category_id": 2, "bbox": [5, 5, 20, 20]}],
+    }
+    file = tmp_path / "boxes.json"
+    file.write_text(json.dumps(content))
+    with pytest.raises(FormatError, match="has no box of the classes person, only cat, human; map its classes"):
+        boxes_of_file(people, file, FlatFormat.COCO, None, {})
+    given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"})
+    assert given.other_classes == {"cat": 1}
+    done = lift(people, given, base, rcv_config(people))
+    assert (done.done, done.proposals) == (1, len(boxes))
+
+
+def test_boxes_of_a_detector_are_lifted(
+    people: Project, base: ReadyDetector, knowing: Callable[..., Detectors]
+) -> None:
+    given = boxes_of_detector(people, knowing("people").image, "a detector", None, {})
+    done = lift(people, given, base, rcv_config(people))
+    assert done.done == len([boxes for boxes in given.of_frame.values() if boxes])
+    assert done.proposals >= done.done
+    with pytest.raises(ConfigError, match="the detector has none of the classes person, but hand"):
+        boxes_of_detector(people, knowing("hands").image, "a detector", None, {})
+
+
+def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(people: Project, base: ReadyDetector) -> None:
+    frames = people.frames.of()
+    recording = people.recordings.all()[0]
+    (Path(recording.path) / "depth" / f"{frames[0].key}.png").write_bytes(b"broken")
+    given = GivenBoxes("test", {frames[k].id: outlines(people, 1) for k in (0, 1)}, {})
+    seen: list[tuple[int, int]] = []
+    done = lift(people, given, base, rcv_config(people), lambda k, n: seen.append((k, n)))
+    assert (done.done, done.failures) == (1, 1)
+    assert done.failed[0][0] == frames[0].key
+    assert seen == [(1, 2), (2, 2)]
+
+
+def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
+    people: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    with pytest.raises(DetectionError, match="has no view detector yet; run `annotator train"):
+        view_or_base(people)
+
+
+def test_the_command_lifts_drawn_boxes(
+    people: Project, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("annotator.cli.lift.view_or_base", lambda _: base)
+    stored = people.frames.of()[1]
+    drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
+    people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    where = [people.path.name, "--projects", str(people.path.parent)]
+    assert main(["lift", *where]) == 0
+    assert "3D boxes of the base detector, from boxes drawn on the images\n1 frames done" in capsys.readouterr().out
+    assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
+    assert "exclude each other" in capsys.readouterr().err
+    assert main(["lift", *where, "--classes", "car"]) == 2
+    assert "'car' is not NAME=CLASS, such as car=Car" in capsys.readouterr().err
+    assert loaded_detectors.ready_view(people) is None
