@@ -13,13 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
+from annotator.detection.base_detector import FOLDER
 from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
 from annotator.detection.progress import Report
-from annotator.detection.trained import TrainedModel
+from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import train_detector
+from annotator.files import write_atomic
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_agnostic_views
@@ -30,7 +33,8 @@ from annotator.types import DetectorKind, Frame, OrientedBox
 TASK_FRAMES = 16
 # An upright view is drawn of objects with an axis within this angle of the vertical, radians.
 UPRIGHT_RAD = 0.06
-VIEWS = "views"
+VIEWS, RUN = "views", "run"
+MANIFEST_FILE = "manifest.json"
 
 
 # Random hues, because the colours of generated objects mean nothing.
@@ -80,7 +84,74 @@ def train_base(folder: Path, plan: BasePlan, progress: Report | None = None) -> 
     )
     epochs = plan.config.epochs or max(round(plan.config.pictures_seen / manifest.images["train"]), 1)
     config = plan.config.model_copy(update={"epochs": epochs, "measure_every": 1})
-    return train_detector(views, folder / "run", config, progress, DetectorKind.VIEW)
+    return train_detector(views, folder / RUN, config, progress, DetectorKind.VIEW)
+
+
+class BaseManifest(BaseModel):
+    """`manifest.json` beside the base detector's weights: what it was trained on, and how well it does.
+
+    Attributes:
+        frames, seed: number of generated frames, and the first seed.
+        draws: crops per object.
+        views: training images.
+        views_sha256: hash of the training images and their boxes.
+        pictures_shown: images shown in training, repetitions included.
+        hours: duration of the training.
+        weights_sha256: hash of the weights file.
+        map50, map50_95: on views of generated frames that were not trained on.
+        model: name of the architecture.
+        image_size_px: size of the views.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    frames: int
+    seed: int
+    draws: int
+    views: int
+    views_sha256: str
+    pictures_shown: int
+    hours: float
+    weights_sha256: str
+    map50: float
+    map50_95: float
+    model: str
+    image_size_px: int
+
+
+def install_base(folder: Path, plan: BasePlan, target: Path = FOLDER) -> BaseManifest:
+    """Writes a finished base detector with its manifest into the package, in place of an earlier one.
+
+    Args:
+        folder: as for `train_base`, which has finished.
+        plan: of that training.
+        target: the package's folder.
+
+    Raises:
+        FormatError: the training has not finished.
+        OSError: the files cannot be written.
+    """
+    trained, views = read_trained(folder / RUN), read_manifest(folder / VIEWS)
+    content = trained.weights.read_bytes()
+    manifest = BaseManifest(
+        frames=plan.frames,
+        seed=plan.seed,
+        draws=plan.draws,
+        views=views.images["train"],
+        views_sha256=views.sha256,
+        pictures_shown=views.images["train"] * trained.epochs,
+        hours=round(trained.seconds / 3600, 2),
+        weights_sha256=hashlib.sha256(content).hexdigest(),
+        map50=round(trained.metrics.map50, 4),
+        map50_95=round(trained.metrics.map50_95, 4),
+        model=trained.config.model,
+        image_size_px=trained.image_size_px,
+    )
+    target.mkdir(parents=True, exist_ok=True)
+    write_atomic(target / trained.weights.name, content)
+    trained.write(target)
+    write_atomic(target / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    return manifest
 
 
 def _existing(views: Path) -> DatasetManifest | None:
@@ -117,8 +188,3 @@ def _of_frame(shot: Snapshot, seed: int, draws: int, size_px: int) -> Iterator[T
 
 def _is_upright(box: OrientedBox, frame: Frame) -> bool:
     return frame.up is not None and bool(np.abs(frame.up @ box.rotation).max() > np.cos(UPRIGHT_RAD))
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
