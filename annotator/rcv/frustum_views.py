@@ -14,17 +14,23 @@ from annotator.types import PointCloud, PseudoView
 
 
 def frustum_views(
-    cloud: PointCloud, axes: Float64[np.ndarray, "3 3"], config: RcvConfig, compute: Compute = NUMPY
+    cloud: PointCloud,
+    axes: Float64[np.ndarray, "3 3"],
+    config: RcvConfig,
+    compute: Compute = NUMPY,
+    *,
+    enlarge_deep: bool = True,
 ) -> tuple[PseudoView, PseudoView]:
     """Both views of a frustum's points. For a deep frustum they are larger, also as the detector's input.
 
     Args:
         cloud: at least one point, camera frame.
         axes: as in `render_pairs`.
+        enlarge_deep: False for crops of a frustum, which class-agnostic detectors see at the usual size.
     """
     # all points are drawn, because thinning would leave too few points of a far object
     view = config.view.model_copy(update={"points_per_px": float(len(cloud))})
-    if not is_deep(cloud, config):
+    if not (enlarge_deep and is_deep(cloud, config)):
         front, side = compute.render_pairs(cloud, [axes], view, None)
         return front, side
     large = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})

@@ -170,7 +170,7 @@ def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -
         fallback = state.notes + fallback
     views: Sequence[PseudoView]
     if state.is_first:
-        views = frustum_views(state.cloud, axes[0], config, compute)
+        views = frustum_views(state.cloud, axes[0], config, compute, enlarge_deep=state.frustum is None)
     else:
         show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
         views = compute.render_pairs(state.cloud, axes, config.view, show)

@@ -242,7 +242,11 @@ def _draw(
         return None
     cloud = scene.frame.cloud.select(keep)
     is_frustum = show is None
-    views = frustum_views(cloud, axes, config) if is_frustum else render_pairs(cloud, [axes], config.view, show)
+    views: Sequence[PseudoView]
+    if is_frustum:
+        views = frustum_views(cloud, axes, config, enlarge_deep=not stages.depth)
+    else:
+        views = render_pairs(cloud, [axes], config.view, show)
     return _Drawn(views, scene, keep, [int(mask.sum()) for mask in whole.masks])
 
 
