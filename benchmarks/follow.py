@@ -1,0 +1,191 @@
+"""One true box followed through a recording, with no other label and no image detector.
+
+    python -m benchmarks.follow DIR [--upright | --free] [--seed N] [--json]
+
+The first true box of each track is followed to the track's end. A frame for which no box was stored counts as 0.
+`silent_errors` is the share of the stored boxes with an IoU below 0.25 whose doubt (`review_priority`) is below
+`MARKED`; `marked` is the share of the stored boxes with a higher doubt.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from annotator.detection.config import Backend
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import contains
+from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.follow_object import FollowStop
+from annotator.recordings import Recording, open_recording
+from annotator.types import BoxKind, Detector, Frame, OrientedBox, Truth
+from annotator.types.errors import ConfigError
+from annotator.workflows.detectors import load_detector
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.follow_track import Moment, follow_frames
+from annotator.workflows.workbench.review_priority import doubt
+from benchmarks.cold_start import with_up
+from benchmarks.report import Table, finish, guarded
+
+# A box with at least this doubt is marked for the operator.
+MARKED = 0.8
+WRONG_IOU = 0.25
+
+
+@dataclass
+class Arguments:
+    """Follow the first true box of each track to the track's end."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
+    """A recording with true 3D boxes and tracks, or with one object in each frame."""
+    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Upright boxes (default if the recording has a gravity direction)."""
+    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Freely rotated boxes (default for other recordings)."""
+    base: Path | None = None
+    """Weights of a base detector; None = the one of the package."""
+    min_points: int = 20
+    """A track begins with its first box of at least so many points."""
+    backend: Backend = "auto"
+    """Backend of the detector."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+
+@dataclass
+class TrackScore:
+    """The result of one track: IoU and doubt of each stored box, and IoU 0 for the frames without one."""
+
+    label: str
+    ious: list[float]
+    doubts: list[float]
+    missing: int
+    stopped_at: str | None = None
+    stopped_because: str = FollowStop.END.value
+
+
+def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]:
+    """The true boxes of each track by frame index; objects without ids form one track if no frame has two of a class.
+
+    Raises:
+        ConfigError: the labels have no track ids, and a frame has several objects of a class.
+    """
+    tracks: dict[tuple[str, int], dict[int, Truth]] = defaultdict(dict)
+    for index in range(len(recording)):
+        for truth in load_truth(recording, index, recording.frame(index)):
+            key = truth.label, -1 if truth.track_id is None else truth.track_id
+            if truth.track_id is None and index in tracks[key]:
+                raise ConfigError(f"{recording.path}: its labels have no track ids, so their tracks are unknown")
+            tracks[key][index] = truth
+    return tracks
+
+
+def follow_track(
+    recording: Recording, label: str, boxes: dict[int, Truth], view: Detector, args: Arguments
+) -> TrackScore | None:
+    """Follows one track; None if no box has enough points, or only its last one."""
+    indices = sorted(boxes)
+    firsts = (i for i in indices[:-1] if _points(recording.frame(i), boxes[i].box) >= args.min_points)
+    first = next(firsts, None)
+    if first is None:
+        return None
+    later = range(first + 1, indices[-1] + 1)
+
+    def moment(index: int) -> Moment:
+        truths = [boxes[index]] if index in boxes else [boxes[first]]
+        frame = recording.frame(index)
+        up_args = _UpArguments(args.upright)
+        return Moment(index, with_up(frame, truths, up_args), float(index))  # type: ignore[arg-type]
+
+    def moments() -> Iterator[Moment]:
+        return (moment(index) for index in later)
+
+    def settings(frame: Frame) -> RcvConfig:
+        upright = args.upright or (frame.up is not None and not args.free)
+        orientation = Orientation.UPRIGHT if upright else Orientation.FREE
+        config = RcvConfig(orientation=orientation, view=ViewConfig(size_px=64))
+        return config.for_detector(BoxKind.BOX, class_agnostic=True)
+
+    score = TrackScore(label, [], [], 0)
+    done: set[int] = set()
+    for at, followed in follow_frames(moment(first), boxes[first].box, label, moments(), view, settings):
+        if followed.proposal is None:
+            score.stopped_at = recording.keys[at.index]
+            score.stopped_because = followed.stop.value if followed.stop is not None else ""
+            score.stopped_because += f" ({followed.detail})" if followed.detail else ""
+            break
+        done.add(at.index)
+        if at.index in boxes:
+            score.ious.append(iou_3d(followed.proposal.box, boxes[at.index].box))
+            score.doubts.append(doubt(followed.proposal.quality, followed.proposal.score) or 0.0)
+    score.missing = len([index for index in indices if index > first and index not in done])
+    return score
+
+
+@dataclass(frozen=True)
+class _UpArguments:
+    upright: bool
+
+
+def _points(frame: Frame, box: OrientedBox) -> int:
+    return int(contains(box, frame.cloud.xyz_m).sum())
+
+
+def run(args: Arguments) -> dict[str, object]:
+    """Runs the benchmark; returns what `--json` prints.
+
+    Raises:
+        ConfigError: invalid arguments, or the recording has no tracks.
+        RecordingError: the folder is not a recording.
+    """
+    if args.upright and args.free:
+        raise ConfigError("--upright and --free contradict each other; give at most one")
+    recording = open_recording(args.folder)
+    assert args.base is not None
+    view = load_detector(args.base, args.backend)
+    scores = []
+    for (label, _), boxes in sorted(true_tracks(recording).items()):
+        score = follow_track(recording, label, boxes, view, args)
+        if score is not None:
+            scores.append(score)
+    ious = np.array([iou for score in scores for iou in [*score.ious, *[0.0] * score.missing]])
+    stored = np.array([iou for score in scores for iou in score.ious])
+    doubts = np.array([value for score in scores for value in score.doubts])
+    wrong = stored < WRONG_IOU
+    return {
+        "tracks": [
+            {
+                "label": score.label,
+                "frames": len(score.ious) + score.missing,
+                "mean_iou": float(np.mean([*score.ious, *[0.0] * score.missing])),
+                "share_50": float(np.mean(np.array([*score.ious, *[0.0] * score.missing]) >= 0.5)),
+                "stopped_at": score.stopped_at,
+                "stopped_because": score.stopped_because,
+            }
+            for score in scores
+        ],
+        "mean_iou": float(ious.mean()) if len(ious) else 0.0,
+        "silent_errors": float((wrong & (doubts < MARKED)).mean()) if len(stored) else 0.0,
+        "marked": float((doubts >= MARKED).mean()) if len(stored) else 0.0,
+    }
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
+    result = run(args)
+    table = Table("class", "frames", "mean IoU", ">= 0.5", "stopped at", "because")
+    for row in result["tracks"]:  # type: ignore[attr-defined]
+        table.add(*row.values())
+    for name in ("mean_iou", "silent_errors", "marked"):
+        table.add(name, "", result[name], "", "", "")
+    finish(result, args.json, table)
+
+
+if __name__ == "__main__":
+    guarded(main)
