@@ -28,7 +28,7 @@ from annotator.types import BoxKind, Detector, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.follow_track import Moment, follow_frames
+from annotator.workflows.tracks.follow_frames import Moment, follow_frames
 from annotator.workflows.workbench.review_priority import doubt
 from benchmarks.cold_start import with_up
 from benchmarks.report import Table, finish, guarded

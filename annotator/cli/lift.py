@@ -42,7 +42,8 @@ def run(
     """Propose oriented 3D boxes for 2D boxes on the camera images; nothing has to be trained.
 
     The 2D boxes are those drawn in the project, those of a file, or those of a 2D detector. The project's own
-    pseudo-view detector measures the objects, or the base detector, which needs no training.
+    pseudo-view detector measures the objects. A project without one uses the base detector, which needs no training, if
+    this installation has it.
 
     Args:
         boxes: COCO file or YOLO folder with boxes on camera images named like the project's frames.

@@ -27,6 +27,7 @@ COMMANDS: dict[str, Command] = {
     "annotate": Command("annotator.cli.annotate:run", "propose oriented 3D boxes"),
     "lift": Command("annotator.cli.lift:run", "propose oriented 3D boxes from 2D boxes, without training"),
     "track": Command("annotator.cli.track:run", "link the boxes of each object into tracks"),
+    "follow": Command("annotator.cli.follow:run", "follow reviewed boxes through a recording"),
     "interpolate": Command("annotator.cli.interpolate:run", "fill the frames between a track's reviewed boxes"),
     "export": Command("annotator.cli.export:run", "write the labels as a dataset"),
     "evaluate": Command("annotator.cli.evaluate:run", "score boxes against ground truth, by a benchmark's protocol"),

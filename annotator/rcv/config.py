@@ -189,7 +189,9 @@ class FirstLookConfig(BaseModel):
         (5.0, 20.0, 40.0, 60.0, 80.0),
         description="positions of the crops: percentiles of the depths in the box's middle",
     )
-    length: float = Field(1.0, gt=0, description="length of a crop, multiples of the image box's longer side there")
+    lengths: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        (1.0, 2.5), description="lengths of the crops, multiples of the image box's longer side there"
+    )
     plane_noise_px: float = Field(
         2.0, ge=0, description="expected error of the image box's edges as bounds of the 3D box, pixels; 0: no bounds"
     )

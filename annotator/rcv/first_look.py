@@ -7,6 +7,8 @@ All crops go through the recursion as rivals (`finish.best_rival`).
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
@@ -45,7 +47,7 @@ def depth_crop(xyz_m: Float[np.ndarray, "n 3"], depth_m: float, length_m: float)
 def depth_crops(
     camera: Camera, xyz_m: Float[np.ndarray, "n 3"], image_box: Box2D, config: FirstLookConfig, min_points: int
 ) -> list[Bool[np.ndarray, "n"]]:
-    """The masks of different crops along the depth, nearest first.
+    """The masks of different crops along the depth, the short ones first.
 
     Args:
         xyz_m: the points in the frustum of `image_box`, camera frame.
@@ -53,8 +55,8 @@ def depth_crops(
     """
     depths = np.percentile(xyz_m[in_middle(camera, xyz_m, image_box), 2], config.depth_percentiles)
     crops: list[np.ndarray] = []
-    for depth in depths.tolist():
-        crop = depth_crop(xyz_m, depth, config.length * width_at(camera, image_box, depth))
+    for length, depth in product(config.lengths, depths.tolist()):
+        crop = depth_crop(xyz_m, depth, length * width_at(camera, image_box, depth))
         if crop.sum() >= min_points and all(_mask_iou(crop, other) <= SAME_CROP for other in crops):
             crops.append(crop)
     return crops

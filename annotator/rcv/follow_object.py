@@ -1,8 +1,9 @@
 """Follows one object from frame to frame: its last box is the start of the next recursion; no image detector is needed.
 
 The image box of a frame is the outline of the predicted box. The recursion starts warm from that box with the size of
-the reviewed box, which is known best, so that the size cannot drift. It stops rather than drifts: every result is
-compared with the prediction, with the reviewed size, and with the number of points seen before.
+the reviewed box. It stops rather than drifts: every result is compared with the prediction, with the reviewed size, and
+with the number of points seen before. A class-agnostic detector measures sizes less well than the operator did, so with
+it the boxes keep the reviewed size (`known_size_fit`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.known_size_fit import fit_known_size, traced_intervals
 from annotator.rcv.propose import propose_from_boxes
+from annotator.rcv.recursion import held_direction
 from annotator.rcv.warm_start import WarmStart, is_warm
 from annotator.types import Box2D, Camera, Detector, Frame, OrientedBox, Proposal
 
@@ -30,6 +33,19 @@ class FollowConfig(BaseModel):
     grow: float = Field(0.06, ge=0, le=1, description="margin around the predicted outline, share of its size")
     size_doubt: float = Field(
         0.03, gt=0, description="expected error of the reviewed size, share of its mean side; see warm.seed_doubt"
+    )
+    loose_size_ratio: float = Field(
+        3.0, ge=1, description="with keep_size: maximum ratio between a measured side and the reviewed one"
+    )
+    loose_iou: float = Field(
+        0.15,
+        ge=0,
+        le=1,
+        description="with keep_size: minimum IoU of the measured and the reviewed box, centres aligned",
+    )
+    keep_size: bool | None = Field(
+        None,
+        description="boxes keep the reviewed size; None: only with a class-agnostic detector, which measures sizes worse",
     )
     max_size_ratio: float = Field(1.6, ge=1, description="maximum ratio between a side and the reviewed one")
     min_points_share: float = Field(
@@ -86,7 +102,10 @@ def follow_object(
     image_box = _grown(frame.camera, start, label, limits.grow)
     if image_box is None:
         return Followed(None, FollowStop.LEFT)
-    warm = config.warm.model_copy(update={"seed_doubt": limits.size_doubt})
+    # the size is known, so the views need not measure it well; what they give is checked below
+    keep_size = config.class_agnostic if limits.keep_size is None else limits.keep_size
+    loose = {"max_size_ratio": limits.loose_size_ratio, "min_iou": limits.loose_iou} if keep_size else {}
+    warm = config.warm.model_copy(update={"seed_doubt": limits.size_doubt, **loose})
     (result,) = propose_from_boxes(
         [frame], [[image_box]], view, config.model_copy(update={"warm": warm}), [[WarmStart(label, start)]]
     )
@@ -96,8 +115,19 @@ def follow_object(
         notes = [note for trace in traces for note in trace[0].fallback]
         return Followed(None, FollowStop.LOST, notes[0] if notes else "")
     proposal = warm_ones[0]
+    if keep_size:
+        proposal = _with_known_size(frame, proposal, start, config)
     stop = _why_stop(frame, proposal.box, start, expected_points, limits)
     return Followed(None, stop) if stop is not None else Followed(proposal)
+
+
+def _with_known_size(frame: Frame, proposal: Proposal, start: OrientedBox, config: RcvConfig) -> Proposal:
+    """The proposal with the size of the start box, placed by the same measurements."""
+    intervals = traced_intervals(proposal.trace, config)
+    if intervals is None:
+        return proposal
+    near = OrientedBox.from_parts(proposal.box.center_m, start.rotation, start.size_m)
+    return replace(proposal, box=fit_known_size(intervals, near, held_direction(frame.up, config), config.fit))
 
 
 def _why_stop(

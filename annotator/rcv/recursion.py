@@ -276,8 +276,8 @@ def _advance(
         return replace(state, steps=(*state.steps, step), stop=StopReason.LOST)
     box = canonical_box(measured.box, state.up)
     cloud = cut_cloud(state.cloud, box, plan.views, config)
-    if state.frustum is not None and measured.cut and state.is_first:
-        # the object may extend beyond the crop
+    if state.frustum is not None and measured.cut:
+        # the object may extend beyond the points kept so far
         cloud = cut_cloud(state.frustum.cloud, shown_box(box, True, config), plan.views, config)
     inside = int(np.count_nonzero(contains(box, cloud.xyz_m)))
     change = 1.0 if state.box is None else 1.0 - iou_3d(state.box, box)

@@ -43,20 +43,24 @@ class Stages:
         frustum: share of the crops that are whole frustums.
         depth: share of the crops along the depth of a frustum (`first_look`), for class-agnostic detectors.
         wide: share of first cross-view boxes; the rest are nearly correct boxes.
-        span_jitter: error of the ends of a first cross-view box, share of its sides.
+        span_jitter, near_jitter: errors of the ends of a first cross-view box, and of a nearly correct one, shares of
+            their sides; one of these values, by chance.
     """
 
     frustum: float = 0.2
     depth: float = 0.0
     wide: float = 0.45
-    span_jitter: float = SPAN_JITTER
+    span_jitter: tuple[float, ...] = (SPAN_JITTER,)
+    near_jitter: tuple[float, ...] = (NEAR_JITTER,)
 
 
 WITH_CLASSES = Stages()
-# The first look of a class-agnostic detector is less accurate, and its views are harder.
-CLASS_AGNOSTIC = Stages(frustum=0.1, depth=0.3, wide=0.3, span_jitter=0.1)
-# Crops along the depth: share of those at the depth of the object itself, and the largest factor on their length.
-AT_OBJECT_SHARE, LENGTH_FACTOR = 0.75, 1.5
+# The crops of a class-agnostic detector are often much too small or too large. If they never were in training, it would
+# learn that an object always fills its crop.
+CLASS_AGNOSTIC = Stages(frustum=0.1, depth=0.3, wide=0.3, span_jitter=(0.06, 0.1, 0.3), near_jitter=(0.06, 0.06, 0.25))
+# Crops along the depth: share of those at the depth of the object itself, and the range of their lengths in multiples
+# of the image box's longer side.
+AT_OBJECT_SHARE, CROP_LENGTHS = 0.75, (0.7, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,14 +233,14 @@ def _draw(
         if not is_shown(int((target_mask & keep).sum()), int(target_mask.sum())):
             return None  # mostly behind the camera or outside the image; the visible rest would be background
         if choice >= stages.frustum:
-            keep = _along_depth(scene.frame, keep, target_mask, box, config, rng)
+            keep = _along_depth(scene.frame, keep, target_mask, box, rng)
         elif stages.depth and is_deep(scene.frame.cloud.select(keep), config):
             return None  # class-agnostic detectors see deep frustums only as crops
     elif choice < stages.frustum + stages.depth + stages.wide:
-        crop = _camera_crop(target.box, up, stages.span_jitter, rng)
+        crop = _camera_crop(target.box, up, _one_of(stages.span_jitter, rng), rng)
         keep, axes, show = contains(crop, xyz), face_camera(_random_turn(up, rng), up), box_corners(crop)
     else:
-        crop = _near_crop(target.box, up, rng)
+        crop = _near_crop(target.box, up, _one_of(stages.near_jitter, rng), rng)
         keep, axes, show = contains(crop, xyz), face_camera(_near_turn(crop, up, rng), up), box_corners(crop)
     if keep.sum() < MIN_POINTS or scene.shows_doubtful(keep, whole):
         return None
@@ -255,7 +259,6 @@ def _along_depth(
     in_box: np.ndarray,
     target_mask: np.ndarray,
     image_box: Box2D,
-    config: RcvConfig,
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, "n"]:
     """A random crop along the depth of a frustum, mostly at the object's own depth."""
@@ -266,11 +269,14 @@ def _along_depth(
     else:
         depths = xyz[in_middle(frame.camera, xyz, image_box), 2]
     depth = float(np.percentile(depths, rng.uniform(0, 100)))
-    factor = np.exp(rng.uniform(-0.5, 1.0) * np.log(LENGTH_FACTOR))
-    length = config.first_look.length * width_at(frame.camera, image_box, depth) * factor
+    length = width_at(frame.camera, image_box, depth) * np.exp(rng.uniform(*np.log(CROP_LENGTHS)))
     keep = np.zeros(len(in_box), np.bool_)
     keep[inside[depth_crop(xyz, depth, length)]] = True
     return keep
+
+
+def _one_of(values: Sequence[float], rng: np.random.Generator) -> float:
+    return values[0] if len(values) == 1 else float(rng.choice(values))
 
 
 def _label(view: PseudoView, drawn: _Drawn, kind: BoxKind) -> TaughtView:
@@ -330,11 +336,11 @@ def _camera_crop(box: OrientedBox, up: np.ndarray | None, jitter: float, rng: np
     return span_box(axes, spans)
 
 
-def _near_crop(box: OrientedBox, up: np.ndarray | None, rng: np.random.Generator) -> OrientedBox:
+def _near_crop(box: OrientedBox, up: np.ndarray | None, jitter: float, rng: np.random.Generator) -> OrientedBox:
     """A random, nearly correct box."""
     turn = _small_turn(NEAR_TURN_RAD / 2, up, rng)
-    center = box.center_m + box.rotation @ (rng.normal(0, NEAR_JITTER / 2, 3) * box.size_m)
-    size = box.size_m * (1 + NEAR_JITTER + rng.normal(0, NEAR_JITTER, 3)).clip(0.8, 1.5)
+    center = box.center_m + box.rotation @ (rng.normal(0, jitter / 2, 3) * box.size_m)
+    size = box.size_m * (1 + jitter + rng.normal(0, jitter, 3)).clip(min(0.8, 1 - 2 * jitter), 1.5 + jitter)
     return OrientedBox.from_parts(center, turn @ box.rotation, size)
 
 

@@ -17,7 +17,7 @@ from annotator.synthetic.looks import HAIR_STYLES, random_looks
 from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour, wood_colour
 from annotator.synthetic.mesh import Mesh, box_mesh, turn_z
 from annotator.synthetic.objects import grounded, random_object
-from annotator.synthetic.parts import Parts, scaled, xyz
+from annotator.synthetic.parts import Parts, scaled, stretched, xyz
 from annotator.synthetic.people import body_mesh
 from annotator.synthetic.pose import GESTURES, gesturing, walking
 from annotator.synthetic.shading import Lights
@@ -252,7 +252,9 @@ def _person(palette: Palette, random: np.random.Generator) -> Mesh:
         pose = walking(random.uniform(0, 2 * np.pi), random.uniform(0, 1))
     else:
         pose = gesturing(int(random.integers(len(GESTURES))), random.uniform(0, 3))
-    return grounded(scaled(body_mesh(looks, pose, 0), random.uniform(0.65, 1.05)))
+    # from slim to broad, in light or thick clothes
+    broad = np.array([random.uniform(0.9, 1.6), random.uniform(0.9, 1.3), 1.0])
+    return grounded(scaled(stretched(body_mesh(looks, pose, 0), broad), random.uniform(0.65, 1.05)))
 
 
 def _centred(mesh: Mesh) -> Mesh:

@@ -23,7 +23,7 @@ from annotator.synthetic.truth import actor_box
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
 
 MIN_POINTS = 20
-LIDAR_SHARE, HANDS_SHARE = 0.3, 0.07
+LIDAR_SHARE, HANDS_SHARE = 0.33, 0.1
 
 
 @dataclass(frozen=True, eq=False)

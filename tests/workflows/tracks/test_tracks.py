@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from threading import Lock
 
 import numpy as np
@@ -16,7 +15,6 @@ from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.event_types import LabelProposed
 from annotator.project.schema import recordings
 from annotator.rcv.config import RcvConfig
-from annotator.recordings import open_recording
 from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
@@ -24,7 +22,6 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.fit_boxes import box_fitter
 from annotator.workflows.tracks.follow import copy_next, propose_next
 from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
@@ -34,13 +31,6 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 ANN = "ann"
-
-
-@pytest.fixture(scope="module")
-def truths(generated: Path) -> list[list[Truth]]:
-    """Three people in each of five frames, in one order."""
-    recording = open_recording(generated / "people")
-    return [list(load_truth(recording, index, recording.frame(index))) for index in range(5)]
 
 
 def by_hand(project: Project, frame: StoredFrame) -> WriteContext:

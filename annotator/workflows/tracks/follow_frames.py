@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.follow_object import Followed, FollowConfig, expected_points, follow_object, points_in
+from annotator.rcv.follow_object import FollowConfig, Followed, expected_points, follow_object, points_in
 from annotator.tracking.motion import predicted
 from annotator.types import Detector, Frame, OrientedBox
 

@@ -1,0 +1,51 @@
+"""`annotator follow`"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from annotator.cli.options import ProjectName, Projects, RecordingName
+from annotator.cli.output import print_line
+from annotator.cli.progress import counted
+from annotator.cli.projects import open_named
+from annotator.workflows.tracks.follow_recording import follow_recording
+from annotator.workflows.workbench.loaded_detectors import view_or_base
+
+AUTHOR = "annotator follow"
+
+
+def run(
+    project: ProjectName,
+    recording: RecordingName,
+    /,
+    *,
+    track: tuple[int, ...] = (),
+    direction: Literal["forward", "backward", "both"] = "forward",
+    projects: Projects = None,
+) -> None:
+    """Follow reviewed boxes through a recording; no image detector is needed.
+
+    An object is followed frame by frame until it is lost, leaves the image, or the recording ends. With the base
+    detector, its boxes keep the size of the reviewed one. Between two reviewed boxes it is followed from both ends, and frames in which the results
+    differ are left out. The new boxes are proposals, to be reviewed.
+
+    Args:
+        track: ids of the tracks; default: all tracks with a reviewed box.
+        direction: go on after a track's last reviewed box (forward), before its first (backward), or both.
+    """
+    with open_named(project, projects) as opened, counted("follow") as progress:
+        done = follow_recording(
+            opened,
+            opened.recordings.find(recording).id,
+            view_or_base(opened),
+            AUTHOR,
+            tracks=track or None,
+            forward=direction != "backward",
+            backward=direction != "forward",
+            progress=progress,
+        )
+    for item in done.tracks:
+        doubtful = f", {item.doubtful} doubtful frames left out" if item.doubtful else ""
+        print_line(f"track {item.track_id} ({item.label}): {item.boxes} boxes proposed{doubtful}")
+        for key, why in item.stops:
+            print_line(f"  stopped at frame {key}: {why}")
