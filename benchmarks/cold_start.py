@@ -18,6 +18,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
@@ -106,9 +107,9 @@ def settings(frame: Frame, args: Arguments, size_px: int) -> RcvConfig:
     return RcvConfig(orientation=orientation, class_agnostic=True, view=ViewConfig(size_px=size_px))
 
 
-def with_up(frame: Frame, truths: Sequence[Truth], args: Arguments) -> Frame:
+def with_up(frame: Frame, truths: Sequence[Truth], upright: bool) -> Frame:
     """With `--upright`, a frame without a known gravity direction gets that of its first true box's third axis."""
-    if not args.upright or frame.up is not None or not truths:
+    if not upright or frame.up is not None or not truths:
         return frame
     up = truths[0].box.rotation[:, 2]
     return replace(frame, up=up if up[1] < 0 else -up)
@@ -126,18 +127,18 @@ def run(args: Arguments) -> dict[str, object]:
 
     Raises:
         ConfigError: invalid arguments.
+        DetectionError: there is no base detector.
         RecordingError: the folder is not a recording.
     """
     if args.upright and args.free:
         raise ConfigError("--upright and --free contradict each other; give at most one")
     recording: Recording = open_recording(args.folder)
-    assert args.base is not None
-    detector = load_detector(args.base, args.backend)
+    detector = load_detector(args.base or base_weights(), args.backend)
     ious: dict[str, list[float]] = defaultdict(list)
     for index in range(0, len(recording), args.every):
         frame = recording.frame(index)
         truths = load_truth(recording, index, frame)
-        frame = with_up(frame, truths, args)
+        frame = with_up(frame, truths, args.upright)
         objects = given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index]))
         if not objects:
             continue

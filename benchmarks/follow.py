@@ -18,6 +18,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
@@ -98,10 +99,8 @@ def follow_track(
     later = range(first + 1, indices[-1] + 1)
 
     def moment(index: int) -> Moment:
-        truths = [boxes[index]] if index in boxes else [boxes[first]]
-        frame = recording.frame(index)
-        up_args = _UpArguments(args.upright)
-        return Moment(index, with_up(frame, truths, up_args), float(index))  # type: ignore[arg-type]
+        truth = boxes.get(index, boxes[first])
+        return Moment(index, with_up(recording.frame(index), [truth], args.upright), float(index))
 
     def moments() -> Iterator[Moment]:
         return (moment(index) for index in later)
@@ -128,11 +127,6 @@ def follow_track(
     return score
 
 
-@dataclass(frozen=True)
-class _UpArguments:
-    upright: bool
-
-
 def _points(frame: Frame, box: OrientedBox) -> int:
     return int(contains(box, frame.cloud.xyz_m).sum())
 
@@ -142,13 +136,13 @@ def run(args: Arguments) -> dict[str, object]:
 
     Raises:
         ConfigError: invalid arguments, or the recording has no tracks.
+        DetectionError: there is no base detector.
         RecordingError: the folder is not a recording.
     """
     if args.upright and args.free:
         raise ConfigError("--upright and --free contradict each other; give at most one")
     recording = open_recording(args.folder)
-    assert args.base is not None
-    view = load_detector(args.base, args.backend)
+    view = load_detector(args.base or base_weights(), args.backend)
     scores = []
     for (label, _), boxes in sorted(true_tracks(recording).items()):
         score = follow_track(recording, label, boxes, view, args)

@@ -26,8 +26,8 @@ def run(
     """Follow reviewed boxes through a recording; no image detector is needed.
 
     An object is followed frame by frame until it is lost, leaves the image, or the recording ends. With the base
-    detector, its boxes keep the size of the reviewed one. Between two reviewed boxes it is followed from both ends, and frames in which the results
-    differ are left out. The new boxes are proposals, to be reviewed.
+    detector, its boxes keep the size of the reviewed one. Between two reviewed boxes it is followed from both ends, and
+    frames in which the results differ are left out. The new boxes are proposals, to be reviewed.
 
     Args:
         track: ids of the tracks; default: all tracks with a reviewed box.

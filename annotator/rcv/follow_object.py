@@ -45,7 +45,7 @@ class FollowConfig(BaseModel):
     )
     keep_size: bool | None = Field(
         None,
-        description="boxes keep the reviewed size; None: only with a class-agnostic detector, which measures sizes worse",
+        description="boxes keep the reviewed size; None: only with a class-agnostic detector",
     )
     max_size_ratio: float = Field(1.6, ge=1, description="maximum ratio between a side and the reviewed one")
     min_points_share: float = Field(

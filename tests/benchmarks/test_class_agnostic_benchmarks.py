@@ -1,0 +1,94 @@
+"""Boxes of unseen classes: `cold_start` and `follow` on generated people, with perfect boxes without classes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from annotator.detection.perfect import PerfectDetector
+from annotator.types import Box2D, Image
+from annotator.types.errors import ConfigError, DetectionError
+from annotator.workflows.detectors import Detectors
+from benchmarks import cold_start, follow
+
+
+class AnyClass:
+    """The boxes of a perfect detector without their classes."""
+
+    labels, fingerprint = ("whole", "seen"), "any class"
+
+    def __init__(self, detector: PerfectDetector) -> None:
+        self._detector = detector
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
+
+
+@pytest.fixture
+def run(
+    knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Any]:
+    """Runs a benchmark in this process with perfect boxes; returns its JSON object."""
+
+    def program(module: ModuleType, *words: object) -> Any:
+        detector = AnyClass(knowing("people").view)
+        monkeypatch.setattr(module, "load_detector", lambda *_: detector)
+        monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, words), "--base", "unused", "--json"])
+        module.main()
+        return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+    return program
+
+
+@pytest.mark.parametrize("origin", ["projected", "label"])
+def test_cold_start_scores_each_class_beside_clusters(run: Callable[..., Any], generated: Path, origin: str) -> None:
+    result = run(cold_start, generated / "people", "--image-box", origin, "--every", 2)
+    person, clusters = sorted(result["results"], key=lambda row: row["label"])
+    assert list(person) == [
+        "label", "taught", "objects", "mean_iou", "recall_25", "recall_50", "recall_70", "seconds_training"
+    ]  # fmt: skip
+    assert (person["label"], clusters["label"]) == ("person", "person (clusters)")
+    assert (person["taught"], person["objects"]) == (0, clusters["objects"])
+    assert person["mean_iou"] > 0.8
+    assert person["recall_50"] == 1
+    assert 0 < clusters["mean_iou"] < person["mean_iou"]
+
+
+def test_follow_scores_each_track(run: Callable[..., Any], generated: Path) -> None:
+    result = run(follow, generated / "people")
+    assert list(result) == ["tracks", "mean_iou", "silent_errors", "marked"]
+    assert len(result["tracks"]) == 3
+    for row in result["tracks"]:
+        assert list(row) == ["label", "frames", "mean_iou", "share_50", "stopped_at", "stopped_because"]
+        assert (row["label"], row["frames"]) == ("person", 4)
+    assert result["mean_iou"] == pytest.approx(np.mean([row["mean_iou"] for row in result["tracks"]]))
+    assert result["mean_iou"] > 0.6
+    assert result["silent_errors"] == 0
+
+
+def test_a_lost_track_counts_as_zero(run: Callable[..., Any], generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(AnyClass, "detect", lambda self, images: [[] for _ in images])
+    result = run(follow, generated / "people")
+    assert {row["mean_iou"] for row in result["tracks"]} == {0.0}
+    assert {row["stopped_at"] for row in result["tracks"]} == {"000001"}
+    assert all(row["stopped_because"].startswith("lost") for row in result["tracks"])
+    assert (result["mean_iou"], result["silent_errors"], result["marked"]) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("module", [cold_start, follow])
+def test_unusable_arguments_are_refused(
+    module: ModuleType, generated: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="--upright and --free contradict each other"):
+        module.run(module.Arguments(generated / "people", upright=True, free=True))
+    monkeypatch.setattr("annotator.detection.base_detector.FOLDER", tmp_path)
+    with pytest.raises(DetectionError, match="the base detector is missing"):
+        module.run(module.Arguments(generated / "people"))
