@@ -32,7 +32,7 @@ class FollowConfig(BaseModel):
 
     grow: float = Field(0.06, ge=0, le=1, description="margin around the predicted outline, share of its size")
     size_doubt: float = Field(
-        0.03, gt=0, description="expected error of the reviewed size, share of its mean side; see warm.seed_doubt"
+        0.01, gt=0, description="with keep_size: expected error of the start box's faces, share of its mean side"
     )
     loose_size_ratio: float = Field(
         3.0, ge=1, description="with keep_size: maximum ratio between a measured side and the reviewed one"
@@ -102,13 +102,16 @@ def follow_object(
     image_box = _grown(frame.camera, start, label, limits.grow)
     if image_box is None:
         return Followed(None, FollowStop.LEFT)
-    # the size is known, so the views need not measure it well; what they give is checked below
     keep_size = config.class_agnostic if limits.keep_size is None else limits.keep_size
-    loose = {"max_size_ratio": limits.loose_size_ratio, "min_iou": limits.loose_iou} if keep_size else {}
-    warm = config.warm.model_copy(update={"seed_doubt": limits.size_doubt, **loose})
-    (result,) = propose_from_boxes(
-        [frame], [[image_box]], view, config.model_copy(update={"warm": warm}), [[WarmStart(label, start)]]
-    )
+    if keep_size:
+        # the size is known, so the views need not measure it well; what they give is checked below
+        known = {
+            "seed_doubt": limits.size_doubt,
+            "max_size_ratio": limits.loose_size_ratio,
+            "min_iou": limits.loose_iou,
+        }
+        config = config.model_copy(update={"warm": config.warm.model_copy(update=known)})
+    (result,) = propose_from_boxes([frame], [[image_box]], view, config, [[WarmStart(label, start)]])
     warm_ones = [proposal for proposal in result.proposals if is_warm(proposal)]
     if not warm_ones:
         traces = [p.trace for p in result.proposals] + [lost.trace for lost in result.lost]
