@@ -19,7 +19,7 @@ def run(
     recording: RecordingName,
     /,
     *,
-    track: tuple[int, ...] = (),
+    tracks: tuple[int, ...] = (),
     direction: Literal["forward", "backward", "both"] = "forward",
     projects: Projects = None,
 ) -> None:
@@ -30,7 +30,7 @@ def run(
     frames in which the results differ are left out. The new boxes are proposals, to be reviewed.
 
     Args:
-        track: ids of the tracks; default: all tracks with a reviewed box.
+        tracks: ids of the tracks to follow; default: all tracks with a reviewed box.
         direction: go on after a track's last reviewed box (forward), before its first (backward), or both.
     """
     with open_named(project, projects) as opened, counted("follow") as progress:
@@ -39,7 +39,7 @@ def run(
             opened.recordings.find(recording).id,
             view_or_base(opened),
             AUTHOR,
-            tracks=track or None,
+            tracks=tracks or None,
             forward=direction != "backward",
             backward=direction != "forward",
             progress=progress,

@@ -34,8 +34,8 @@ def run(
     format: FlatFormat = FlatFormat.COCO,
     recording: str | None = None,
     detector: str | None = None,
-    classes: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
-    image_size: int = WEIGHTS_SIZE_PX,
+    rename: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
+    detector_size: int = WEIGHTS_SIZE_PX,
     backend: BackendOption[Backend] = "auto",
     projects: Projects = None,
 ) -> int:
@@ -51,19 +51,19 @@ def run(
         recording: name of the recording that the boxes belong to, if several have frames of the same name.
         detector: weights of a 2D detector (a published ultralytics model, or the file of a training), or "project" for
             the project's own image detector.
-        classes: the project's class for a class of the file or detector, such as car=Car; other classes keep their
+        rename: the project's class for a class of the file or detector, such as car=Car; other classes keep their
             names.
-        image_size: input size of the detector's weights, longer side, pixels.
+        detector_size: input size of --detector, longer side, pixels.
     """
     if boxes is not None and detector is not None:
         raise ConfigError("--boxes and --detector exclude each other; give one")
-    names = _names(classes)
+    names = _names(rename)
     with open_named(project, projects) as opened:
         view = view_or_base(opened)
         if boxes is not None:
             given = boxes_of_file(opened, boxes, format, recording, names)
         elif detector is not None:
-            given = _detected(opened, detector, recording, names, image_size, backend)
+            given = _detected(opened, detector, recording, names, detector_size, backend)
         else:
             given = drawn_boxes(opened)
         with counted("lift") as progress:
@@ -78,12 +78,12 @@ def run(
     return 1 if done.failures else 0
 
 
-def _names(classes: tuple[str, ...]) -> dict[str, str]:
+def _names(pairs: tuple[str, ...]) -> dict[str, str]:
     names = {}
-    for pair in classes:
+    for pair in pairs:
         theirs, equals, ours = pair.partition("=")
         if not (theirs and equals and ours):
-            raise ConfigError(f"--classes: {pair!r} is not NAME=CLASS, such as car=Car")
+            raise ConfigError(f"--rename: {pair!r} is not NAME=CLASS, such as car=Car")
         names[theirs] = ours
     return names
 
@@ -93,14 +93,14 @@ def _detected(
     detector: str,
     recording: str | None,
     names: dict[str, str],
-    image_size: int,
+    size_px: int,
     backend: Backend,
 ) -> GivenBoxes:
     if detector == OWN:
         model = active_model(project, DetectorKind.IMAGE)
         loaded, origin = load_detector(model.path, backend), "the project's image detector"
     else:
-        loaded, origin = load_detector(Path(detector), backend, image_size), f"the detector {Path(detector).name}"
+        loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
     chosen = None if recording is None else [project.recordings.find(recording).id]
     with counted("detect") as progress:
         return boxes_of_detector(project, loaded, origin, chosen, names, progress)

@@ -2,7 +2,7 @@
 
 In a view of a whole frustum, an object is small beside the background, and nothing tells which of several objects the
 frustum is about. So the frustum is also cut at several depths, each crop as long as the object would be wide there.
-All crops go through the recursion as rivals (`finish.best_rival`).
+All crops go through the recursion as rivals (`finish.best_rivals`).
 """
 
 from __future__ import annotations

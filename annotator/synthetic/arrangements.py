@@ -92,9 +92,11 @@ def room(random: np.random.Generator) -> Arrangement:
     distance = random.uniform(0.8, 5.0)
     target = np.array([0.0, distance, random.uniform(0.1, 1.2)])
     scene = Arrangement(
-        palette, _walls(palette, random, reach=distance + random.uniform(0.7, 3.0)), _lamp(random),
+        palette,
+        _walls(palette, random, reach=distance + random.uniform(0.7, 3.0)),
+        _lamp(random),
         _look_at(eye, target, random),
-    )  # fmt: skip
+    )
     for _ in range(int(random.integers(2, 9))):
         person = random.random() < 0.25
         longest = float(np.exp(random.uniform(np.log(0.2), np.log(2.2))))
@@ -108,9 +110,11 @@ def in_the_air(random: np.random.Generator) -> Arrangement:
     palette = Palette()
     eye = np.array([0.0, 0.0, random.uniform(0.8, 1.8)])
     scene = Arrangement(
-        palette, _walls(palette, random, reach=random.uniform(1.2, 4.0)), _lamp(random),
+        palette,
+        _walls(palette, random, reach=random.uniform(1.2, 4.0)),
+        _lamp(random),
         _look_at(eye, eye + np.array([0.0, 1.0, random.uniform(-0.3, 0.2)]), random),
-    )  # fmt: skip
+    )
     distance = random.uniform(0.35, 1.3)
     if random.random() < 0.7:
         behind = _person(palette, random)
@@ -205,8 +209,11 @@ def _place(
             turn = Rotation.from_euler("xy"[int(random.integers(2))], np.pi / 2).as_matrix()
         elif choice < 0.32:  # leaning on something that is not there
             turn = Rotation.random(rng=random).as_matrix()
-    yaw = turn_z(random.choice([0.5, -0.5, 0.0]) * np.pi + random.normal(0, 0.25) if along_street
-                 else random.uniform(0, 2 * np.pi))  # fmt: skip
+    yaw = turn_z(
+        random.choice([0.5, -0.5, 0.0]) * np.pi + random.normal(0, 0.25)
+        if along_street
+        else random.uniform(0, 2 * np.pi)
+    )
     axes = yaw @ turn
     turned = mesh.moved(axes, np.zeros(3)).vertices.astype(np.float64)
     low, high = turned.min(axis=0), turned.max(axis=0)

@@ -1,7 +1,7 @@
 """Single frames of random arrangements with exact ground truth, in memory: for training and for validation.
 
 A snapshot is seen either by a depth camera or by a LiDAR beside a camera. Field of view, resolution, noise, range and
-colours vary; only some recordings know the direction of gravity.
+colours vary.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.projection import project, unproject_depth
 from annotator.synthetic.arrangements import INDOORS, Arrangement, street, with_track
 from annotator.synthetic.lidar import random_lidar, scan
-from annotator.synthetic.mesh import joined
+from annotator.synthetic.mesh import Mesh, joined
 from annotator.synthetic.render import Stage
 from annotator.synthetic.scene import Actor, hands_scene
 from annotator.synthetic.sensor import Sensor, colour_image, depth_image
@@ -48,12 +48,10 @@ class Snapshot:
     Attributes:
         frame: with `up`.
         objects: labelled objects.
-        has_up: whether a recording of this kind would know the direction of gravity.
     """
 
     frame: Frame
     objects: tuple[SnapshotObject, ...]
-    has_up: bool
 
 
 def snapshot(seed: int, version: int = 1) -> Snapshot:
@@ -100,7 +98,7 @@ def _depth_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) 
 def _depth_frame(
     seed: int,
     stage: Stage,
-    rest: list,
+    rest: list[Mesh],
     actors: tuple[Actor, ...],
     T_world_camera: RigidTransform,
     random: np.random.Generator,
@@ -108,31 +106,28 @@ def _depth_frame(
     moving = [*rest, *(actor.mesh for actor in actors)]
     sensor = _random_sensor(random)
     camera = stage.camera
+    up = T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
     if not moving:
         empty = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
-        return Snapshot(Frame(str(seed), 0, camera, empty, PointCloud(np.zeros((0, 3), np.float32))), (), False)
+        return Snapshot(Frame(str(seed), 0, camera, empty, PointCloud(np.zeros((0, 3), np.float32)), None, up), ())
     ideal = stage.render(moving)
     depth = depth_image(ideal, sensor, random).astype(np.float32) / 1000
     rgb = colour_image(ideal, sensor, random)
     xyz, pixel = unproject_depth(camera, depth)
     cloud = PointCloud(xyz, rgb.reshape(-1, 3)[pixel], pixel_index=pixel)
-    up = T_world_camera.rotation.inv().apply([0.0, 0.0, 1.0])
     frame = Frame(str(seed), 0, camera, rgb, cloud, depth, up)
     track = ideal.track.ravel()[pixel]
-    return Snapshot(frame, _seen(actors, T_world_camera, track), bool(random.random() < 0.5))
+    return Snapshot(frame, _seen(actors, T_world_camera, track))
 
 
 def _lidar_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) -> Snapshot:
     actors = _actors(scene)
     camera = _random_camera(random, 55.0, 95.0, aspect=float(random.choice([0.3, 0.56, 0.75])))
-    level = Rotation.from_euler("z", 0.0)
     eye = scene.T_world_camera.translation + random.normal(0, 0.2, 3) + np.array([0.0, 0.0, 0.15])
     mesh = joined([*scene.still, *(actor.mesh for actor in actors)])
     half = np.arctan(camera.width_px / 2 / camera.fx) * 1.05
-    points = scan(
-        random_lidar(random), RigidTransform.from_components(eye, level), float(half), mesh, scene.palette,
-        scene.lights, random,
-    )  # fmt: skip
+    pose = RigidTransform.from_components(eye, Rotation.identity())
+    points = scan(random_lidar(random), pose, float(half), mesh, scene.palette, scene.lights, random)
     T_camera_world = scene.T_world_camera.inv()
     xyz = T_camera_world.apply(points.xyz_m).astype(np.float32)
     kind = random.random()
@@ -148,7 +143,7 @@ def _lidar_snapshot(seed: int, scene: Arrangement, random: np.random.Generator) 
     up = T_camera_world.rotation.apply([0.0, 0.0, 1.0])
     blank = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
     frame = Frame(str(seed), 0, camera, blank, cloud.select(keep), None, up)
-    return Snapshot(frame, _seen(actors, scene.T_world_camera, points.track[keep]), bool(random.random() < 0.5))
+    return Snapshot(frame, _seen(actors, scene.T_world_camera, points.track[keep]))
 
 
 def _seen(

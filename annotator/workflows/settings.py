@@ -25,6 +25,7 @@ Settings = Mapping[str, JsonValue]
 DERIVED = {
     "orientation": "follows from the rotation: settings.rotation of the project, or --rotation",
     "box_kind": "follows from the boxes that the pseudo-view detector was trained on",
+    "class_agnostic": "follows from the pseudo-view detector",
 }
 
 

@@ -57,7 +57,7 @@ def test_a_crop_is_as_long_as_the_image_box_is_wide_there() -> None:
     image_box = Box2D("object", 100.0, 90.0, 165.0, 116.0)
     assert width_at(CAMERA, image_box, 2.0) == pytest.approx(0.5)
     xyz = np.column_stack([np.zeros((400, 2)), np.linspace(1, 5, 400)]).astype(np.float32)
-    (crop,) = depth_crops(CAMERA, xyz, image_box, FirstLookConfig(depth_percentiles=(50.0,)), 5)
+    (crop,) = depth_crops(CAMERA, xyz, image_box, FirstLookConfig(depth_percentiles=(50.0,), lengths=(1.0,)), 5)
     assert np.ptp(xyz[crop, 2]) == pytest.approx(width_at(CAMERA, image_box, 3.0), abs=0.03)
 
 

@@ -24,7 +24,7 @@ REINSTALL = f"pip install --force-reinstall {DISTRIBUTION}"
 # The other packages that the program imports, by module name.
 REQUIRED = (
     *("numpy", "scipy", "cv2", "pydantic", "jaxtyping", "yaml", "sqlalchemy", "av", "matplotlib", "fsspec"),
-    *("tyro", "rich", "viser", "fastapi", "uvicorn", "websockets", "httpx", "plotly"),
+    *("safetensors", "tyro", "rich", "viser", "fastapi", "uvicorn", "websockets", "httpx", "plotly"),
 )
 EXTRAS = {
     "kinect": ("pyk4a",),

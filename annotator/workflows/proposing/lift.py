@@ -79,7 +79,7 @@ def boxes_of_file(
         raise FormatError(
             path,
             f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(chosen.other_classes)}; "
-            "map its classes with --classes",
+            "map its classes with --rename",
         )
     return replace(chosen, origin=f"boxes of {path.name}", unmatched=images.unmatched)
 
@@ -104,7 +104,7 @@ def boxes_of_detector(
     if not known:
         raise ConfigError(
             f"the detector has none of the classes {', '.join(project.config.classes)}, but {_listed(detector.labels)};"
-            " map its classes with --classes"
+            " map its classes with --rename"
         )
     source, boxes = FrameSource(project), {}
     frames = [frame for frame in project.frames.of(recordings) if frame.index is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -111,10 +112,13 @@ def test_boxes_of_a_detector_are_lifted(
         boxes_of_detector(people, knowing("hands").image, "a detector", None, {})
 
 
-def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(people: Project, base: ReadyDetector) -> None:
+def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
+    make_project: Callable[..., Project], generated: Path, base: ReadyDetector, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(generated / "people", tmp_path / "people")
+    people = make_project(folder)
     frames = people.frames.of()
-    recording = people.recordings.all()[0]
-    (Path(recording.path) / "depth" / f"{frames[0].key}.png").write_bytes(b"broken")
+    (folder / "depth" / f"{frames[0].key}.png").write_bytes(b"broken")
     given = GivenBoxes("test", {frames[k].id: outlines(people, 1) for k in (0, 1)}, {})
     seen: list[tuple[int, int]] = []
     done = lift(people, given, base, rcv_config(people), lambda k, n: seen.append((k, n)))
@@ -143,6 +147,6 @@ def test_the_command_lifts_drawn_boxes(
     assert "3D boxes of the base detector, from boxes drawn on the images\n1 frames done" in capsys.readouterr().out
     assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
     assert "exclude each other" in capsys.readouterr().err
-    assert main(["lift", *where, "--classes", "car"]) == 2
+    assert main(["lift", *where, "--rename", "car"]) == 2
     assert "'car' is not NAME=CLASS, such as car=Car" in capsys.readouterr().err
     assert loaded_detectors.ready_view(people) is None
