@@ -8,20 +8,22 @@ into the package. docs/base_detector.md describes the method and its results.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from annotator.cli.output import print_line
 from annotator.detection.progress import TrainingProgress
-from annotator.workflows.training.base_detector import BASE_TRAINING, BasePlan, train_base
+from annotator.workflows.training.base_detector import BASE_TRAINING, BasePlan, install_base, train_base
+
+DEFAULTS = BasePlan()
 
 
 def run(
     folder: Annotated[Path, tyro.conf.Positional],
-    frames: int = BasePlan.frames,
-    draws: int = BasePlan.draws,
+    frames: int = DEFAULTS.frames,
+    draws: int = DEFAULTS.draws,
     pictures: int = BASE_TRAINING.pictures_seen,
     model: str = BASE_TRAINING.model,
     size: int = BASE_TRAINING.image_size_px,
@@ -41,15 +43,17 @@ def run(
         install: put the detector into the package.
     """
     config = BASE_TRAINING.model_copy(update={"pictures_seen": pictures, "model": model, "image_size_px": size})
-    plan = replace(BasePlan(frames, draws, seed), config=config)
-    train_base(folder, plan, _report)
+    plan = BasePlan(frames=frames, draws=draws, seed=seed, config=config)
+    trained = train_base(folder, plan, _report)
+    print_line(f"{trained.weights}: {trained.metrics}")
     if install:
-        pass
+        print_line(install_base(folder).model_dump_json(indent=1))
 
 
 def _report(step: TrainingProgress) -> None:
     if step.batch % 200 == 0:
-        "" if step.seconds_left is None else f", {step.seconds_left / 60:.0f} minutes left"
+        left = "" if step.seconds_left is None else f", {step.seconds_left / 60:.0f} minutes left"
+        print_line(f"epoch {step.epoch + 1}/{step.epochs}, batch {step.batch}/{step.batches}{left}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.workflows.tracks.follow_recording import follow_recording
-from annotator.workflows.workbench.loaded_detectors import view_or_base
+from annotator.workflows.workbench.loaded_detectors import require_view
 
 AUTHOR = "annotator follow"
 
@@ -37,7 +37,7 @@ def run(
         done = follow_recording(
             opened,
             opened.recordings.find(recording).id,
-            view_or_base(opened),
+            require_view(opened),
             AUTHOR,
             tracks=tracks or None,
             forward=direction != "backward",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 
@@ -70,8 +69,8 @@ def run(
     with open_named(project, projects) as opened:
         if as_2d:
             labels = import_as_2d(opened, path, format, recording, fraction, seed)
-            _renamed(labels.renamed)
-            _left_out({}, labels.unmatched, "frames")
+            print_renamed(labels.renamed)
+            print_left_out({}, labels.unmatched, "frames")
             print_line(f"next: annotator train {project}")
         elif path is None:
             raise ConfigError(
@@ -99,8 +98,8 @@ def _flat(
         print_line(f"unchanged: {done.finalised} images of finalised frames")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
-    _renamed(done.renamed)
-    _left_out(done.other_classes, done.unmatched, "images")
+    print_renamed(done.renamed)
+    print_left_out(done.other_classes, done.unmatched, "images")
 
 
 def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | None) -> None:
@@ -117,16 +116,16 @@ def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | Non
         print_line(f"dropped: {done.scores} scores outside 0..1")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
-    _renamed(done.renamed)
-    _left_out(done.other_classes, done.unmatched, "frames")
+    print_renamed(done.renamed)
+    print_left_out(done.other_classes, done.unmatched, "frames")
 
 
-def _renamed(renamed: Renamed | None) -> None:
+def print_renamed(renamed: Renamed | None) -> None:
     if renamed is not None:
         print_line(f"recording {renamed.named} of the labels was assigned to {', '.join(renamed.taken_for)}")
 
 
-def _left_out(other_classes: Counter[str] | dict[str, int], unmatched: Sequence[str], what: str) -> None:
+def print_left_out(other_classes: Mapping[str, int], unmatched: Sequence[str], what: str) -> None:
     for label, number in other_classes.items():
         print_line(f"skipped: {number} boxes of class {label}, which is not in the project")
     if unmatched:

@@ -8,6 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from annotator.cli.annotate import summary_lines
+from annotator.cli.import_boxes import print_left_out, print_renamed
 from annotator.cli.options import BackendOption, ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
@@ -16,11 +17,18 @@ from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.detectors import active_model, load_detector
+from annotator.workflows.detectors import Detectors, active_model, load_detector
 from annotator.workflows.importing import FlatFormat
-from annotator.workflows.proposing.lift import GivenBoxes, boxes_of_detector, boxes_of_file, drawn_boxes, lift
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.proposing.lift import (
+    RenamedDetector,
+    boxes_of_file,
+    drawn_boxes,
+    lift,
+    require_known,
+)
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.workbench.loaded_detectors import view_or_base
+from annotator.workflows.workbench.loaded_detectors import require_view
 
 OWN = "project"
 WEIGHTS_SIZE_PX = 640
@@ -43,7 +51,7 @@ def run(
 
     The 2D boxes are those drawn in the project, those of a file, or those of a 2D detector. The project's own
     pseudo-view detector measures the objects. A project without one uses the base detector, which needs no training, if
-    this installation has it.
+    this installation has it. With --detector, --recording selects the frames on which the detector runs.
 
     Args:
         boxes: COCO file or YOLO folder with boxes on camera images named like the project's frames.
@@ -59,22 +67,26 @@ def run(
         raise ConfigError("--boxes and --detector exclude each other; give one")
     names = _names(rename)
     with open_named(project, projects) as opened:
-        view = view_or_base(opened)
-        if boxes is not None:
-            given = boxes_of_file(opened, boxes, format, recording, names)
-        elif detector is not None:
-            given = _detected(opened, detector, recording, names, detector_size, backend)
+        view, config = require_view(opened), rcv_config(opened)
+        if detector is not None:
+            loaded, origin = _image_detector(opened, detector, names, detector_size, backend)
+            require_known(view, loaded.labels)
+            chosen = None if recording is None else [opened.recordings.find(recording).id]
+            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic)
+            with counted("lift") as progress:
+                done = annotate(opened, pair, config, recordings=chosen, progress=progress)
         else:
-            given = drawn_boxes(opened)
-        with counted("lift") as progress:
-            done = lift(opened, given, view, rcv_config(opened), progress)
-    print_line(f"3D boxes of the {view.name or 'pseudo-view detector of the project'}, from {given.origin}")
+            given = drawn_boxes(opened) if boxes is None else boxes_of_file(opened, boxes, format, recording, names)
+            with counted("lift") as progress:
+                done = lift(opened, given, view, config, progress)
+            origin = given.origin
+            print_renamed(given.renamed)
+            print_left_out(given.other_classes, given.unmatched, "images")
+            for reason in given.unreadable:
+                print_line(f"skipped: frame {reason}")
+    print_line(f"3D boxes of the {view.name or 'pseudo-view detector of the project'}, from {origin}")
     for line in summary_lines(done):
         print_line(line)
-    for label, count in sorted(given.other_classes.items()):
-        print_line(f"  left out: {count} boxes of {label}, which is not a class of the project")
-    if given.unmatched:
-        print_line(f"  left out: {len(given.unmatched)} images without a frame, such as {given.unmatched[0]}")
     return 1 if done.failures else 0
 
 
@@ -88,19 +100,13 @@ def _names(pairs: tuple[str, ...]) -> dict[str, str]:
     return names
 
 
-def _detected(
-    project: Project,
-    detector: str,
-    recording: str | None,
-    names: dict[str, str],
-    size_px: int,
-    backend: Backend,
-) -> GivenBoxes:
+def _image_detector(
+    project: Project, detector: str, names: dict[str, str], size_px: int, backend: Backend
+) -> tuple[RenamedDetector, str]:
+    """The 2D detector under the project's class names, and its description."""
     if detector == OWN:
-        model = active_model(project, DetectorKind.IMAGE)
-        loaded, origin = load_detector(model.path, backend), "the project's image detector"
+        loaded = load_detector(active_model(project, DetectorKind.IMAGE).path, backend)
+        origin = "the project's image detector"
     else:
         loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
-    chosen = None if recording is None else [project.recordings.find(recording).id]
-    with counted("detect") as progress:
-        return boxes_of_detector(project, loaded, origin, chosen, names, progress)
+    return RenamedDetector(loaded, project.config.classes, names), origin

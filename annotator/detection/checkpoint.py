@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from annotator.detection.network_file import (
     half,
     read_facts,
     read_tensors,
-    text,
     write_tensors,
 )
 from annotator.types.errors import DetectionError
@@ -34,7 +32,7 @@ class TrainingState(BaseModel):
         updates: number of updates of the averaged weights.
         best_fitness: of the best epoch; None before the first validation.
         stopper: state of early stopping.
-        metrics: of this epoch's validation; NaN without one.
+        metrics: of this epoch's validation; None without one.
         groups: the optimiser's parameter groups without their parameters, which are listed by number.
         plain: the optimiser's state that is not a tensor, by parameter number and name.
     """
@@ -78,7 +76,7 @@ def write_checkpoint(path: Path, trainer: Any, with_optimiser: bool = True) -> N
         groups=[dict(group) for group in optimiser["param_groups"]],
         plain=plain,
     )
-    facts = {DESCRIPTION: describe(ema).model_dump_json(), STATE: text(state.model_dump())}
+    facts = {DESCRIPTION: describe(ema).model_dump_json(), STATE: state.model_dump_json()}
     write_tensors(path, tensors, facts)
 
 
@@ -134,8 +132,8 @@ def _weights(path: Path, tensors: dict[str, Any], facts: dict[str, str]) -> Any:
 
 def _state(path: Path, facts: dict[str, str]) -> TrainingState:
     try:
-        return TrainingState.model_validate(json.loads(facts.get(STATE, "")))
-    except (ValidationError, ValueError) as error:
+        return TrainingState.model_validate_json(facts.get(STATE, ""))
+    except ValidationError as error:
         raise DetectionError(f"{path}: is not a checkpoint of a training; {REMEDY}") from error
 
 

@@ -6,7 +6,6 @@ tensor must fit it.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -164,8 +163,3 @@ def read_facts(path: Path) -> dict[str, str]:
             return dict(file.metadata() or {})
     except (SafetensorError, OSError) as error:
         raise DetectionError(f"{path}: cannot be read ({error})") from error
-
-
-def text(values: Any) -> str:
-    """JSON for the metadata of a file."""
-    return json.dumps(values, allow_nan=True)

@@ -58,6 +58,17 @@ def box_on_image(camera: Camera, box: OrientedBox, label: str, min_side_px: floa
     return _around(px.clip(-0.5, last_px), label, min_side_px)
 
 
+def edges_at_border(camera: Camera, box: Box2D, margin_px: float) -> tuple[bool, bool, bool, bool]:
+    """Which edges of a 2D box lie on the image border or beyond it: left, right, top, bottom.
+
+    Args:
+        margin_px: distance from the border within which an edge counts as lying on it.
+    """
+    right, bottom = _last_px(camera) - margin_px
+    first = margin_px - 0.5
+    return bool(box.x_min <= first), bool(box.x_max >= right), bool(box.y_min <= first), bool(box.y_max >= bottom)
+
+
 def points_on_image(
     camera: Camera, xyz_m: Float[np.ndarray, "n 3"], label: str, min_side_px: float = MIN_SIDE_PX
 ) -> Box2D | None:

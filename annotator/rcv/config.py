@@ -263,11 +263,6 @@ class RcvConfig(BaseModel):
         0.3, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
 
-    @property
-    def view_label(self) -> str | None:
-        """The class of a class-agnostic detector's boxes that is used; None: the class of the image box."""
-        return AGNOSTIC_LABELS[self.box_kind] if self.class_agnostic else None
-
     def for_detector(self, kind: BoxKind, class_agnostic: bool = False) -> RcvConfig:
         """The same settings for a view detector. Only this method sets `box_kind` and `class_agnostic`.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -116,6 +116,18 @@ def pair_all(
         if len(chosen) == config.max_objects_per_frustum:
             break
     return chosen
+
+
+def of_class(boxes: Sequence[Box2D], detected: str, label: str, min_score: float) -> tuple[Box2D, ...]:
+    """The detections of a class of the detector, under the name of the object's class.
+
+    Args:
+        detected: the detector's class; differs from `label` for class-agnostic detectors.
+        label: the object's class.
+        min_score: boxes with a lower score are left out.
+    """
+    chosen = (box for box in boxes if box.label == detected and box.score >= min_score)
+    return tuple(chosen if detected == label else (replace(box, label=label) for box in chosen))
 
 
 def choose(view: PseudoView, boxes: Sequence[Box2D], last: np.ndarray | None, config: RcvConfig) -> int | None:

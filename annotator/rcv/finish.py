@@ -14,7 +14,7 @@ from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
-from annotator.rcv.recursion import ObjectState
+from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.
@@ -61,21 +61,20 @@ def best_rivals(camera: Camera, states: Sequence[ObjectState], config: RcvConfig
     the middle of the image box that lie inside. The first factor alone would choose badly, because the image box also
     bounds each fit, so that wrong boxes agree with it, too.
     """
-    chosen: dict[int, tuple[float, int]] = {}
-    for index, state in enumerate(states):
-        rank = _rival_rank(camera, state, config)
-        if id(state.image_box) not in chosen or rank > chosen[id(state.image_box)][0]:
-            chosen[id(state.image_box)] = rank, index
-    best = {index for _, index in chosen.values()}
-    return [state for index, state in enumerate(states) if state.frustum is None or index in best]
+    rivals: dict[int, list[ObjectState]] = defaultdict(list)
+    for state in states:
+        if state.frustum is not None:
+            rivals[id(state.image_box)].append(state)
+    best = [max(each, key=lambda state: _rival_rank(camera, state, state.frustum, config)) for each in rivals.values()]
+    return [state for state in states if state.frustum is None] + best
 
 
-def _rival_rank(camera: Camera, state: ObjectState, config: RcvConfig) -> float:
+def _rival_rank(camera: Camera, state: ObjectState, frustum: FrustumFacts | None, config: RcvConfig) -> float:
     box = _final_box(state, config)
-    if box is None or state.frustum is None:
+    if box is None or frustum is None:
         return -1.0
     margin_m = MIDDLE_MARGIN * float(box.size_m.mean())
-    share = float(contains(box, state.frustum.middle_m, margin_m).mean())
+    share = float(contains(box, frustum.middle_m, margin_m).mean())
     return image_agreement(camera, state, box, config) * state.view_score * share
 
 

@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
+from annotator.geometry.outline import edges_at_border
 from annotator.geometry.projection import project, undistort_px
 from annotator.rcv.config import FirstLookConfig
 from annotator.rcv.interval_fit import Intervals
@@ -76,22 +77,12 @@ def image_planes(camera: Camera, image_box: Box2D, depth_m: float, noise_px: flo
         depth_m: depth of the object, which turns the error of an edge into metres.
         noise_px: expected error of an edge of the image box, pixels.
     """
+    known = ~np.array(edges_at_border(camera, image_box, BORDER_PX))
     u_middle, v_middle = (image_box.x_min + image_box.x_max) / 2, (image_box.y_min + image_box.y_max) / 2
-    edges = np.array(
-        [
-            (image_box.x_min, v_middle),
-            (image_box.x_max, v_middle),
-            (u_middle, image_box.y_min),
-            (u_middle, image_box.y_max),
-        ]
-    )
-    limits = np.array([0.0, camera.width_px - 1.0, 0.0, camera.height_px - 1.0])
-    known = np.abs(edges[[0, 1, 2, 3], [0, 0, 1, 1]] - limits) > BORDER_PX
-    known &= np.array([edges[0, 0] > 0, edges[1, 0] < limits[1], edges[2, 1] > 0, edges[3, 1] < limits[3]])
-    rays = undistort_px(camera, edges)
-    normals = np.array(
-        [(-1.0, 0.0, rays[0, 0]), (1.0, 0.0, -rays[1, 0]), (0.0, -1.0, rays[2, 1]), (0.0, 1.0, -rays[3, 1])]
-    )
+    sides_px = [(image_box.x_min, v_middle), (image_box.x_max, v_middle)]
+    ends_px = [(u_middle, image_box.y_min), (u_middle, image_box.y_max)]
+    (left, _), (right, _), (_, top), (_, bottom) = undistort_px(camera, np.array(sides_px + ends_px))
+    normals = np.array([(-1.0, 0.0, left), (1.0, 0.0, -right), (0.0, -1.0, top), (0.0, 1.0, -bottom)])
     known &= np.isfinite(normals).all(axis=1)
     if not known.any():
         return None

@@ -18,7 +18,7 @@ from annotator.geometry.outline import NEAR_M
 from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.compute import NUMPY, Compute
-from annotator.rcv.config import Orientation, RcvConfig, Strategy
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import depth_crops, image_planes, in_middle
 from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
@@ -212,15 +212,9 @@ def absorb_step(
     Args:
         detections: per view of the plan, best first; classes other than the frustum's are ignored.
     """
-    wanted, label = config.view_label or state.image_box.label, state.image_box.label
-    boxes = [
-        tuple(
-            b if b.label == label else replace(b, label=label)
-            for b in on_view
-            if b.label == wanted and b.score >= config.min_view_score
-        )
-        for on_view in detections
-    ]
+    label = state.image_box.label
+    detected = AGNOSTIC_LABELS[config.box_kind] if config.class_agnostic else label
+    boxes = [cross_view.of_class(on_view, detected, label, config.min_view_score) for on_view in detections]
     if state.is_first:
         return _absorb_first(state, plan, boxes, config)
     if plan.strategy is not Strategy.CONSENSUS:

@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.nearest_upright import nearest_upright
 from annotator.geometry.oriented_box import box_corners, canonical_box, contains
-from annotator.geometry.outline import box_on_image
+from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
@@ -75,18 +75,13 @@ def match_warm_starts(
 
 def _centred(camera: Camera, box: OrientedBox, outline: Box2D, image_box: Box2D) -> OrientedBox:
     """The box shifted at constant depth so that its outline is centred on the image box."""
-    if _touches_border(camera, outline) or _touches_border(camera, image_box):
+    if any(edges_at_border(camera, outline, BORDER_PX)) or any(edges_at_border(camera, image_box, BORDER_PX)):
         return box  # the centre of its visible part is not the centre of the object
     rays = undistort_px(camera, np.array([_middle(outline), _middle(image_box)]))
     shift = (rays[1] - rays[0]) * box.center_m[2]
     if not np.isfinite(shift).all():
         return box
     return OrientedBox.from_parts(box.center_m + np.array([*shift, 0.0]), box.rotation, box.size_m)
-
-
-def _touches_border(camera: Camera, box: Box2D) -> bool:
-    right, bottom = camera.width_px - 0.5 - BORDER_PX, camera.height_px - 0.5 - BORDER_PX
-    return min(box.x_min, box.y_min) <= BORDER_PX - 0.5 or box.x_max >= right or box.y_max >= bottom
 
 
 def _middle(box: Box2D) -> Float64[np.ndarray, "2"]:

@@ -207,7 +207,7 @@ def _place(
     if label == LABEL and not along_street:
         if choice < 0.2:  # on its side
             turn = Rotation.from_euler("xy"[int(random.integers(2))], np.pi / 2).as_matrix()
-        elif choice < 0.32:  # leaning on something that is not there
+        elif choice < 0.32:  # tilted in any direction
             turn = Rotation.random(rng=random).as_matrix()
     yaw = turn_z(
         random.choice([0.5, -0.5, 0.0]) * np.pi + random.normal(0, 0.25)

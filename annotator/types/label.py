@@ -82,4 +82,5 @@ class Truth:
     box: OrientedBox
     track_id: int | None = None
     score: float | None = None
+    # not compared: formats without 2D boxes give equal objects
     image_box: Box2D | None = field(default=None, compare=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from pydantic import ValidationError
 
@@ -100,8 +101,8 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
 
 
 @dataclass(frozen=True)
-class ViewModel:
-    """The view detector that a project uses.
+class UsedModel:
+    """The detector that a project uses for a role.
 
     Attributes:
         path: weights file, in the folder of its training.
@@ -117,27 +118,29 @@ class ViewModel:
     name: str = ""
 
 
-def view_model(project: Project) -> ViewModel:
-    """Returns the project's active view detector, or the base detector if it has none.
-
-    Raises:
-        DetectionError: there is none, and the base detector is missing.
-    """
-    model = project.models.active(DetectorKind.VIEW)
+def used_model(project: Project, role: DetectorKind) -> UsedModel | None:
+    """Returns the project's active model; without an active view detector, the base detector; None without both."""
+    model = project.models.active(role)
     if model is not None:
-        return ViewModel(model.path, model.box_kind, False, model.fingerprint)
-    if not has_base():
-        active_model(project, DetectorKind.VIEW)  # raises the error that says what to do
-    return base_model()
+        return UsedModel(model.path, model.box_kind, False, model.fingerprint)
+    if role is DetectorKind.VIEW and has_base():
+        return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
+    return None
 
 
-def base_model() -> ViewModel:
-    """Returns the base detector.
+def view_model(project: Project) -> UsedModel:
+    """As `used_model` for the view detector.
 
     Raises:
-        DetectionError: this installation has none.
+        DetectionError: there is none, and no base detector.
     """
-    return ViewModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
+    return used_model(project, DetectorKind.VIEW) or _raise_untrained(project, DetectorKind.VIEW)
+
+
+def _raise_untrained(project: Project, role: DetectorKind) -> NoReturn:
+    raise DetectionError(
+        f"project {project.config.name} has no {role.value} detector yet; run `annotator train {project.config.name}`"
+    )
 
 
 def active_model(project: Project, role: DetectorKind) -> StoredModel:
@@ -148,8 +151,5 @@ def active_model(project: Project, role: DetectorKind) -> StoredModel:
     """
     model = project.models.active(role)
     if model is None:
-        raise DetectionError(
-            f"project {project.config.name} has no {role.value} detector yet; "
-            f"run `annotator train {project.config.name}`"
-        )
+        _raise_untrained(project, role)
     return model

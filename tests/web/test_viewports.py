@@ -250,8 +250,7 @@ def test_outdated_scenes_are_not_sent_to_a_slow_browser(live: Any, wait_for: Cal
         last = live.context.frame(live.context.project("room"), frames[-1]).cloud.xyz_m.tobytes()
         messages = list(_until_quiet(socket, last))
     assert any(last in message for message in messages)
-    # a busy server shows the scenes later, so that more of them are sent before the next
-    assert sum(map(len, messages)) < 0.9 * rounds * len(frames) * size
+    assert sum(map(len, messages)) < 0.6 * rounds * len(frames) * size
 
 
 def _until_quiet(socket: ClientConnection, last: bytes) -> Iterator[bytes]:

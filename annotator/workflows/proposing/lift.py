@@ -1,6 +1,7 @@
 """Oriented 3D boxes from 2D boxes on the images, without any training of a view detector.
 
-The 2D boxes come from a file, from a 2D detector, or from the boxes that were drawn in the project.
+The 2D boxes come from a file, or are those that were drawn in the project. A 2D detector of any origin takes the place
+of the project's image detector in `annotate` (`RenamedDetector`).
 """
 
 from __future__ import annotations
@@ -8,15 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.project import Project, StoredFrame
 from annotator.rcv.config import REVISION, RcvConfig
-from annotator.types import Box2D, Detector
-from annotator.types.errors import AnnotatorError, ConfigError, FormatError
+from annotator.types import Box2D, Detector, Image
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import checked_images
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
 from annotator.workflows.proposing.batch_store import AnnotateSummary, Batch
@@ -38,12 +40,16 @@ class GivenBoxes:
         of_frame: the boxes on the image of each frame, by frame id.
         other_classes: number of boxes left out because the project has no such class, by class name.
         unmatched: image names without a frame in the project.
+        unreadable: images left out because their frame, which gives their size, cannot be read; as `key: reason`.
+        renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
     origin: str
     of_frame: Mapping[int, tuple[Box2D, ...]]
     other_classes: Mapping[str, int]
     unmatched: tuple[str, ...] = ()
+    unreadable: tuple[str, ...] = ()
+    renamed: Renamed | None = None
 
 
 def drawn_boxes(project: Project) -> GivenBoxes:
@@ -81,41 +87,52 @@ def boxes_of_file(
             f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(chosen.other_classes)}; "
             "map its classes with --rename",
         )
-    return replace(chosen, origin=f"boxes of {path.name}", unmatched=images.unmatched)
+    return replace(
+        chosen,
+        origin=f"boxes of {path.name}",
+        unmatched=images.unmatched,
+        unreadable=images.unreadable,
+        renamed=images.renamed,
+    )
 
 
-def boxes_of_detector(
-    project: Project,
-    detector: Detector,
-    origin: str,
-    recordings: Sequence[int] | None,
-    names: Mapping[str, str],
-    progress: Progress | None = None,
-) -> GivenBoxes:
-    """Returns the boxes of a 2D detector on all images.
+class RenamedDetector:
+    """A 2D detector under the project's class names; its other classes are left out."""
 
-    Args:
-        names: as for `boxes_of_file`.
+    def __init__(self, detector: Detector, classes: Sequence[str], names: Mapping[str, str]) -> None:
+        """
+        Args:
+            classes: of the project.
+            names: as for `boxes_of_file`.
 
-    Raises:
-        ConfigError: the detector has none of the project's classes.
-    """
-    known = {names.get(label, label) for label in detector.labels} & set(project.config.classes)
-    if not known:
-        raise ConfigError(
-            f"the detector has none of the classes {', '.join(project.config.classes)}, but {_listed(detector.labels)};"
-            " map its classes with --rename"
-        )
-    source, boxes = FrameSource(project), {}
-    frames = [frame for frame in project.frames.of(recordings) if frame.index is not None]
-    for done, stored in enumerate(frames, start=1):
-        try:
-            boxes[stored.id] = tuple(detector.detect([source.read(stored)])[0])
-        except AnnotatorError:
-            boxes[stored.id] = ()  # the frame is reported when it is lifted
-        if progress is not None:
-            progress(done, len(frames))
-    return replace(_chosen(project, boxes, names), origin=origin)
+        Raises:
+            ConfigError: the detector has none of the project's classes.
+        """
+        self._detector = detector
+        self._names = {label: names.get(label, label) for label in detector.labels}
+        self._classes = set(classes)
+        if not self._classes & set(self._names.values()):
+            raise ConfigError(
+                f"the detector has none of the classes {', '.join(classes)}, but {_listed(detector.labels)}; "
+                "map its classes with --rename"
+            )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The project's classes that it detects."""
+        return tuple(sorted(self._classes & set(self._names.values())))
+
+    @property
+    def fingerprint(self) -> str:
+        """As `Detector.fingerprint`; depends on the names, too."""
+        return hashlib.sha256(f"{self._detector.fingerprint} {sorted(self._names.items())}".encode()).hexdigest()
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        """As `Detector.detect`."""
+        return [
+            [replace(box, label=self._names[box.label]) for box in boxes if self._names[box.label] in self._classes]
+            for boxes in self._detector.detect(images)
+        ]
 
 
 def lift(
@@ -132,8 +149,12 @@ def lift(
     Args:
         view: the project's view detector or the base detector.
         config: the project's settings.
+
+    Raises:
+        ConfigError: the view detector does not know a class of the boxes.
     """
     begin = time.perf_counter()
+    require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
     frames = [project.frames.get(frame_id) for frame_id, given in boxes.of_frame.items() if given]
     config, rotation = config.for_detector(view.box_kind, view.class_agnostic), project.config.settings.rotation
     settings = {**config.record(), "rotation": rotation.value, "method": REVISION, "lifted from": boxes.origin}
@@ -159,6 +180,19 @@ def lift(
     project.jobs.finish(run.id)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
+
+
+def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
+    """Checks that a view detector can measure objects of all these classes.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    unknown = [] if view.class_agnostic else sorted(set(labels) - set(view.labels))
+    if unknown:
+        raise ConfigError(
+            f"the project's view detector was not trained on {', '.join(unknown)}; train it on them first"
+        )
 
 
 def _chosen(project: Project, boxes: Mapping[int, Sequence[Box2D]], names: Mapping[str, str]) -> GivenBoxes:

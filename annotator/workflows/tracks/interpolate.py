@@ -35,7 +35,7 @@ class Interpolated:
 
 
 @dataclass(frozen=True, eq=False)
-class _Key:
+class KeyFrame:
     """A key frame: its index among the frames that are still in the recording, and its label."""
 
     index: int
@@ -77,7 +77,7 @@ def interpolate(
     if not recording.is_sequence:
         raise ConfigError(f"the frames of {recording.name} do not follow each other in time; it has no tracks")
     frames = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
-    keys = _chosen(_keys(project, frames, recording_id, track_id), frames, track_id, first, last)
+    keys = _chosen(key_frames(project, frames, recording_id, track_id), frames, track_id, first, last)
     times = times_of(FrameSource(project).recording(recording_id), frames).tolist()
     parts: list[FramePart] = []
     finalised = covered = 0
@@ -130,7 +130,7 @@ def interpolate_back(
     if label.track_id is None:
         raise ConfigError("the box belongs to no track; give it the track id of the earlier box first")
     frames = [each for each in project.frames.of([frame.recording_id]) if each.index is not None]
-    keys = _keys(project, frames, frame.recording_id, label.track_id)
+    keys = key_frames(project, frames, frame.recording_id, label.track_id)
     earlier = [frames[key.index].key for key in keys if (frames[key.index].index or 0) < (frame.index or 0)]
     if not earlier:
         raise ConfigError(f"track {label.track_id} has no reviewed box in an earlier frame")
@@ -146,14 +146,14 @@ def interpolate_back(
     )
 
 
-def _keys(project: Project, frames: Sequence[StoredFrame], recording_id: int, track_id: int) -> list[_Key]:
+def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: int, track_id: int) -> list[KeyFrame]:
     """Returns the key frames of a track, in order.
 
     Raises:
         ConfigError: two reviewed boxes of the track in one frame.
     """
     indices = {frame.id: index for index, frame in enumerate(frames)}
-    keys: dict[int, _Key] = {}
+    keys: dict[int, KeyFrame] = {}
     for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
         if stored.frame_id not in indices:
             continue
@@ -162,13 +162,13 @@ def _keys(project: Project, frames: Sequence[StoredFrame], recording_id: int, tr
             raise ConfigError(
                 f"frame {frames[index].key} has two reviewed boxes of track {track_id}; give one of them another track"
             )
-        keys[index] = _Key(index, stored.label)
+        keys[index] = KeyFrame(index, stored.label)
     return [keys[index] for index in sorted(keys)]
 
 
 def _chosen(
-    keys: list[_Key], frames: Sequence[StoredFrame], track_id: int, first: str | None, last: str | None
-) -> list[_Key]:
+    keys: list[KeyFrame], frames: Sequence[StoredFrame], track_id: int, first: str | None, last: str | None
+) -> list[KeyFrame]:
     """Returns the key frames from `first` to `last`.
 
     Raises:

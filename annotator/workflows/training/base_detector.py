@@ -6,14 +6,12 @@ Every frame, view and training image follows from seeds. No real recording is us
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.detection.base_detector import FOLDER
 from annotator.detection.config import Augmentation, TrainingConfig
@@ -23,18 +21,20 @@ from annotator.detection.progress import Report
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import train_detector
 from annotator.files import write_atomic
+from annotator.formats.json_file import read_model
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import TaughtObject, teach_agnostic_views
 from annotator.synthetic.snapshots import Snapshot, snapshot
 from annotator.types import DetectorKind, Frame, OrientedBox
+from annotator.types.errors import ConfigError
 
 # Frames that one task of a worker renders.
 TASK_FRAMES = 16
 # An upright view is drawn of objects with an axis within this angle of the vertical, radians.
 UPRIGHT_RAD = 0.06
 VIEWS, RUN = "views", "run"
-MANIFEST_FILE = "manifest.json"
+MANIFEST_FILE, PLAN_FILE = "manifest.json", "plan.json"
 
 
 # Random hues, because the colours of generated objects mean nothing.
@@ -48,23 +48,22 @@ BASE_TRAINING = TrainingConfig(
 )
 
 
-@dataclass(frozen=True)
-class BasePlan:
-    """How the base detector is trained.
+class BasePlan(BaseModel):
+    """How the base detector is trained; stored as `plan.json` in the folder of the training.
 
     Attributes:
         frames: number of generated frames.
         draws: crops per object, each with two views.
         seed: first seed of the frames.
         config: settings of the training.
-        processes: processes that render frames; None = one per core.
     """
 
-    frames: int = 6000
-    draws: int = 3
-    seed: int = 0
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    frames: int = Field(6000, ge=1)
+    draws: int = Field(3, ge=1)
+    seed: int = Field(0, ge=0)
     config: TrainingConfig = BASE_TRAINING
-    processes: int | None = None
 
 
 def train_base(folder: Path, plan: BasePlan, progress: Report | None = None) -> TrainedModel:
@@ -75,9 +74,11 @@ def train_base(folder: Path, plan: BasePlan, progress: Report | None = None) -> 
         progress: called after each step of the training.
 
     Raises:
+        ConfigError: the folder belongs to another plan.
         DetectionError: the training failed.
         FormatError: the folder cannot be written.
     """
+    _claim(folder, plan)
     views = folder / VIEWS
     manifest = _existing(views) or write_dataset(
         views, samples(plan), tuple(AGNOSTIC_LABELS.values()), val_share=0.02, seed=plan.seed
@@ -119,19 +120,18 @@ class BaseManifest(BaseModel):
     image_size_px: int
 
 
-def install_base(folder: Path, plan: BasePlan, target: Path = FOLDER) -> BaseManifest:
+def install_base(folder: Path, target: Path = FOLDER) -> BaseManifest:
     """Writes a finished base detector with its manifest into the package, in place of an earlier one.
 
     Args:
         folder: as for `train_base`, which has finished.
-        plan: of that training.
         target: the package's folder.
 
     Raises:
         FormatError: the training has not finished.
         OSError: the files cannot be written.
     """
-    trained, views = read_trained(folder / RUN), read_manifest(folder / VIEWS)
+    trained, views, plan = read_trained(folder / RUN), read_manifest(folder / VIEWS), _read_plan(folder)
     content = trained.weights.read_bytes()
     manifest = BaseManifest(
         frames=plan.frames,
@@ -154,6 +154,20 @@ def install_base(folder: Path, plan: BasePlan, target: Path = FOLDER) -> BaseMan
     return manifest
 
 
+def _claim(folder: Path, plan: BasePlan) -> None:
+    """Stores the plan in a new folder; in an existing one, requires the same plan."""
+    if (folder / PLAN_FILE).is_file():
+        if _read_plan(folder) != plan:
+            raise ConfigError(f"{folder / PLAN_FILE}: belongs to a training with other settings; use another folder")
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(folder / PLAN_FILE, plan.model_dump_json(indent=1).encode())
+
+
+def _read_plan(folder: Path) -> BasePlan:
+    return read_model(folder / PLAN_FILE, BasePlan)
+
+
 def _existing(views: Path) -> DatasetManifest | None:
     return read_manifest(views) if (views / MANIFEST_NAME).is_file() else None
 
@@ -163,7 +177,7 @@ def samples(plan: BasePlan) -> Iterator[TrainingSample]:
     seeds = range(plan.seed, plan.seed + plan.frames)
     tasks = [seeds[first : first + TASK_FRAMES] for first in range(0, plan.frames, TASK_FRAMES)]
     size = plan.config.image_size_px
-    with ProcessPoolExecutor(plan.processes or os.cpu_count()) as pool:
+    with ProcessPoolExecutor() as pool:
         for drawn in pool.map(_draw_task, tasks, [plan.draws] * len(tasks), [size] * len(tasks)):
             yield from drawn
 

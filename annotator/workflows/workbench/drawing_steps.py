@@ -17,7 +17,7 @@ For boxes around the whole object (`BoxKind.BOX`) with a known up direction, the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -26,7 +26,7 @@ from annotator.geometry.edges import visible_edges
 from annotator.geometry.oriented_box import box_corners, canonical_box
 from annotator.project import Project
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.cross_view import choose, make_pair, measured_intervals, pair_all
+from annotator.rcv.cross_view import choose, make_pair, measured_intervals, of_class, pair_all
 from annotator.rcv.interval_fit import fit_box
 from annotator.rcv.operator import first_views, next_views
 from annotator.rcv.recursion import held_direction
@@ -185,14 +185,11 @@ def _suggest(
     """Returns the best pair of detections in the first step, and those nearest to the last step's box afterwards."""
     if detector is None:
         return None, None
-    front, side = opened.detections(views, detector)
+    found = opened.detections(views, detector)
     # a class-agnostic detector has one class for each kind of box
-    wanted = image_box.label
-    if isinstance(detector, ReadyDetector) and detector.class_agnostic:
-        wanted = AGNOSTIC_LABELS[kind]
-    front, side = (
-        [replace(box, label=image_box.label) for box in boxes if box.label == wanted] for boxes in (front, side)
-    )
+    is_agnostic = isinstance(detector, ReadyDetector) and detector.class_agnostic
+    detected = AGNOSTIC_LABELS[kind] if is_agnostic else image_box.label
+    front, side = (of_class(boxes, detected, image_box.label, 0.0) for boxes in found)
     if last is None and front and side:
         cloud = opened.frame.cloud.select(opened.frustum(image_box))
         pairs = pair_all(views[0].axes, views, front, side, cloud, config)

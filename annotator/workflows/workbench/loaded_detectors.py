@@ -13,11 +13,10 @@ from typing import Literal
 
 import numpy as np
 
-from annotator.detection.base_detector import has_base
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import ViewModel, load_detector, view_model
+from annotator.workflows.detectors import UsedModel, load_detector, used_model, view_model
 
 LOG = logging.getLogger("annotator.detectors")
 
@@ -41,10 +40,6 @@ class ReadyDetector:
     def labels(self) -> tuple[str, ...]:
         """The classes it detects."""
         return self.detector.labels
-
-    def knows(self, label: str) -> bool:
-        """Returns True if it can measure objects of a class."""
-        return self.class_agnostic or label in self.detector.labels
 
     @property
     def fingerprint(self) -> str:
@@ -79,34 +74,26 @@ class _Blank:
     rgb: np.ndarray
 
 
-def _model(project: Project, role: DetectorKind) -> ViewModel | None:
-    """Returns the detector that a role uses; the base detector takes the place of a missing view detector."""
-    if role is DetectorKind.VIEW:
-        return view_model(project) if has_base() or project.models.active(role) else None
-    model = project.models.active(role)
-    return None if model is None else ViewModel(model.path, model.box_kind, False, model.fingerprint)
-
-
 def ready_view(project: Project) -> ReadyDetector | None:
-    """Loads the view detector that a project uses; None if there is none.
+    """Loads the view detector that a project uses, its own or the base detector; None if there is none.
 
     Raises:
         DetectionError, FormatError: it cannot be loaded.
     """
-    model = _model(project, DetectorKind.VIEW)
+    model = used_model(project, DetectorKind.VIEW)
     return None if model is None else _ready(model, threading.Lock())
 
 
-def view_or_base(project: Project) -> ReadyDetector:
+def require_view(project: Project) -> ReadyDetector:
     """As `ready_view`, but an error if there is none.
 
     Raises:
-        DetectionError, FormatError: there is no view detector and no base detector, or it cannot be loaded.
+        DetectionError, FormatError: there is none, or it cannot be loaded.
     """
     return _ready(view_model(project), threading.Lock())
 
 
-def _ready(model: ViewModel, lock: threading.Lock) -> ReadyDetector:
+def _ready(model: UsedModel, lock: threading.Lock) -> ReadyDetector:
     return ReadyDetector(load_detector(model.path), model.box_kind, lock, model.class_agnostic, model.name)
 
 
@@ -133,7 +120,7 @@ class ReadyDetectors:
 
         A failure does not raise, since labels can be drawn without a detector. It stays until another model is active.
         """
-        model = _model(project, role)
+        model = used_model(project, role)
         if model is None:
             return Readiness("none")
         try:
@@ -158,7 +145,7 @@ class ReadyDetectors:
         """Stops loading."""
         self._loader.shutdown(wait=False, cancel_futures=True)
 
-    def _future(self, project: Project, role: DetectorKind, model: ViewModel) -> Future[ReadyDetector]:
+    def _future(self, project: Project, role: DetectorKind, model: UsedModel) -> Future[ReadyDetector]:
         key = (project.path, role)
         with self._lock:
             known = self._loading.get(key)
@@ -168,7 +155,7 @@ class ReadyDetectors:
                 self._loading[key] = known
             return known[1]
 
-    def _load(self, role: DetectorKind, model: ViewModel) -> ReadyDetector:
+    def _load(self, role: DetectorKind, model: UsedModel) -> ReadyDetector:
         try:
             ready = _ready(model, self._use)
             ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])

@@ -29,7 +29,6 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
 from annotator.types import Box2D, Detector, OrientedBox, PointCloud, Proposal, Quality, StepTrace, StopReason
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 RCV, POINTS = "rcv", "points"
@@ -75,7 +74,7 @@ def refit(
         detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
     """
-    reason = _why_no_detector(detector, label, problem)
+    reason = _why_no_detector(detector, label, config, problem)
     if reason is not None or detector is None:
         return _from_points(opened, box, config, reason or "")
     state = _recurse(opened, box, label, config, detector)
@@ -115,7 +114,7 @@ def find_box(
         detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
     """
-    reason = _why_no_detector(detector, image_box.label, problem)
+    reason = _why_no_detector(detector, image_box.label, config, problem)
     if reason is not None or detector is None:
         return _not_found(reason or "")
     # an object lost during the recursion has no box
@@ -139,12 +138,15 @@ def _not_found(reason: str) -> FoundBox:
     return FoundBox(None, np.zeros((0, 2, 2)), 0, None, None, reason)
 
 
-def _why_no_detector(detector: Detector | None, label: str, problem: str | None) -> str | None:
+def _why_no_detector(detector: Detector | None, label: str, config: RcvConfig, problem: str | None) -> str | None:
     """Returns why no detector can be used for this class, or None."""
     if detector is None:
         return "there is no pseudo-view detector yet" if problem is None else f"no pseudo-view detector: {problem}"
-    knows = detector.knows(label) if isinstance(detector, ReadyDetector) else label in detector.labels
-    return None if knows else f"the pseudo-view detector was not trained on {label}"
+    return (
+        None
+        if config.class_agnostic or label in detector.labels
+        else f"the pseudo-view detector was not trained on {label}"
+    )
 
 
 def with_axes_like(box: OrientedBox, reference: OrientedBox) -> OrientedBox:

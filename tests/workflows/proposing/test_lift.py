@@ -23,11 +23,12 @@ from annotator.types.errors import ConfigError, DetectionError, FormatError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import FlatFormat
-from annotator.workflows.proposing.lift import GivenBoxes, boxes_of_detector, boxes_of_file, drawn_boxes, lift
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.proposing.lift import GivenBoxes, RenamedDetector, boxes_of_file, drawn_boxes, lift
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector, view_or_base
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
 
 
 class AnyClass:
@@ -101,15 +102,35 @@ def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
     assert (done.done, done.proposals) == (1, len(boxes))
 
 
-def test_boxes_of_a_detector_are_lifted(
+def test_a_detector_of_any_origin_takes_the_place_of_the_image_detector(
     people: Project, base: ReadyDetector, knowing: Callable[..., Detectors]
 ) -> None:
-    given = boxes_of_detector(people, knowing("people").image, "a detector", None, {})
-    done = lift(people, given, base, rcv_config(people))
-    assert done.done == len([boxes for boxes in given.of_frame.values() if boxes])
+    known = knowing("people").image
+    image = RenamedDetector(known, ["human"], {"person": "human"})
+    source = FrameSource(people)
+    frames = [source.read(stored) for stored in people.frames.of()[:2]]
+    assert image.labels == ("human",)
+    for boxes, original in zip(image.detect(frames), known.detect(frames), strict=True):
+        assert [replace(box, label="person") for box in boxes] == original
+        assert {box.label for box in boxes} == {"human"}
+    other = RenamedDetector(known, ["person"], {})
+    assert image.fingerprint != other.fingerprint != known.fingerprint
+    done = annotate(people, Detectors(other, base, base.box_kind, True), rcv_config(people))
+    assert (done.done, done.failures) == (len(people.frames.of()), 0)
     assert done.proposals >= done.done
     with pytest.raises(ConfigError, match="the detector has none of the classes person, but hand"):
-        boxes_of_detector(people, knowing("hands").image, "a detector", None, {})
+        RenamedDetector(knowing("hands").image, people.config.classes, {})
+
+
+def test_a_view_detector_that_does_not_know_the_class_is_refused(
+    people: Project, knowing: Callable[..., Detectors]
+) -> None:
+    hands = ReadyDetector(knowing("hands").view, BoxKind.BOX, Lock())
+    stored = people.frames.of()[0]
+    given = GivenBoxes("test", {stored.id: outlines(people, 0)}, {})
+    with pytest.raises(ConfigError, match="the project's view detector was not trained on person"):
+        lift(people, given, hands, rcv_config(people))
+    assert not people.jobs.all()
 
 
 def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
@@ -132,13 +153,13 @@ def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
 ) -> None:
     monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
     with pytest.raises(DetectionError, match="has no view detector yet; run `annotator train"):
-        view_or_base(people)
+        require_view(people)
 
 
 def test_the_command_lifts_drawn_boxes(
     people: Project, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("annotator.cli.lift.view_or_base", lambda _: base)
+    monkeypatch.setattr("annotator.cli.lift.require_view", lambda _: base)
     stored = people.frames.of()[1]
     drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
     people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))

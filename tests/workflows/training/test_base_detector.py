@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import replace
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,12 @@ from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_agnostic_views
 from annotator.synthetic.snapshots import snapshot
 from annotator.types import BoxKind
+from annotator.types.errors import ConfigError
 from annotator.workflows.training.base_detector import BASE_TRAINING, BasePlan, install_base, samples, train_base
 
+ROOT = Path(__file__).resolve().parents[3]
 WHOLE, SEEN = AGNOSTIC_LABELS[BoxKind.BOX], AGNOSTIC_LABELS[BoxKind.SILHOUETTE]
-PLAN = BasePlan(frames=5, draws=2, processes=1)
+PLAN = BasePlan(frames=5, draws=2)
 
 
 def views_of(seed: int, draws: int = 8) -> list[TaughtView]:
@@ -67,10 +69,10 @@ def test_equal_plans_give_equal_training_images() -> None:
 @pytest.mark.slow
 def test_a_base_detector_is_trained_and_put_into_a_package(tmp_path: Path) -> None:
     config = BASE_TRAINING.model_copy(update={"pictures_seen": 64, "image_size_px": 32})
-    plan = replace(PLAN, config=config)
+    plan = PLAN.model_copy(update={"config": config})
     trained = train_base(tmp_path / "work", plan)
     assert trained.classes == (WHOLE, SEEN)
-    manifest = install_base(tmp_path / "work", plan, tmp_path / "package")
+    manifest = install_base(tmp_path / "work", tmp_path / "package")
     files = sorted(path.name for path in (tmp_path / "package").iterdir())
     assert files == ["detector.safetensors", "manifest.json", "model.json"]
     weights = (tmp_path / "package" / "detector.safetensors").read_bytes()
@@ -79,3 +81,18 @@ def test_a_base_detector_is_trained_and_put_into_a_package(tmp_path: Path) -> No
     assert read_trained(tmp_path / "package").weights.read_bytes() == weights
     # finished work is not repeated
     assert train_base(tmp_path / "work", plan) == trained
+    with pytest.raises(ConfigError, match="belongs to a training with other settings; use another folder"):
+        train_base(tmp_path / "work", plan.model_copy(update={"frames": 6}))
+
+
+@pytest.mark.slow
+def test_the_script_trains_and_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = runpy.run_path(str(ROOT / "scripts" / "train_base.py"))
+    monkeypatch.setattr(install_base, "__defaults__", (tmp_path / "package",))
+    script["run"](tmp_path / "work", frames=2, draws=1, pictures=32, size=32, install=True)
+    printed = capsys.readouterr().out
+    assert "detector.safetensors: map50=" in printed
+    assert json.loads(printed[printed.index("{") :])["frames"] == 2
+    assert (tmp_path / "package" / "detector.safetensors").is_file()
