@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from annotator.detection.edge_errors import EdgeErrors
 from annotator.types import DetectorKind
 
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
@@ -126,3 +127,6 @@ class DetectorConfig(BaseModel):
         description="what runs the network; auto: the fastest with the same boxes as torch; fastest: also in bfloat16",
     )
     threads: int | None = Field(None, ge=1, description="processor threads; None: all cores available to the process")
+    edge_errors: dict[str, EdgeErrors] = Field(
+        {}, description="expected errors of edges by class; boxes of other classes have no `edge_sigma_px`"
+    )

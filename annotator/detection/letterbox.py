@@ -36,6 +36,11 @@ class Placement:
         """Left and top border; an odd pixel is added on the right or at the bottom."""
         return (self.canvas[0] - self.scaled_width_px) // 2, (self.canvas[1] - self.scaled_height_px) // 2
 
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Pixels of the image per pixel of the batch, in x and y."""
+        return self.width_px / self.scaled_width_px, self.height_px / self.scaled_height_px
+
 
 def place(size: tuple[int, int], longer_side_px: int, stride: int) -> Placement:
     """Scales the longer side of a (height, width) image to `longer_side_px` and pads it to multiples of `stride`.
@@ -86,5 +91,5 @@ def to_pictures(
     """
     border = np.array([p.corner * 2 for p in placements], np.float64)[picture]
     size = np.array([(p.width_px, p.height_px) * 2 for p in placements], np.float64)[picture]
-    scaled = np.array([(p.scaled_width_px, p.scaled_height_px) * 2 for p in placements], np.float64)[picture]
-    return np.clip((boxes - border) * (size / scaled), 0, size) - 0.5
+    scale = np.array([p.scale * 2 for p in placements], np.float64)[picture]
+    return np.clip((boxes - border) * scale, 0, size) - 0.5

@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.config import TrainingConfig
+from annotator.detection.edge_errors import EdgeErrors
 from annotator.detection.manifest import Split
 from annotator.files import write_atomic
 from annotator.types import BoxKind, DetectorKind
@@ -49,6 +50,8 @@ class TrainedModel(BaseModel):
         note: what it started from, in words.
         dataset_sha256: hash of the training set's manifest.
         config: the training settings.
+        edge_errors: expected errors of its edges, by class; empty for image detectors and older models, and where the
+            network does not tell them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -65,6 +68,7 @@ class TrainedModel(BaseModel):
     note: str
     dataset_sha256: str
     config: TrainingConfig
+    edge_errors: dict[str, EdgeErrors] = {}
 
     def write(self, folder: Path) -> None:
         """Writes `model.json`. It names the weights relative to itself, so the folder can be moved."""

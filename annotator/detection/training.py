@@ -13,6 +13,7 @@ from typing import Any
 
 from annotator.detection.checkpoint import BEST, LAST, epochs_done, read_weights
 from annotator.detection.config import TrainingConfig
+from annotator.detection.edge_calibration import with_edge_errors
 from annotator.detection.manifest import DatasetManifest, read_manifest
 from annotator.detection.network_file import write_network
 from annotator.detection.pretrained import StartingPoint, check_model_name, check_weights, find_starting_point
@@ -84,7 +85,7 @@ def train_detector(
     watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop)
     if checkpoint is None or epochs_done(checkpoint) < watch.epochs:
         _run(dataset, manifest, out, config, role, device, start, checkpoint, watch)
-    return _finish(out, manifest, config, role, watch)
+    return _finish(dataset, out, manifest, config, role, watch)
 
 
 def _run(
@@ -220,7 +221,7 @@ def _trim_curves(path: Path, epochs_done: int) -> None:
 
 
 def _finish(
-    out: Path, manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind, watch: Watch
+    dataset: Path, out: Path, manifest: DatasetManifest, config: TrainingConfig, role: DetectorKind, watch: Watch
 ) -> TrainedModel:
     """Writes the best weights, the curves and `model.json`; removes the files that only a resume needs."""
     best = out / "weights" / BEST
@@ -250,6 +251,8 @@ def _finish(
         dataset_sha256=manifest.sha256,
         config=config,
     )
+    if role is DetectorKind.VIEW:
+        trained = with_edge_errors(trained, dataset, manifest, config.device)
     trained.write(out)
     shutil.rmtree(out / "weights", ignore_errors=True)
     (out / "args.yaml").unlink(missing_ok=True)

@@ -13,13 +13,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, Float64, UInt8
 
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Answer
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
-from annotator.detection.selection import candidates
+from annotator.detection.selection import Candidates, candidates
 from annotator.detection.suppression import suppress
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
@@ -59,6 +59,8 @@ class YoloDetector:
             raise DetectionError(f"{weights}: cannot be read ({error.strerror}); train the detector again") from error
         self._network = open_network(weights, hashlib.sha256(content).hexdigest(), config)
         settings = f"{REVISION} {config.image_size_px} {config.confidence} {config.iou}"
+        if config.edge_errors:
+            settings += f" {sorted((label, errors.model_dump_json()) for label, errors in config.edge_errors.items())}"
         self._fingerprint = hashlib.sha256(content + settings.encode()).hexdigest()
 
     @property
@@ -123,7 +125,7 @@ class YoloDetector:
     ) -> Iterator[tuple[int, Box2D]]:
         """Pairs of image index and box, best score first."""
         facts, config = self._network.facts, self._config
-        each = [candidates(answer, facts.end2end, config.confidence) for answer in answers]
+        each = [candidates(answer, facts.end2end, config.confidence, facts.edge_spread) for answer in answers]
         picture = np.concatenate([np.array(group)[c.picture] for group, c in zip(groups, each, strict=True)])
         boxes = np.concatenate([c.boxes for c in each])
         scores = np.concatenate([c.scores for c in each])
@@ -133,10 +135,37 @@ class YoloDetector:
         kept = suppress(boxes, scores, picture * len(facts.labels) + numbers, config.iou)
         edges = to_pictures(boxes[kept], picture[kept], placements)
         wide_enough = (edges[:, 2:] - edges[:, :2] >= MIN_SIDE_PX).all(axis=1)
+        spreads = _spreads(each, kept, picture, placements) if config.edge_errors else None
         for k in np.flatnonzero(wide_enough):
             x_min, y_min, x_max, y_max = edges[k].tolist()
             label, score = facts.labels[numbers[kept[k]]], float(scores[kept[k]])
-            yield int(picture[kept[k]]), Box2D(label, x_min, y_min, x_max, y_max, score)
+            errors = None if spreads is None else self._edge_sigma_px(label, *(part[k] for part in spreads))
+            yield int(picture[kept[k]]), Box2D(label, x_min, y_min, x_max, y_max, score, errors)
+
+    def _edge_sigma_px(
+        self, label: str, spread_px: np.ndarray, scale: np.ndarray
+    ) -> tuple[float, float, float, float] | None:
+        """The expected errors of a box's edges, pixels of its image; None if those of its class are unknown."""
+        errors = self._config.edge_errors.get(label)
+        if errors is None:
+            return None
+        # rounded, since these numbers are stored with every proposal
+        left, top, right, bottom = np.round(errors.of(spread_px) * scale, 3).tolist()
+        return left, top, right, bottom
+
+
+def _spreads(
+    each: Sequence[Candidates], kept: np.ndarray, picture: np.ndarray, placements: Sequence[Placement]
+) -> tuple[Float32[np.ndarray, "k 4"], Float64[np.ndarray, "k 4"]] | None:
+    """The edges' spreads of the kept boxes, pixels of the network's input, and the scales of these pixels.
+
+    None if the network gives no spread.
+    """
+    spreads = [c.spreads for c in each if c.spreads is not None]
+    if not spreads:
+        return None
+    scale = np.array([p.scale * 2 for p in placements], np.float64)[picture[kept]]
+    return np.concatenate(spreads)[kept], scale
 
 
 def _parts(placements: Sequence[Placement]) -> Iterator[list[int]]:

@@ -91,7 +91,12 @@ class FitConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    edge_noise: float = Field(0.02, gt=0, description="expected error of a detected edge, share of the view's extent")
+    edge_noise: float = Field(
+        0.02,
+        gt=0,
+        description="expected error of a detected edge if the detector does not tell it, share of the view's extent",
+    )
+    use_edge_errors: bool = Field(True, description="weight edges by the errors that the detector expects of them")
     cut_doubt: float = Field(
         3.0, ge=1, description="factor on the expected error of an edge that is cut off by the view's border"
     )

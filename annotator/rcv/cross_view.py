@@ -177,8 +177,13 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
     scores = np.array([max(box.score, LEAST_SCORE) for box in boxes])[:, None, None]
     is_cut = np.array([cut_edges(view, box, config) for view, box in zip(views, boxes, strict=True)])
     noise_m = config.fit.edge_noise * (sizes_px * metres_per_px) / np.sqrt(scores)
+    is_cut = is_cut.reshape(-1, 2, 2)
     # a cut-off edge is only a bound, so its expected error is larger
-    sigma_m = noise_m * np.where(is_cut.reshape(-1, 2, 2), config.fit.cut_doubt, 1.0)
+    sigma_m = noise_m * np.where(is_cut, config.fit.cut_doubt, 1.0)
+    if config.fit.use_edge_errors:
+        # NaN where the detector does not tell
+        told_px = np.array([box.edge_sigma_px or (np.nan,) * 4 for box in boxes])[:, [0, 2, 1, 3]].reshape(-1, 2, 2)
+        sigma_m = np.where(is_cut | np.isnan(told_px), sigma_m, told_px * metres_per_px)
     directions = np.concatenate([view.axes[:2] for view in views])
     return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
 

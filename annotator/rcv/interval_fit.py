@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.rcv.config import FitConfig
+from annotator.rcv.fit_uncertainty import expected_iou_loss
 from annotator.rcv.rotation_search import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
 
 # Number of rotations that are refined, and their minimum distance at the start. They are not settings, because they
@@ -23,6 +24,9 @@ STARTS = 6
 START_DISTANCE_RAD = float(np.deg2rad(10))
 # Keeps the equations of the centre solvable if a direction is not measured.
 RIDGE = 1e-9
+
+# Standard deviation of a Gaussian variable, in medians of its absolute value.
+SIGMAS_PER_MEDIAN = 1.4826
 
 DEFAULTS = FitConfig()
 
@@ -58,6 +62,8 @@ class BoxFit:
         center_m, rotation, size_m: the box; columns of `rotation` are its axes in the camera frame.
         cost: robust cost, in units of the expected variance.
         residual_m: robust spread of the ends around the fit, metres.
+        ends: the ends that it was fitted to.
+        held: whether its z axis was held.
     """
 
     center_m: Float64[np.ndarray, "3"]
@@ -65,6 +71,17 @@ class BoxFit:
     size_m: Float64[np.ndarray, "3"]
     cost: float
     residual_m: float
+    ends: Edges
+    held: bool
+
+    def expected_iou_loss(self) -> float:
+        """The expected 1 - IoU with the true box (`fit_uncertainty`), by the errors that the fit itself has."""
+        ends = self.ends
+        known = ends.inverse > 0
+        errors = np.abs(ends.residuals(self)) * ends.inverse
+        weights = ends.inverse**2 * np.minimum(1.0, ends.config.huber_sigmas / np.maximum(errors, 1e-9))
+        scale = SIGMAS_PER_MEDIAN * _median(errors[known])
+        return expected_iou_loss(ends.direction, weights, self.rotation, self.size_m, self.held, scale)
 
 
 def fit_box(
@@ -88,10 +105,14 @@ def fit_box(
         return None
     if not edges.determine(fit, held=up is not None):
         return None
-    errors = np.sort(np.abs(edges.residuals(fit)[known]))
-    # the median; np.median takes several times as long for so few values
-    spread = 1.4826 * float(errors[(len(errors) - 1) // 2] + errors[len(errors) // 2]) / 2
-    return BoxFit(fit.center_m, fit.rotation, fit.size_m, fit.cost, spread)
+    spread = SIGMAS_PER_MEDIAN * _median(np.abs(edges.residuals(fit)[known]))
+    return BoxFit(fit.center_m, fit.rotation, fit.size_m, fit.cost, spread, edges, up is not None)
+
+
+def _median(values: Float64[np.ndarray, "n"]) -> float:
+    """The median; np.median takes several times as long for so few values."""
+    ordered = np.sort(values)
+    return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def _starts(
@@ -150,7 +171,7 @@ class Edges:
         ends = np.where(known, ends_m - (direction @ shift)[:, None], 0.0)
         return cls(np.array(direction, order="C"), ends, 1 / sigma_m, shift, config)
 
-    def residuals(self, fit: Solution) -> Float64[np.ndarray, "m 2"]:
+    def residuals(self, fit: Solution | BoxFit) -> Float64[np.ndarray, "m 2"]:
         """Predicted minus measured ends, metres."""
         reach = np.abs(self.direction @ fit.rotation) @ fit.size_m / 2
         middle = self.direction @ (fit.center_m - self.shift)

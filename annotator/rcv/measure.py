@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv import cross_view
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.interval_fit import Intervals, fit_box
+from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
 UNDETERMINED = "consensus: the measured intervals do not determine a box"
@@ -30,6 +30,7 @@ class Measurement:
         intervals: all intervals measured of the object so far.
         fallback: what failed before, with the reason.
         cut: whether a used detection touches the border of its view.
+        fit: the fit that gave the box; None for a pair of views.
     """
 
     box: OrientedBox
@@ -40,6 +41,7 @@ class Measurement:
     intervals: Intervals | None = None
     fallback: tuple[str, ...] = ()
     cut: bool = False
+    fit: BoxFit | None = None
 
 
 def choose_all(
@@ -102,7 +104,8 @@ def measure_consensus(
     box = OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m)
     score = float(np.mean([b.score for _, b in detected])) * len(detected) / len(views)
     spread = fit.residual_m / float(box.size_m.mean())
-    return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=any_cut(views, boxes, used, config))
+    is_cut = any_cut(views, boxes, used, config)
+    return Measurement(box, fit.rotation.T, spread, score, used, intervals, cut=is_cut, fit=fit)
 
 
 def _start_intervals(start_box: OrientedBox, measured: Intervals, config: RcvConfig) -> Intervals:

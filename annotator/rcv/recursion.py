@@ -22,7 +22,7 @@ from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strate
 from annotator.rcv.first_look import depth_crops, image_planes, in_middle
 from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
-from annotator.rcv.interval_fit import Intervals
+from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.types import (
     Box2D,
@@ -72,6 +72,7 @@ class ObjectState:
         is_cut: whether a detection of the last step touched its view's border; the object may extend beyond it.
         view_score: mean score of the detections that gave the last box.
         disagreement, last_change, kept_share: the quality signals of the last step.
+        fit: the fit of the last step, if it was one.
         steps: the trace.
         stop: CONTINUES while the recursion runs.
         notes: how the object started, for the trace of the first step.
@@ -92,6 +93,7 @@ class ObjectState:
     disagreement: float = 0.0
     last_change: float = 1.0
     kept_share: float = 1.0
+    fit: BoxFit | None = None
     steps: tuple[StepTrace, ...] = ()
     stop: StopReason = StopReason.CONTINUES
     notes: tuple[str, ...] = ()
@@ -106,7 +108,8 @@ class ObjectState:
 
     @property
     def quality(self) -> Quality:
-        return Quality(self.disagreement, self.kept_share, self.last_change)
+        loss = None if self.fit is None else self.fit.expected_iou_loss()
+        return Quality(self.disagreement, self.kept_share, self.last_change, expected_iou_loss=loss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +293,7 @@ def _advance(
         disagreement=measured.disagreement,
         last_change=change,
         kept_share=inside / n,
+        fit=measured.fit,
         steps=(*state.steps, step),
         stop=stop,
     )

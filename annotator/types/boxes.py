@@ -41,6 +41,7 @@ class Box2D:
         label: class name.
         x_min, y_min, x_max, y_max: edges, pixels, x right, y down.
         score: detector confidence in 0..1; 1 for a drawn box.
+        edge_sigma_px: expected error of x_min, y_min, x_max, y_max, pixels; None if unknown.
     """
 
     label: str
@@ -49,6 +50,7 @@ class Box2D:
     x_max: float
     y_max: float
     score: float = 1.0
+    edge_sigma_px: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         # plain numbers, because numpy takes ten times as long for so few values
@@ -72,7 +74,7 @@ class Box2D:
     def shifted(self, x_px: int, y_px: int) -> Box2D:
         """The box moved right and down by whole pixels, such as from a region's pixels to those of the whole image."""
         edges = (self.x_min + x_px, self.y_min + y_px, self.x_max + x_px, self.y_max + y_px)
-        return Box2D(self.label, *edges, self.score)
+        return Box2D(self.label, *edges, self.score, self.edge_sigma_px)
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,12 +84,15 @@ class Quality:
         image_agreement: IoU on the camera image between the result (the projected box, or for silhouettes the kept
             points) and its image box. Low if the object is partly hidden, or if the result is another object
             next to the detected one. None for results stored before this signal existed.
+        expected_iou_loss: expected 1 - IoU with the true box, by the uncertainty of the last step's fit. None without a
+            fit, and for results stored before this signal existed.
     """
 
     view_disagreement: float
     kept_share: float
     last_change: float
     image_agreement: float | None = None
+    expected_iou_loss: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
@@ -63,7 +63,8 @@ def load_detector(
     Args:
         weights: the weights file in the folder of its training.
         backend: as for `open_network`.
-        image_size_px: longer side of the network's input; None = as trained.
+        image_size_px: longer side of the network's input; None = as trained, and with the expected errors of edges that
+            its training found.
         threads: processor threads; None = all cores that the process may use.
 
     Raises:
@@ -71,9 +72,12 @@ def load_detector(
         DetectionError: missing or unreadable weights, or an unusable backend.
         FormatError: the files beside the weights are missing or damaged.
     """
-    size = read_trained(weights.parent).image_size_px if image_size_px is None else image_size_px
+    settings: dict[str, Any] = {"image_size_px": image_size_px}
+    if image_size_px is None:
+        trained = read_trained(weights.parent)
+        settings = {"image_size_px": trained.image_size_px, "edge_errors": trained.edge_errors}
     try:
-        config = DetectorConfig(image_size_px=size, backend=backend, threads=threads)
+        config = DetectorConfig(backend=backend, threads=threads, **settings)
     except ValidationError as error:
         problem = error.errors()[0]
         raise ConfigError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from annotator.detection.backends import openvino_network
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Network
 from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.edge_errors import EdgeErrors
 from annotator.detection.selection import candidates
 from annotator.detection.ultralytics_api import api, load_weights
 from annotator.detection.yolo import YoloDetector
@@ -22,6 +24,11 @@ pytestmark = pytest.mark.slow
 
 EXPORTED: tuple[Backend, Backend] = ("openvino", "onnxruntime")
 SHAPES = ((3, 64, 96, 3), (1, 96, 96, 3), (2, 96, 32, 3))
+
+
+@dataclass(frozen=True)
+class PlainImage:
+    rgb: np.ndarray
 
 
 def make(weights: Path, **settings: Any) -> YoloDetector:
@@ -69,17 +76,66 @@ def batches(seed: int = 0) -> list[np.ndarray]:
 def test_raw_predictions_agree_with_torch(random_weights: dict[str, Path], name: str) -> None:
     expected = opened(random_weights[name], "torch")
     references = expected.predict(batches())
-    assert references[0][:, 4:].std() > 0.001  # the scores differ
+    assert references[0][:, 4:7].std() > 0.001  # the scores differ
+    assert expected.facts.edge_spread == (name == "yolo11n")
+    rows = 11 if expected.facts.edge_spread else 7
     for backend in EXPORTED:
         network = opened(random_weights[name], backend)
         assert (network.backend, network.facts) == (backend, expected.facts)
         assert network.facts.end2end == (name == "yolo26n")
         for answer, reference, shape in zip(network.predict(batches()), references, SHAPES, strict=True):
             assert (
-                answer.shape == reference.shape == (shape[0], 7, sum(shape[1] * shape[2] // s**2 for s in (8, 16, 32)))
+                answer.shape
+                == reference.shape
+                == (shape[0], rows, sum(shape[1] * shape[2] // s**2 for s in (8, 16, 32)))
             )
             np.testing.assert_allclose(answer[:, :4], reference[:, :4], atol=0.1, rtol=1e-3)
-            np.testing.assert_allclose(answer[:, 4:], reference[:, 4:], atol=2e-3)
+            np.testing.assert_allclose(answer[:, 4:7], reference[:, 4:7], atol=2e-3)
+            np.testing.assert_allclose(answer[:, 7:], reference[:, 7:], atol=0.1, rtol=1e-3)
+
+
+def test_the_spread_is_the_standard_deviation_of_the_predicted_distribution(random_weights: dict[str, Path]) -> None:
+    torch, batch = api().torch, batches()[0]
+    model = load_weights(random_weights["yolo11n"], torch.device("cpu")).fuse(verbose=False).eval()
+    with torch.inference_mode():
+        logits = model(torch.from_numpy(batch).permute(0, 3, 1, 2) / 255)[1]["boxes"].numpy()
+    shares = np.exp(logits.reshape(len(batch), 4, 16, -1).astype(np.float64))
+    shares /= shares.sum(axis=2, keepdims=True)
+    distances = np.arange(16.0)[:, None]
+    mean = (shares * distances).sum(axis=2)
+    deviation = np.sqrt((shares * distances**2).sum(axis=2) - mean**2)
+    rows, columns = batch.shape[1:3]
+    strides = np.repeat([8, 16, 32], [rows * columns // stride**2 for stride in (8, 16, 32)])
+    answer = opened(random_weights["yolo11n"], "torch").predict([batch])[0]
+    np.testing.assert_allclose(answer[:, 7:], deviation * strides, rtol=1e-3)
+    assert answer[:, 7:].std() > 0.1
+
+
+def test_boxes_tell_the_expected_errors_of_their_edges_in_pixels_of_the_image(random_weights: dict[str, Path]) -> None:
+    small = np.random.default_rng(0).integers(0, 256, (96, 96, 3), np.uint8)
+    picture = PlainImage(np.repeat(np.repeat(small, 2, axis=0), 2, axis=1))  # the network sees it at half its size
+    errors = {"0": EdgeErrors(factor=0.25, exponent=1.0, least_px=0.1, most_px=100.0)}
+    settings: dict[str, Any] = {"backend": "torch", "confidence": 1e-3}
+    detector = make(random_weights["yolo11n"], edge_errors=errors, **settings)
+    plain = make(random_weights["yolo11n"], **settings)
+    assert plain.fingerprint != detector.fingerprint
+    boxes = detector.detect([picture])[0]
+    told = [box for box in boxes if box.edge_sigma_px is not None]
+    assert {box.label for box in told} == {"0"} < {box.label for box in boxes}
+    raw = opened(random_weights["yolo11n"], "torch").predict([small[None]])[0]
+    compared = 0
+    for box in told:
+        center = np.array([box.x_min + box.x_max, box.y_min + box.y_max]) / 4 + 0.25
+        inside = box.x_min > 0 and box.y_min > 0 and box.x_max < 191 and box.y_max < 191
+        anchor = np.argmin(np.abs(raw[0, :2] - center[:, None]).sum(axis=0) + np.abs(raw[0, 4] - box.score))
+        if inside:  # the others were clipped, so their centres moved
+            compared += 1
+            np.testing.assert_allclose(np.array(box.edge_sigma_px), 2 * 0.25 * raw[0, 7:, anchor], rtol=1e-3)
+    assert compared
+    # neither without such errors nor from a network without spreads
+    for silent in (plain, make(random_weights["yolo26n"], edge_errors=errors, **settings)):
+        boxes = silent.detect([picture])[0]
+        assert boxes and all(box.edge_sigma_px is None for box in boxes)
 
 
 def test_end_to_end_predictions_are_ranked_as_in_ultralytics(random_weights: dict[str, Path]) -> None:

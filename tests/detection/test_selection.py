@@ -47,3 +47,14 @@ def test_only_the_best_of_each_image_are_kept(end2end: bool) -> None:
         scores = raw[picture, 4:] if end2end else raw[picture, 4:].max(axis=0)
         best = np.sort(scores[scores > 0.1])[::-1][:MAX_CANDIDATES]
         np.testing.assert_array_equal(np.sort(selected.scores[selected.picture == picture])[::-1], best)
+
+
+@pytest.mark.parametrize("end2end", [False, True])
+def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
+    raw = np.zeros((1, 10, 3), np.float32)
+    raw[0, :6, 1] = [10, 20, 14, 26, 0.4, 0.3]
+    raw[0, 6:, :] = [[7, 1, 8], [7, 2, 8], [7, 3, 8], [7, 4, 8]]
+    selected = candidates(raw, end2end, 0.35, edge_spread=True)
+    assert selected.numbers.tolist() == [0]
+    assert selected.spreads is not None and selected.spreads.tolist() == [[1, 2, 3, 4]]
+    assert candidates(raw[:, :6], end2end, 0.35).spreads is None

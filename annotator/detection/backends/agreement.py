@@ -46,6 +46,7 @@ class Agreement:
     Attributes:
         boxes_px, boxes_bound_px: difference of the box coordinates and its upper bound, pixels.
         scores, scores_bound: difference of the scores (0 to 1) and its upper bound.
+        spreads_px, spreads_bound_px: difference of the edges' spreads and its upper bound, pixels; 0 without spreads.
         reference: precision that the bounds were measured with.
     """
 
@@ -53,12 +54,18 @@ class Agreement:
     boxes_bound_px: float
     scores: float
     scores_bound: float
+    spreads_px: float
+    spreads_bound_px: float
     reference: str
 
     @property
     def holds(self) -> bool:
-        """Whether both differences are within their bounds; False for NaN and infinity."""
-        return self.boxes_px <= self.boxes_bound_px and self.scores <= self.scores_bound
+        """Whether the differences are within their bounds; False for NaN and infinity."""
+        return (
+            self.boxes_px <= self.boxes_bound_px
+            and self.scores <= self.scores_bound
+            and self.spreads_px <= self.spreads_bound_px
+        )
 
 
 class Agreements:
@@ -74,8 +81,10 @@ class Agreements:
             DetectionError: the packages cannot be loaded, or torch cannot run the network.
         """
         self._weights, self._images = weights, images
-        self._expected = self._answer(TorchNetwork(weights, pick_device("cpu")))
-        self._distances: dict[str, tuple[float, float]] = {}
+        torch = TorchNetwork(weights, pick_device("cpu"))
+        self._edge_spread = torch.facts.edge_spread
+        self._expected = self._answer(torch)
+        self._distances: dict[str, tuple[float, float, float]] = {}
 
     def of(self, open_network: Callable[[Path], Network]) -> Agreement:
         """Compares one backend with torch.
@@ -93,21 +102,24 @@ class Agreements:
             reference = "bfloat16"
         elif network.device.startswith("cuda"):
             reference = "float16"
-        boxes, scores = self._distance(self._answer(network))
-        reference_boxes, reference_scores = self._reference(reference)
-        factor = TOLERANCE[reference]
-        return Agreement(boxes, factor * reference_boxes, scores, factor * reference_scores, reference)
+        found, allowed = self._distance(self._answer(network)), self._reference(reference)
+        (boxes, scores, spreads), factor = found, TOLERANCE[reference]
+        bounds = [factor * distance for distance in allowed]
+        return Agreement(boxes, bounds[0], scores, bounds[1], spreads, bounds[2], reference)
 
     def _answer(self, network: Network) -> Answer:
         return network.predict([self._images])[0]
 
-    def _distance(self, answer: Float[np.ndarray, "_ _ _"]) -> tuple[float, float]:
+    def _distance(self, answer: Float[np.ndarray, "_ _ _"]) -> tuple[float, float, float]:
+        """Root mean square differences of boxes, scores and spreads."""
         if answer.shape != self._expected.shape:
             raise DetectionError(f"the output has shape {answer.shape}, torch's has {self._expected.shape}")
         squares = (answer.astype(np.float64) - self._expected) ** 2
-        return float(np.sqrt(squares[:, :4].mean())), float(np.sqrt(squares[:, 4:].mean()))
+        end = squares.shape[1] - (4 if self._edge_spread else 0)
+        boxes, scores = float(np.sqrt(squares[:, :4].mean())), float(np.sqrt(squares[:, 4:end].mean()))
+        return boxes, scores, float(np.sqrt(squares[:, end:].mean())) if self._edge_spread else 0.0
 
-    def _reference(self, precision: str) -> tuple[float, float]:
+    def _reference(self, precision: str) -> tuple[float, float, float]:
         if precision not in self._distances:
             torch = api().torch
             module, _ = raw_network(self._weights, torch.device("cpu"))

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from annotator.detection.backends.half_precision import marked, sum_up_edges
+from annotator.detection.backends.half_precision import marked
 from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.backends.openvino_api import openvino
 from annotator.detection.backends.raw_network import raw_network
@@ -58,7 +58,6 @@ def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, byt
 
 def _write_openvino(module: Any, example: Any, folder: Path) -> None:
     runtime, torch = openvino(), api().torch
-    sum_up_edges(module)
     with torch.inference_mode():
         traced = torch.jit.trace(module, example, strict=False, check_trace=False)
     model = runtime.convert_model(traced, example_input=example)

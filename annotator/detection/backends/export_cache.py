@@ -22,7 +22,7 @@ LOG = logging.getLogger("annotator.detectors")
 
 RECORD, LOCK = "export.json", "exports.lock"
 # Increase when the export code changes its output for the same weights and packages.
-REVISIONS: Mapping[ExportKind, int] = {"openvino": 2, "onnxruntime": 1}
+REVISIONS: Mapping[ExportKind, int] = {"openvino": 3, "onnxruntime": 2}
 # An export is repeated when the version of one of these packages changes.
 PACKAGES: Mapping[ExportKind, tuple[str, ...]] = {
     "openvino": ("torch", "ultralytics-opencv-headless", "openvino"),

@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import logging
 import re
-from typing import Any
 from xml.etree import ElementTree
-
-from annotator.detection.ultralytics_api import api
 
 LOG = logging.getLogger("annotator.detectors")
 
@@ -24,31 +21,6 @@ CONVOLUTIONS = ("Convolution", "GroupConvolution")
 # A layer's name begins with its path in the module. In the detection head, `cv2` predicts the box edges: three
 # convolutions per scale. The first two are the most expensive ones of the head and stay in half precision.
 HALF_IN_HEAD = r"(?:one2one_)?cv2\.\d+\.[01]\."
-
-
-def sum_up_edges(module: Any) -> None:
-    """Replaces the convolution that computes the expected edge distances in the detection head by a weighted sum.
-
-    The result is the same (the convolution's weights are the distances), but OpenVINO would compute a convolution, and
-    the softmax before it, in half precision.
-    """
-    torch = api().torch
-    head = module.model.model[-1]
-    if not hasattr(head.dfl, "c1"):  # the head predicts the distance directly, as in YOLO26
-        return
-
-    class Expected(torch.nn.Module):  # type: ignore[name-defined]
-        def __init__(self, bins: int) -> None:
-            super().__init__()
-            self.bins = bins
-            self.register_buffer("distances", torch.arange(bins, dtype=torch.float32).view(1, 1, bins, 1))
-
-        def forward(self, logits: Any) -> Any:
-            images, _, anchors = logits.shape
-            shares = logits.view(images, 4, self.bins, anchors).softmax(2)
-            return (shares * self.distances).sum(2)
-
-    head.dfl = Expected(head.dfl.c1)
 
 
 def marked(network: bytes, head: int) -> bytes:

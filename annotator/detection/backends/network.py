@@ -14,7 +14,8 @@ from annotator.detection.config import Backend
 # Backends that run a converted copy of the weights.
 ExportKind = Literal["openvino", "onnxruntime"]
 
-# Input (n, height, width, RGB) and raw prediction (n, 4 + classes, anchors); sizes may differ from batch to batch.
+# Input (n, height, width, RGB) and raw prediction (n, 4 + classes + spreads, anchors) with 4 spreads or none; sizes may
+# differ from batch to batch.
 Batch = UInt8[np.ndarray, "_ _ _ 3"]
 Answer = Float32[np.ndarray, "_ _ _"]
 
@@ -26,6 +27,7 @@ class NetworkFacts(BaseModel):
         labels: class names, in the order of the class numbers.
         stride: height and width of images must be multiples of this, pixels.
         end2end: whether the network predicts each object once, so that no non-maximum suppression is needed.
+        edge_spread: whether its last four rows are the spread of each edge (`edge_spread.py`), pixels.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -33,6 +35,7 @@ class NetworkFacts(BaseModel):
     labels: tuple[str, ...] = Field(min_length=1)
     stride: int = Field(ge=1)
     end2end: bool
+    edge_spread: bool
 
 
 @runtime_checkable

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from annotator.detection.backends.edge_spread import give_edge_spread
 from annotator.detection.backends.network import NetworkFacts
 from annotator.detection.pretrained import DETECTING_LAYERS
 from annotator.detection.ultralytics_api import api, load_weights
@@ -16,7 +17,7 @@ from annotator.types.errors import DetectionError
 
 
 def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
-    """A torch module from (n, height, width, 3) uint8 to (n, 4 + classes, anchors) float32, and its facts.
+    """A torch module from (n, height, width, 3) uint8 to the raw prediction of `network.Answer`, and its facts.
 
     Batch normalisation is folded into the convolutions.
 
@@ -34,7 +35,8 @@ def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
     head.export = True  # returns the prediction only, without the tensors for training
     head.postprocess = _unchanged
     labels = tuple(str(model.names[number]) for number in sorted(model.names))
-    facts = NetworkFacts(labels=labels, stride=max(int(model.stride.max()), 32), end2end=end2end)
+    stride = max(int(model.stride.max()), 32)
+    facts = NetworkFacts(labels=labels, stride=stride, end2end=end2end, edge_spread=give_edge_spread(head))
     return _with_pixels(model, end2end), facts
 
 

@@ -77,12 +77,15 @@ def backends(_: Path) -> Iterator[Line]:
                     "boxes_bound_px": agreement.boxes_bound_px,
                     "scores": agreement.scores,
                     "scores_bound": agreement.scores_bound,
+                    "spreads_px": agreement.spreads_px,
+                    "spreads_bound_px": agreement.spreads_bound_px,
                 }
                 result = (
-                    f"differs from torch in single precision by {agreement.boxes_px:.2g} px (boxes) and "
-                    f"{agreement.scores:.2g} (scores); allowed: {agreement.boxes_bound_px:.2g} px and "
-                    f"{agreement.scores_bound:.2g}, {TOLERANCE[agreement.reference]:.0f} x the difference of torch in "
-                    f"{agreement.reference}"
+                    f"differs from torch in single precision by {agreement.boxes_px:.2g} px (boxes), "
+                    f"{agreement.scores:.2g} (scores) and {agreement.spreads_px:.2g} px (spreads of edges); allowed: "
+                    f"{agreement.boxes_bound_px:.2g} px, {agreement.scores_bound:.2g} and "
+                    f"{agreement.spreads_bound_px:.2g} px, {TOLERANCE[agreement.reference]:.0f} x the difference of "
+                    f"torch in {agreement.reference}"
                 )
                 state = State.OK if agreement.holds else State.FAILED
                 remedy = "" if agreement.holds else f"use another --backend, and {REPORT_IT}"

@@ -76,7 +76,8 @@ def test_correct_output_agrees_and_wrong_output_does_not(agreements: Agreements)
     assert agreements.of(lambda path: Wrong(path, lambda answer: answer)).holds
     for wrong in (
         moved(0.5),
-        lambda answer: answer[:, [0, 1, 2, 3, 5, 4, 6]],  # classes in another order
+        lambda answer: answer[:, [0, 1, 2, 3, 5, 4, *range(6, answer.shape[1])]],  # classes in another order
+        lambda answer: answer[:, [*range(answer.shape[1] - 4), -3, -4, -2, -1]],  # spreads in another order
         lambda answer: answer[::-1].copy(),  # pictures in another order
         lambda answer: np.where(np.arange(answer.shape[2]) == 0, np.float32(np.nan), answer),
     ):
