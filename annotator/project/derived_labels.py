@@ -61,6 +61,7 @@ def _proposal_values(event: Event, proposal: ProposalRecord) -> dict[str, Value]
         "kept_share": proposal.quality.kept_share,
         "last_change": proposal.quality.last_change,
         "image_agreement": proposal.quality.image_agreement,
+        "expected_iou_loss": proposal.quality.expected_iou_loss,
         "proposal_event_id": event.id,
     }
 

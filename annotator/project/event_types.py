@@ -60,6 +60,7 @@ class LabelState(BaseModel):
     place: int
     image_agreement: float | None = None
     track_linked: bool = False
+    expected_iou_loss: float | None = None
 
 
 class ImageBoxesState(BaseModel):

@@ -18,7 +18,7 @@ from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
-QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement")
+QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement", "expected_iou_loss")
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +227,7 @@ def _label(row: AnyRow) -> Label:
         row.author,
         row.time_ns,
         row.track_id,
+        None if row.state == ReviewState.EDITED else row.expected_iou_loss,
     )
 
 
@@ -244,7 +245,7 @@ def _quality(row: AnyRow) -> Quality | None:
     disagreement, kept_share, last_change = (
         float("nan") if value is None else value for value in (row.view_disagreement, row.kept_share, row.last_change)
     )
-    return Quality(disagreement, kept_share, last_change, row.image_agreement)
+    return Quality(disagreement, kept_share, last_change, row.image_agreement, row.expected_iou_loss)
 
 
 def _filtered(

@@ -120,6 +120,7 @@ labels = Table(
     Column("image_box", Text),
     Column("image_agreement", Float),
     Column("track_linked", Boolean, nullable=False),
+    Column("expected_iou_loss", Float),
 )
 
 image_labels = Table(

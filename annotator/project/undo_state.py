@@ -119,6 +119,7 @@ def _label_state(row: AnyRow) -> LabelState:
         place=row.id,
         image_agreement=row.image_agreement,
         track_linked=row.track_linked,
+        expected_iou_loss=row.expected_iou_loss,
     )
 
 

@@ -25,6 +25,9 @@ START_DISTANCE_RAD = float(np.deg2rad(10))
 # Keeps the equations of the centre solvable if a direction is not measured.
 RIDGE = 1e-9
 
+# The views of an object repeat each other's mistakes, so the ends of any number of views tell as much as this number of
+# independent ones. Chosen on five sets of boxes (docs/base_detector.md).
+INDEPENDENT_ENDS = 8
 # Standard deviation of a Gaussian variable, in medians of its absolute value.
 SIGMAS_PER_MEDIAN = 1.4826
 
@@ -80,7 +83,7 @@ class BoxFit:
         known = ends.inverse > 0
         errors = np.abs(ends.residuals(self)) * ends.inverse
         weights = ends.inverse**2 * np.minimum(1.0, ends.config.huber_sigmas / np.maximum(errors, 1e-9))
-        scale = SIGMAS_PER_MEDIAN * _median(errors[known])
+        scale = SIGMAS_PER_MEDIAN * _median(errors[known]) * float(np.sqrt(known.sum() / INDEPENDENT_ENDS))
         return expected_iou_loss(ends.direction, weights, self.rotation, self.size_m, self.held, scale)
 
 

@@ -53,6 +53,7 @@ class Label:
         author: author of the last change.
         time_ns: time of the last change, nanoseconds since the epoch.
         track_id: the object's id within the recording; None if unknown.
+        expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
     """
 
     uid: str
@@ -64,6 +65,7 @@ class Label:
     author: str
     time_ns: int
     track_id: int | None = None
+    expected_iou_loss: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -193,6 +193,7 @@ def quality_json(quality: Quality | None) -> QualityJson | None:
         kept_share=_finite(quality.kept_share),
         last_change=_finite(quality.last_change),
         image_agreement=_finite(quality.image_agreement),
+        expected_iou_loss=_finite(quality.expected_iou_loss),
     )
 
 

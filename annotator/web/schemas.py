@@ -146,6 +146,7 @@ class QualityJson(Schema):
     kept_share: float | None
     last_change: float | None
     image_agreement: float | None
+    expected_iou_loss: float | None
 
 
 class LabelJson(Schema):

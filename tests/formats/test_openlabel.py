@@ -26,7 +26,7 @@ TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
 
 def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
-    label = make_label(TURNED, score=0.75, track_id=7)
+    label = make_label(TURNED, score=0.75, track_id=7, expected_iou_loss=0.25)
     assert write_openlabel(tmp_path / "out", [make_item([label])], "annotator 1") == {"hand": 1}
     content = json.loads((tmp_path / "out" / "rec.json").read_text())["openlabel"]
     assert content["metadata"] == {"schema_version": "1.0.0", "name": "rec", "annotator": "annotator 1"}
@@ -48,7 +48,11 @@ def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
     half = np.sqrt(0.5)
     np.testing.assert_allclose(cuboid["val"], [0, 0.5, 1, 0, half, 0, half, 4, 2, 1.5], atol=1e-12)
     assert cuboid["coordinate_system"] == "camera"
-    assert {num["name"]: num["val"] for num in cuboid["attributes"]["num"]} == {"score": 0.75, "track_id": 7}
+    assert {num["name"]: num["val"] for num in cuboid["attributes"]["num"]} == {
+        "score": 0.75,
+        "track_id": 7,
+        "expected_iou_loss": 0.25,
+    }
     texts = {text["name"]: text["val"] for text in cuboid["attributes"]["text"]}
     assert texts == {"state": "accepted", "source": "manual", "author": "ann"}
     (pointer,) = content["objects"][uid]["object_data_pointers"].values()

@@ -202,6 +202,7 @@ def step_traces(draw: st.DrawFn) -> StepTrace:
 
 @st.composite
 def proposals(draw: st.DrawFn) -> Proposal:
-    quality = Quality(*(draw(st.floats(allow_nan=False)) for _ in range(3)))
+    later = (draw(st.none() | st.floats(0, 1)) for _ in range(2))
+    quality = Quality(*(draw(st.floats(allow_nan=False)) for _ in range(3)), *later)
     trace = tuple(draw(st.lists(step_traces(), max_size=2)))
     return Proposal(draw(words), draw(st.floats(0, 1)), draw(oriented_boxes()), draw(boxes_2d()), trace, quality)

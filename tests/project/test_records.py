@@ -58,11 +58,13 @@ def test_non_finite_signals_are_read_back() -> None:
     assert quality.last_change == math.inf
 
 
-def test_an_old_proposal_without_image_agreement_is_read() -> None:
+def test_an_old_proposal_without_later_signals_is_read() -> None:
     old = json.loads(ProposalRecord.of(proposal_at()).model_dump_json())
-    del old["quality"]["image_agreement"]
-    assert ProposalRecord.model_validate(old).quality.image_agreement is None
-    measured = dataclasses.replace(proposal_at().quality, image_agreement=0.25)
+    del old["quality"]["image_agreement"], old["quality"]["expected_iou_loss"], old["image_box"]["edge_sigma_px"]
+    read = ProposalRecord.model_validate(old)
+    assert (read.quality.image_agreement, read.quality.expected_iou_loss) == (None, None)
+    assert read.image_box.edge_sigma_px is None
+    measured = dataclasses.replace(proposal_at().quality, image_agreement=0.25, expected_iou_loss=0.5)
     record = ProposalRecord.of(dataclasses.replace(proposal_at(), quality=measured))
     assert ProposalRecord.model_validate_json(record.model_dump_json()).quality == measured
 

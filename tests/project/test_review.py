@@ -105,6 +105,19 @@ def test_a_stored_label_has_the_signals_of_its_proposal(project: Project, frame:
     assert (quality.kept_share, quality.last_change) == (0.9, math.inf)
 
 
+def test_a_label_has_the_expected_iou_loss_of_its_proposal_until_somebody_edits_it(
+    project: Project, frame: int
+) -> None:
+    proposal = proposal_at()
+    unsure = replace(proposal, quality=replace(proposal.quality, expected_iou_loss=0.25))
+    (uid,) = project.proposals.replace(frame, [unsure], by_machine()).uids
+    assert project.labels.get(uid).label.expected_iou_loss == 0.25
+    project.labels.edit(frame, uid, by_hand(project.frames.get(frame).revision), label="hand", box=box_at(2.0))
+    edited = project.labels.get(uid)
+    assert edited.label.expected_iou_loss is None
+    assert edited.quality is not None and edited.quality.expected_iou_loss == 0.25
+
+
 def test_labels_are_selected_by_state_class_and_recording(
     project: Project, recording: StoredRecording, tmp_path
 ) -> None:

@@ -23,7 +23,7 @@ def propose(project: Project, frame: int, *places: float) -> list[str]:
             OrientedBox.from_parts(np.array([x, 0.0, 3.0]), np.eye(3), np.array([0.8, 0.5, 1.7])),
             Box2D("person", 1.0, 2.0, 30.0, 40.0),
             (),
-            Quality(0.1, 0.9, 0.05, 0.8),
+            Quality(0.1, 0.9, 0.05, 0.8, 0.2),
         )
         for x in places
     ]

@@ -147,7 +147,7 @@ def _seconds(time_ns: int) -> str:
 
 
 def _cuboid(label: Label, uid: str) -> Cuboid:
-    numbers = {"score": label.score, "track_id": label.track_id}
+    numbers = {"score": label.score, "track_id": label.track_id, "expected_iou_loss": label.expected_iou_loss}
     texts = {"state": label.state.value, "source": label.source.value, "author": label.author}
     return Cuboid(
         name=f"{CAMERA}__cuboid__{label.label}",

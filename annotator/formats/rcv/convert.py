@@ -64,6 +64,7 @@ def object_record(label: Label) -> RcvObject:
         author=label.author,
         time_ns=label.time_ns,
         track_id=label.track_id,
+        expected_iou_loss=label.expected_iou_loss,
         center=_vector(box.center_m),
         size=_vector(box.size_m),
         rotation=_matrix(box.rotation),
@@ -98,6 +99,7 @@ def label_from(record: RcvObject) -> Label:
         author=record.author,
         time_ns=record.time_ns,
         track_id=record.track_id,
+        expected_iou_loss=record.expected_iou_loss,
     )
 
 

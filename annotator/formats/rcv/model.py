@@ -57,6 +57,7 @@ class RcvObject(_Record):
     author: str
     time_ns: int
     track_id: BoundedTrack | None
+    expected_iou_loss: float | None = Field(None, ge=0, le=1)
     center: Vector3
     size: tuple[Positive, Positive, Positive]
     rotation: Matrix3

@@ -21,6 +21,7 @@ from annotator.project.migrations import (
     m0006_agreement,
     m0007_moves,
     m0008_tracks,
+    m0009_iou_loss,
 )
 from annotator.types.errors import ProjectError
 
@@ -49,6 +50,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(6, m0006_agreement.STATEMENTS),
     Migration(7, m0007_moves.STATEMENTS),
     Migration(8, m0008_tracks.STATEMENTS),
+    Migration(9, m0009_iou_loss.STATEMENTS),
 )
 
 

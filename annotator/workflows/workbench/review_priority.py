@@ -1,6 +1,6 @@
 """The doubt of a proposal: one number that the review queue is sorted by.
 
-    doubt = 1 - (1 - d1) (1 - d2) (1 - d3) (1 - d4) (1 - d5)
+    doubt = 1 - (1 - d1) (1 - d2) (1 - d3) (1 - d4) (1 - d5) (1 - d6)
 
 Each d comes from one signal and grows linearly from 0 (good) to `MAX_DOUBT`, reached at the signal's bad value:
 
@@ -9,12 +9,14 @@ Each d comes from one signal and grows linearly from 0 (good) to `MAX_DOUBT`, re
     the change of the box in the last step                       `BAD_CHANGE`
     the disagreement with the box on the image                   `BAD_IMAGE`
     1 - score                                                    `BAD_SCORE`
+    the IoU that the fit expects to lose                         `BAD_IOU_LOSS`
 
 So one bad signal is enough to bring a proposal forward, and several add up. Signals without a value are left out.
 
-Rank correlation (Spearman) of the doubt with 1 - IoU to truth over 27 proposals on a generated recording, detectors
-1 and 8 % off: 0.66 (boxes 0.79, silhouettes 0.50). Of the single signals, the last change (0.69) and the image (0.39)
-correlate most; the lost share hardly correlates, so its bad value is high.
+docs/base_detector.md says how well the doubt sorts wrong boxes to the front. Rank correlation (Spearman) of the doubt
+without the last signal with 1 - IoU to truth over 27 proposals on a generated recording, detectors 1 and 8 % off: 0.66
+(boxes 0.79, silhouettes 0.50). Of the single signals, the last change (0.69) and the image (0.39) correlate most; the
+lost share hardly correlates, so its bad value is high.
 """
 
 from __future__ import annotations
@@ -24,12 +26,13 @@ import math
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7
-# The bad values. In this order, they are: share of the box's size, share of points, 1 - IoU, 1 - IoU, 1 - score.
+# The bad values. In order, they are: share of the box's size, share of points, 1 - IoU (twice), 1 - score, 1 - IoU.
 BAD_DISAGREEMENT = 0.25
 BAD_LOST_SHARE = 0.9
 BAD_CHANGE = 0.3
 BAD_IMAGE = 0.6
 BAD_SCORE = 1.0
+BAD_IOU_LOSS = 0.5
 
 
 def doubt(quality: Quality | None, score: float | None) -> float | None:
@@ -42,6 +45,7 @@ def doubt(quality: Quality | None, score: float | None) -> float | None:
         (quality.last_change, BAD_CHANGE),
         (1.0 - (1.0 if quality.image_agreement is None else quality.image_agreement), BAD_IMAGE),
         (1.0 - (1.0 if score is None else score), BAD_SCORE),
+        (0.0 if quality.expected_iou_loss is None else quality.expected_iou_loss, BAD_IOU_LOSS),
     )
     trust = 1.0
     for value, bad in signals:

@@ -32,6 +32,7 @@ INFO = RcvInfo(
 def auto_label(box: OrientedBox | None = None, **changes: Any) -> Label:
     """A label with all optional fields."""
     known = {"score": 0.75, "source": Source.AUTO, "time_ns": 1_700_000_000_123_456_789, "track_id": 4}
+    known["expected_iou_loss"] = 0.125
     return make_label(box, **{**known, **changes})
 
 
@@ -49,6 +50,7 @@ def make_frame(key: str = "000001", *, rgb: bool = True, reflectance: bool = Fal
 def facts(label: Label) -> tuple[object, ...]:
     return (
         label.uid, label.label, label.score, label.source, label.state, label.author, label.time_ns, label.track_id,
+        label.expected_iou_loss,
     )  # fmt: skip
 
 
@@ -282,6 +284,7 @@ def edit(path: Path, **changes: Any) -> None:
         ("labels/rec-000001.json", {"center": [9, 9, 9]}, "corners disagree"),
         ("labels/rec-000001.json", {"size": [1, 1, 0]}, "objects.0.size.2"),
         ("labels/rec-000001.json", {"score": 2}, "objects.0.score"),
+        ("labels/rec-000001.json", {"expected_iou_loss": -1}, "objects.0.expected_iou_loss"),
         ("labels/rec-000001.json", {"colour": "red"}, "objects.0.colour"),
         ("labels/rec-000001.json", {"objects": [], "id": "x"}, "has the id 'x'"),
         ("labels/rec-000001.json", {"objects": [], "image": "../../secret.png"}, "is outside this dataset"),

@@ -47,6 +47,8 @@ def propose(project: Project, frame: StoredFrame, *proposals: Proposal) -> None:
         (Quality(0.5, 1.0, 0.0), 1.0, 0.69, 0.71),
         (Quality(0.0, 0.2, 0.9, 0.1), 0.0, 0.97, 1.0),
         (Quality(float("nan"), 1.0, float("nan"), None), 0.5, 0.3, 0.4),
+        (Quality(0.0, 1.0, 0.0, 1.0, 0.25), 1.0, 0.34, 0.36),
+        (Quality(0.0, 1.0, 0.0, 1.0, 0.9), 1.0, 0.69, 0.71),
     ],
 )
 def test_doubt_is_computed_from_quality_and_score(
@@ -63,7 +65,7 @@ def test_each_signal_raises_the_doubt() -> None:
     fine = Quality(0.05, 0.9, 0.05, 0.9)
     base = doubt(fine, 0.9) or 0.0
     worse = [Quality(0.1, 0.9, 0.05, 0.9), Quality(0.05, 0.7, 0.05, 0.9), Quality(0.05, 0.9, 0.2, 0.9)]
-    worse += [Quality(0.05, 0.9, 0.05, 0.6)]
+    worse += [Quality(0.05, 0.9, 0.05, 0.6), Quality(0.05, 0.9, 0.05, 0.9, 0.1)]
     assert all((doubt(quality, 0.9) or 0.0) > base for quality in worse)
     assert (doubt(fine, 0.5) or 0.0) > base
 

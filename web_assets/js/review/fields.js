@@ -277,6 +277,10 @@ function describe(label) {
       "difference between the views' measurements, as a share of the box's size",
     ]);
     rows.push(["Kept", percent(label.quality.kept_share), "share of the last view's points that are in the box"]);
+    if (label.quality.expected_iou_loss !== null) {
+      const loss = percent(label.quality.expected_iou_loss);
+      rows.push(["Unsure", loss, "expected 1 - IoU with the true box, from how well the views' measurements fit"]);
+    }
     rows.push(["Last step", percent(label.quality.last_change), "how much the last step changed the box"]);
   }
   return rows.map(([name, value, help]) =>
