@@ -89,16 +89,26 @@ def given_boxes(
             box = own_image_box(truth, number, mask)
             if box is None and mask is None:
                 raise ConfigError(f"{recording.path}: its labels have no 2D boxes; use --image-box projected")
-        shift = rng.normal(0, JITTER_PX, 4)
-        if contains(truth.box, frame.cloud.xyz_m).sum() < args.min_points or box is None:
-            continue
-        right, bottom = frame.camera.width_px - 0.5, frame.camera.height_px - 0.5
-        x_min, y_min, x_max, y_max = np.clip(
-            np.array(box.xyxy) + shift, [-0.5, -0.5, -0.5, -0.5], [right, bottom, right, bottom]
-        ).tolist()
-        if min(x_max - x_min, y_max - y_min) >= MIN_SIDE_PX:
-            objects.append(Given(truth, Box2D(truth.label, x_min, y_min, x_max, y_max)))
+        given = with_error(frame, truth, box, args.min_points, rng)
+        if given is not None:
+            objects.append(given)
     return objects
+
+
+def with_error(
+    frame: Frame, truth: Truth, box: Box2D | None, min_points: int, rng: np.random.Generator
+) -> Given | None:
+    """The object with an inaccurate 2D box; None if it has too few points, or is not on the image."""
+    shift = rng.normal(0, JITTER_PX, 4)
+    if contains(truth.box, frame.cloud.xyz_m).sum() < min_points or box is None:
+        return None
+    right, bottom = frame.camera.width_px - 0.5, frame.camera.height_px - 0.5
+    x_min, y_min, x_max, y_max = np.clip(
+        np.array(box.xyxy) + shift, [-0.5, -0.5, -0.5, -0.5], [right, bottom, right, bottom]
+    ).tolist()
+    if min(x_max - x_min, y_max - y_min) < MIN_SIDE_PX:
+        return None
+    return Given(truth, Box2D(truth.label, x_min, y_min, x_max, y_max))
 
 
 def settings(frame: Frame, args: Arguments, size_px: int) -> RcvConfig:
