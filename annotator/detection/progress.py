@@ -81,6 +81,7 @@ class Watch:
     def on_batch(self, trainer: Any) -> None:
         if self._first_epoch < 0:
             self._first_epoch = trainer.start_epoch
+        self.epochs = trainer.epochs  # a run of fixed duration estimates it anew after each epoch
         batches = len(trainer.train_loader)
         self._batch = self._batch % batches + 1
         self._send(trainer, trainer.epoch, self._batch, batches)
