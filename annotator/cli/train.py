@@ -18,7 +18,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.workflows.training.held_out import Decision
+from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import (
     IMAGE_DEFAULTS,
@@ -130,13 +130,11 @@ def _flag(setting: str, of_image: bool) -> str:
     return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name}"
 
 
-def decision_lines(decision: Decision) -> list[str]:
+def _decision_lines(decision: Decision) -> list[str]:
     """What held-out frames decided, as lines for people."""
     lines = [f"  {decision.started_from}", f"  {decision.outcome}"]
     if decision.mean_iou is not None:
-        figures = [f"this detector {decision.mean_iou:.2f}"]
-        figures += [f"{rival.name} {rival.mean_iou:.2f}" for rival in decision.compared]
-        lines.append(f"  mean 3D IoU on {decision.objects} held-out objects: {', '.join(figures)}")
+        lines.append(f"  mean IoU on {decision.objects} held-out objects: {measured_ious(decision)}")
     return lines
 
 
@@ -151,7 +149,7 @@ def _summary(result: Trained) -> str:
         [
             f"{result.role} detector: trained on {result.manifest.images['train']} images in "
             f"{result.seconds:.0f} s; {figures} {measured}",
-            *([f"  {result.result.note}"] if result.decision is None else decision_lines(result.decision)),
+            *([f"  {result.result.note}"] if result.decision is None else _decision_lines(result.decision)),
             f"  {result.model.path}",
             *(f"  left out: {line}" for line in result.left_out),
         ]

@@ -76,6 +76,12 @@ class Decision(BaseModel):
         write_atomic(folder / DECISION_NAME, self.model_dump_json(indent=1).encode())
 
 
+def measured_ious(decision: Decision) -> str:
+    """The mean IoU of the new detector and of the others, for people."""
+    figures = [] if decision.mean_iou is None else [f"this detector {decision.mean_iou:.2f}"]
+    return ", ".join(figures + [f"{rival.name} {rival.mean_iou:.2f}" for rival in decision.compared])
+
+
 def read_decision(folder: Path) -> Decision | None:
     """Returns the decision beside a model; None for one that was not trained by `annotator train`, or before 0.3.
 

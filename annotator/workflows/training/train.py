@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 
@@ -179,7 +179,10 @@ class _ViewTraining:
         ends: list[float | None] = [None]
         if plan.view.epochs is None and (choice.best is not None or plan.minutes is not None):
             ends = [begin + end for end in accumulate(part_seconds(plan.minutes or FIRST_PART_S / 60))]
-        parts = [self._part(choice, number, end) for number, end in enumerate(ends)]
+        parts = []
+        for number, end in enumerate(ends):
+            report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
+            parts.append(self._part(choice, number, end, report))
         active = project.models.active(DetectorKind.VIEW)
         used = [part for part in parts if active is not None and part[0].model.id == active.id]
         ran, decision = (used or parts)[-1]
@@ -187,7 +190,7 @@ class _ViewTraining:
         lines = tuple(self.left_out.lines)
         return Trained(DetectorKind.VIEW, model, ran.result, ran.manifest, seconds, lines, decision)
 
-    def _part(self, choice: Choice, number: int, end_s: float | None) -> tuple[Ran, Decision]:
+    def _part(self, choice: Choice, number: int, end_s: float | None, report: Report | None) -> tuple[Ran, Decision]:
         """One part, with views of its own.
 
         Args:
@@ -208,7 +211,7 @@ class _ViewTraining:
             config = plan.view.model_copy(update={"seconds": seconds})
         else:
             config = starting_config(plan.view, best, seconds, drawing.seed)
-        ran = run.train(written, config, self.report, self.stop)
+        ran = run.train(written, config, report, self.stop)
         return ran, choice.add(ran.model, ran.result.note if best is None else f"starts from the {best.described}")
 
     def _samples(self, drawing: SampleConfig) -> Iterator[TrainingSample]:
@@ -218,3 +221,7 @@ class _ViewTraining:
         start = load_detector(best.path)
         own = agnostic_samples(self.project, self.material, self.rcv, drawing, start, self.left_out.skip)
         return with_generated(own, self.plan.generated_share, self.plan.view.image_size_px, drawing.seed)
+
+
+def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:
+    report(replace(step, part=part, parts=parts))
