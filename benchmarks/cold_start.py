@@ -1,6 +1,12 @@
-"""3D boxes before anything was taught: 2D boxes on the image, the base detector, and nothing else.
+"""3D boxes of objects whose class was never seen, or of which a few were taught, from 2D boxes on the image.
 
-    python -m benchmarks.cold_start DIR [--upright | --free] [--image-box projected|label] [--seed N] [--json]
+    python -m benchmarks.cold_start DIR [--taught 0 1 5 20] [--upright | --free] [--image-box projected|label]
+        [--minutes 3] [--seed N] [--json]
+
+With `--taught 0` alone, the base detector is tried on all frames. Otherwise the first half of the recording teaches and
+the second half is tried, the same for every number. For each number of taught objects of each class, a project with
+their 3D boxes trains its view detector as `annotator train` does, except that all frames train and the result is used
+whatever held-out frames say. A class without that many objects has no row.
 
 `projected` takes the true 3D boxes' outlines, clipped to the image; `label` takes the labels' own 2D boxes, or the
 extents of the masks. Both get an error of 2 px on every edge. The rows "<class> (clusters)" guess from geometry alone:
@@ -9,10 +15,14 @@ the cluster of points in the middle of the image box, and the tightest box aroun
 
 from __future__ import annotations
 
+import hashlib
+import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Literal
 
 import numpy as np
@@ -20,30 +30,34 @@ import tyro
 
 from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
+from annotator.detection.trained import read_trained
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
+from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
 from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
-from annotator.rcv.propose import propose_from_boxes
 from annotator.recordings import Recording, open_recording
-from annotator.types import Box2D, Detector, Frame, OrientedBox, Truth
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Truth
 from annotator.types.errors import ConfigError
-from annotator.workflows.detectors import load_detector
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
+from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
+from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
 from benchmarks.clusters import cluster_box
 from benchmarks.report import Table, finish, guarded
 
-JITTER_PX = 2.0
-MIN_SIDE_PX = 2.0
 LEVELS = {"recall_25": 0.25, "recall_50": 0.5, "recall_70": 0.7}
 
 
 @dataclass
 class Arguments:
-    """Measure 3D boxes from 2D boxes on the image, with a detector that never saw the recording's classes."""
+    """Measure 3D boxes from 2D boxes on the image, of classes of which nothing or little was taught."""
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="dir")]
     """A recording with true 3D boxes."""
+    taught: tuple[int, ...] = (0,)
+    """Numbers of taught objects of each class."""
     image_box: Literal["projected", "label"] = "projected"
     """Where the 2D boxes come from."""
     upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -51,37 +65,55 @@ class Arguments:
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Freely rotated boxes (default for other recordings)."""
     base: Path | None = None
-    """Weights of a base detector; None = the one of the package."""
+    """Weights of a base detector for --taught 0; None = the one of the package."""
+    minutes: float = 3.0
+    """Length of each training, minutes."""
+    generated: float = GENERATED_SHARE
+    """Share of generated views in each training."""
     min_points: int = 20
     """Objects with fewer points are skipped."""
     every: int = 1
     """Use every n-th frame."""
     seed: int = 0
-    """Seed of the 2D boxes' errors."""
+    """Seed of the 2D boxes' errors, of the choice of taught objects and of the trainings."""
     backend: Backend = "auto"
     """Backend of the detector."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
+    @property
+    def rotation(self) -> BoxRotation:
+        """The rotation of the boxes."""
+        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else BoxRotation.AUTO
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Given:
-    """An object, and the 2D box from which it is lifted."""
+    """An object, the 2D box from which it is lifted, and its number in the frame."""
 
     truth: Truth
     image_box: Box2D
+    number: int
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A frame of the recording by its index, with its objects that have enough points."""
+
+    index: int
+    frame: Frame
+    objects: tuple[Given, ...]
 
 
 def given_boxes(
     recording: Recording, frame: Frame, truths: Sequence[Truth], args: Arguments, rng: np.random.Generator
-) -> list[Given]:
-    """The objects with enough points, with their 2D boxes.
+) -> Iterator[Given]:
+    """Yields the objects with enough points, with their 2D boxes.
 
     Raises:
         ConfigError: a label has no 2D box.
     """
     mask = load_mask(recording, frame) if args.image_box == "label" and has_masks(recording) else None
-    objects = []
     for number, truth in enumerate(truths):
         if args.image_box == "projected":
             box = box_on_image(frame.camera, truth.box, truth.label)
@@ -89,32 +121,50 @@ def given_boxes(
             box = own_image_box(truth, number, mask)
             if box is None and mask is None:
                 raise ConfigError(f"{recording.path}: its labels have no 2D boxes; use --image-box projected")
-        given = with_error(frame, truth, box, args.min_points, rng)
-        if given is not None:
-            objects.append(given)
-    return objects
+        item = given(frame, truth, box, number, args.min_points, rng)
+        if item is not None:
+            yield item
 
 
-def with_error(
-    frame: Frame, truth: Truth, box: Box2D | None, min_points: int, rng: np.random.Generator
+def given(
+    frame: Frame, truth: Truth, box: Box2D | None, number: int, min_points: int, rng: np.random.Generator
 ) -> Given | None:
-    """The object with an inaccurate 2D box; None if it has too few points, or is not on the image."""
-    shift = rng.normal(0, JITTER_PX, 4)
-    if contains(truth.box, frame.cloud.xyz_m).sum() < min_points or box is None:
+    """An object with an inaccurate 2D box; None if it has too few points, or is not on the image."""
+    errors_px = rng.normal(0, JITTER_PX, 4)
+    drawn = None if box is None else inaccurate(frame.camera, replace(box, label=truth.label), errors_px)
+    if drawn is None or contains(truth.box, frame.cloud.xyz_m).sum() < min_points:
         return None
-    right, bottom = frame.camera.width_px - 0.5, frame.camera.height_px - 0.5
-    x_min, y_min, x_max, y_max = np.clip(
-        np.array(box.xyxy) + shift, [-0.5, -0.5, -0.5, -0.5], [right, bottom, right, bottom]
-    ).tolist()
-    if min(x_max - x_min, y_max - y_min) < MIN_SIDE_PX:
-        return None
-    return Given(truth, Box2D(truth.label, x_min, y_min, x_max, y_max))
+    return Given(truth, drawn, number)
 
 
-def settings(frame: Frame, args: Arguments, size_px: int) -> RcvConfig:
-    upright = args.upright or (frame.up is not None and not args.free)
-    orientation = Orientation.UPRIGHT if upright else Orientation.FREE
-    return RcvConfig(orientation=orientation, class_agnostic=True, view=ViewConfig(size_px=size_px))
+@dataclass(frozen=True)
+class BaseDetector:
+    """A class-agnostic view detector, and the settings that go with it; `upright`, `free` as in `Arguments`."""
+
+    detector: Detector
+    size_px: int
+    upright: bool
+    free: bool
+
+    @classmethod
+    def load(cls, weights: Path | None, backend: Backend, upright: bool, free: bool) -> BaseDetector:
+        """Loads weights; None = those of the package.
+
+        Raises:
+            ConfigError: both orientations.
+            DetectionError, FormatError: there are no weights, or they cannot be loaded.
+        """
+        if upright and free:
+            raise ConfigError("--upright and --free contradict each other; give at most one")
+        path = weights or base_weights()
+        return cls(load_detector(path, backend), read_trained(path.parent).image_size_px, upright, free)
+
+    def settings(self, frame: Frame) -> RcvConfig:
+        """The recursion's settings for a frame."""
+        upright = self.upright or (frame.up is not None and not self.free)
+        orientation = Orientation.UPRIGHT if upright else Orientation.FREE
+        config = RcvConfig(orientation=orientation, view=ViewConfig(size_px=self.size_px))
+        return config.for_detector(BoxKind.BOX, class_agnostic=True)
 
 
 def with_up(frame: Frame, truths: Sequence[Truth], upright: bool) -> Frame:
@@ -125,11 +175,114 @@ def with_up(frame: Frame, truths: Sequence[Truth], upright: bool) -> Frame:
     return replace(frame, up=up if up[1] < 0 else -up)
 
 
-def lift(frame: Frame, objects: Sequence[Given], detector: Detector, config: RcvConfig) -> list[OrientedBox | None]:
-    """The proposal of each 2D box, or None."""
-    result = propose_from_boxes([frame], [[item.image_box for item in objects]], detector, config)[0]
-    found = {id(proposal.image_box): proposal.box for proposal in result.proposals}
-    return [found.get(id(item.image_box)) for item in objects]
+def shots(recording: Recording, indices: Sequence[int], args: Arguments) -> Iterator[Shot]:
+    """Yields the frames with objects, one in memory at a time."""
+    for index in indices:
+        frame = recording.frame(index)
+        truths = load_truth(recording, index, frame)
+        frame = with_up(frame, truths, args.upright)
+        objects = given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index]))
+        shot = Shot(index, frame, tuple(objects))
+        if shot.objects:
+            yield shot
+
+
+def tried(
+    recording: Recording, indices: Sequence[int], detector: Detector, config: RcvConfig, args: Arguments
+) -> dict[str, list[float]]:
+    """The IoU of each object, by class.
+
+    Args:
+        config: with the settings of the detector.
+    """
+    ious: dict[str, list[float]] = defaultdict(list)
+    for shot in shots(recording, indices, args):
+        boxes = lifted(shot.frame, [item.image_box for item in shot.objects], detector, config, args.rotation)
+        for item, box in zip(shot.objects, boxes, strict=True):
+            ious[item.truth.label].append(0.0 if box is None else iou_3d(box, item.truth.box))
+    return ious
+
+
+def guessed(recording: Recording, indices: Sequence[int], args: Arguments) -> dict[str, list[float]]:
+    """The IoU of each object's guess from geometry alone, by class."""
+    ious: dict[str, list[float]] = defaultdict(list)
+    for shot in shots(recording, indices, args):
+        upright = args.upright or (shot.frame.up is not None and not args.free)
+        for item in shot.objects:
+            guess = cluster_box(shot.frame, item.image_box, shot.frame.up if upright else None)
+            label = f"{item.truth.label} (clusters)"
+            ious[label].append(0.0 if guess is None else iou_3d(guess, item.truth.box))
+    return ious
+
+
+def taught_objects(recording: Recording, indices: Sequence[int], args: Arguments) -> dict[str, list[tuple[int, int]]]:
+    """All objects that can be taught, as (frame, number), by class; a smaller number is the begin of a larger one."""
+    found: dict[str, list[tuple[int, int]]] = defaultdict(list)
+    for shot in shots(recording, indices, args):
+        for item in shot.objects:
+            found[item.truth.label].append((shot.index, item.number))
+
+    def rank(place: tuple[int, int]) -> bytes:
+        return hashlib.sha256(f"{args.seed} {place}".encode()).digest()
+
+    return {label: sorted(places, key=rank) for label, places in found.items()}
+
+
+@contextmanager
+def taught_project(
+    recording: Recording, chosen: Mapping[str, Sequence[tuple[int, int]]], args: Arguments
+) -> Iterator[Project]:
+    """A project with the true boxes of the chosen objects as reviewed labels."""
+    settings = ProjectSettings(rotation=args.rotation)
+    places = {place for each in chosen.values() for place in each}
+    up = None
+    with TemporaryDirectory() as folder, create_project(Path(folder), "taught", sorted(chosen), settings=settings) as p:
+        labels: dict[int, list[Truth]] = defaultdict(list)
+        for index in sorted({index for index, _ in places}):
+            frame = recording.frame(index)
+            truths = load_truth(recording, index, frame)
+            labels[index] = [truth for number, truth in enumerate(truths) if (index, number) in places]
+            if up is None and frame.up is None and args.upright:
+                up = tuple(with_up(frame, truths, True).up.tolist())  # type: ignore[union-attr]
+        stored = register_recording(p, recording, up=up)
+        frames = {frame.index: frame for frame in p.frames.of([stored.id])}
+        for index, truths in labels.items():
+            new = [NewLabel(truth.label, truth.box) for truth in truths]
+            p.labels.create(frames[index].id, new, WriteContext(frames[index].revision, "benchmark"))
+        yield p
+
+
+def after(
+    recording: Recording, chosen: Mapping[str, Sequence[tuple[int, int]]], indices: Sequence[int], args: Arguments
+) -> tuple[dict[str, list[float]], float]:
+    """The IoU of each object of the taught classes by class, and the seconds of training."""
+    with taught_project(recording, chosen, args) as project:
+        plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
+        plan = replace(plan, samples=plan.samples.model_copy(update={"seed": args.seed}))
+        begin = time.perf_counter()
+        train(project, plan, roles=(DetectorKind.VIEW,))
+        seconds = time.perf_counter() - begin
+        model = view_model(project)
+        size_px = read_trained(model.path.parent).image_size_px
+        config = RcvConfig(view=ViewConfig(size_px=size_px)).for_detector(model.box_kind, model.class_agnostic)
+        ious = tried(recording, indices, load_detector(model.path, args.backend), config, args)
+        return {label: ious[label] for label in chosen}, seconds
+
+
+def rows(ious: Mapping[str, Sequence[float]], taught: int, seconds: float) -> list[dict[str, object]]:
+    """The results as JSON objects."""
+    return [
+        {
+            "label": label,
+            "taught": taught,
+            "objects": len(values),
+            "mean_iou": float(np.mean(values)),
+            **{name: float(np.mean(np.array(values) >= level)) for name, level in LEVELS.items()},
+            "seconds_training": seconds,
+        }
+        for label, values in sorted(ious.items())
+        if values
+    ]
 
 
 def run(args: Arguments) -> dict[str, object]:
@@ -142,35 +295,24 @@ def run(args: Arguments) -> dict[str, object]:
     """
     if args.upright and args.free:
         raise ConfigError("--upright and --free contradict each other; give at most one")
+    if not args.taught or min(args.taught) < 0:
+        raise ConfigError(f"--taught takes numbers of objects from 0 on, not {args.taught}")
     recording: Recording = open_recording(args.folder)
-    detector = load_detector(args.base or base_weights(), args.backend)
-    ious: dict[str, list[float]] = defaultdict(list)
-    for index in range(0, len(recording), args.every):
-        frame = recording.frame(index)
-        truths = load_truth(recording, index, frame)
-        frame = with_up(frame, truths, args.upright)
-        objects = given_boxes(recording, frame, truths, args, np.random.default_rng([args.seed, index]))
-        if not objects:
-            continue
-        config = settings(frame, args, 64)
-        for item, box in zip(objects, lift(frame, objects, detector, config), strict=True):
-            ious[item.truth.label].append(0.0 if box is None else iou_3d(box, item.truth.box))
-        up = frame.up if config.orientation is Orientation.UPRIGHT else None
-        for item in objects:
-            guess = cluster_box(frame, item.image_box, up)
-            ious[f"{item.truth.label} (clusters)"].append(0.0 if guess is None else iou_3d(guess, item.truth.box))
-    rows = [
-        {
-            "label": label,
-            "taught": 0,
-            "objects": len(values),
-            "mean_iou": float(np.mean(values)),
-            **{name: float(np.mean(np.array(values) >= level)) for name, level in LEVELS.items()},
-            "seconds_training": 0.0,
-        }
-        for label, values in sorted(ious.items())
-    ]
-    return {"results": rows}
+    indices = list(range(0, len(recording), args.every))
+    half = 0 if max(args.taught) == 0 else len(indices) // 2
+    results: list[dict[str, object]] = []
+    if 0 in args.taught:
+        base = BaseDetector.load(args.base, args.backend, args.upright, args.free)
+        config = RcvConfig(view=ViewConfig(size_px=base.size_px)).for_detector(BoxKind.BOX, True)
+        results += rows(tried(recording, indices[half:], base.detector, config, args), 0, 0.0)
+        results += rows(guessed(recording, indices[half:], args), 0, 0.0)
+    known = taught_objects(recording, indices[:half], args)
+    for number in sorted(set(args.taught) - {0}):
+        chosen = {label: places[:number] for label, places in known.items() if len(places) >= number}
+        if chosen:
+            ious, seconds = after(recording, chosen, indices[half:], args)
+            results += rows(ious, number, seconds)
+    return {"results": sorted(results, key=lambda row: str(row["label"]))}
 
 
 def main() -> None:

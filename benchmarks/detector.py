@@ -173,7 +173,7 @@ def run(args: Arguments) -> dict[str, Any]:
             TrainingSample(view.view.rgb, view.boxes, key, "projected", look_px=view.view.look_px)
             for key, view in training_views
         )
-        write_dataset(folder / "set", tiled(samples, args.size), classes, seed=args.seed, kind=BoxKind.BOX)
+        write_dataset(folder / "set", tiled(samples, args.size), classes, kind=BoxKind.BOX)
         trained = train_detector(folder / "set", folder / "run", config, report)
         scores = measured(trained.weights, test_views, args)
     return {

@@ -75,6 +75,8 @@ class Arguments:
     """Steps of the recursion after the wide one; None = the default. `annotator live` uses 0."""
     backend: Backend = "auto"
     """Backend of the detectors."""
+    minutes: float | None = None
+    """Length of the view detector's training, minutes; None = the default."""
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
     project: Path | None = None
@@ -262,6 +264,8 @@ def plan(args: Arguments) -> TrainPlan:
         image=IMAGE_DEFAULTS.model_copy(update=changes),
         view=VIEW_DEFAULTS.model_copy(update=view_changes),
         samples=samples,
+        minutes=args.minutes,
+        decides=False,  # all labelled frames train, and the result is what is measured
     )
 
 

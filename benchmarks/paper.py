@@ -97,7 +97,7 @@ class Arguments:
         except ValidationError as error:
             problem = error.errors()[0]
             raise ConfigError(f"{problem['loc'][0]}: {problem['msg']}, not {problem['input']}") from error
-        return TrainPlan(image=image, view=view, seed=self.seed)
+        return TrainPlan(image=image, view=view)
 
 
 def run(args: Arguments) -> dict[str, object]:

@@ -96,7 +96,7 @@ class ProjectStages:
         self.stages.run("boxes", {"fraction": self.fraction, "seed": self.seed}, self.boxes)
         for role in (DetectorKind.IMAGE, DetectorKind.VIEW):
             config = self.plan.image if role is DetectorKind.IMAGE else self.plan.view
-            settings: Facts = {"config": config.model_dump(mode="json"), "split_seed": self.plan.seed}
+            settings: Facts = {"config": config.model_dump(mode="json")}
             self.stages.run(f"train-{role.value}", settings, partial(self.train, role), self.is_trained)
         # a run with other settings may have activated its models
         for role in (DetectorKind.IMAGE, DetectorKind.VIEW):

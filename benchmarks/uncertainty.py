@@ -19,7 +19,6 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
@@ -29,7 +28,6 @@ from annotator.recordings import open_recording
 from annotator.synthetic.snapshots import snapshot
 from annotator.types import Detector, Frame, Proposal, Truth
 from annotator.types.errors import ConfigError
-from annotator.workflows.detectors import load_detector
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.review_priority import doubt
 from benchmarks import cold_start
@@ -38,7 +36,6 @@ from benchmarks.report import Table, finish, guarded
 WRONG = 0.5
 # Seeds of generated frames; far from those that a base detector is trained on.
 FIRST_SEED = 900_000
-VIEW_PX = 64
 
 
 @dataclass
@@ -71,7 +68,7 @@ class Scored:
     iou: float
 
 
-def frames(args: Arguments) -> Iterator[tuple[Frame, list[cold_start.Given], RcvConfig]]:
+def frames(args: Arguments, base: cold_start.BaseDetector) -> Iterator[tuple[Frame, list[cold_start.Given], RcvConfig]]:
     """The frames, their given 2D boxes, and the settings.
 
     Raises:
@@ -80,33 +77,32 @@ def frames(args: Arguments) -> Iterator[tuple[Frame, list[cold_start.Given], Rcv
     """
     if (args.folder is None) == (args.generated is None):
         raise ConfigError("give either the folder of a recording or --generated N")
-    if args.upright and args.free:
-        raise ConfigError("--upright and --free contradict each other; give at most one")
     given = cold_start.Arguments(args.folder or Path(), upright=args.upright, free=args.free or args.folder is None)
     if args.folder is None:
         for seed in range(FIRST_SEED, FIRST_SEED + (args.generated or 0)):
             shot = snapshot(seed)
             rng = np.random.default_rng([args.seed, seed])
             drawn = [
-                cold_start.with_error(
+                cold_start.given(
                     shot.frame,
                     Truth("object", item.box),
                     box_on_image(shot.frame.camera, item.box, "object"),
+                    number,
                     given.min_points,
                     rng,
                 )
-                for item in shot.objects
+                for number, item in enumerate(shot.objects)
             ]
             objects = [item for item in drawn if item is not None]
-            yield shot.frame, objects, cold_start.settings(shot.frame, given, VIEW_PX)
+            yield shot.frame, objects, base.settings(shot.frame)
         return
     recording = open_recording(args.folder)
     for index in range(len(recording)):
         frame = recording.frame(index)
         truths = load_truth(recording, index, frame)
         frame = cold_start.with_up(frame, truths, args.upright)
-        objects = cold_start.given_boxes(recording, frame, truths, given, np.random.default_rng([args.seed, index]))
-        yield frame, objects, cold_start.settings(frame, given, VIEW_PX)
+        random = np.random.default_rng([args.seed, index])
+        yield frame, list(cold_start.given_boxes(recording, frame, truths, given, random)), base.settings(frame)
 
 
 def proposed(
@@ -144,12 +140,12 @@ def run(args: Arguments) -> dict[str, object]:
     Raises:
         AnnotatorError: as `frames`; or there is no base detector.
     """
-    detector = load_detector(args.base or base_weights(), args.backend)
+    base = cold_start.BaseDetector.load(args.base, args.backend, args.upright, args.free or args.folder is None)
     found: dict[tuple[bool, str], list[Scored | None]] = defaultdict(list)
-    for frame, objects, config in frames(args):
+    for frame, objects, config in frames(args, base):
         for uses in (False, True) if objects else ():
             fit = config.fit.model_copy(update={"use_edge_errors": uses})
-            scored = proposed(frame, objects, detector, config.model_copy(update={"fit": fit}))
+            scored = proposed(frame, objects, base.detector, config.model_copy(update={"fit": fit}))
             for given, item in zip(objects, scored, strict=True):
                 found[uses, given.truth.label].append(item)
     labels = sorted({label for _, label in found})

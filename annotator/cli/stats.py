@@ -9,16 +9,29 @@ from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
 from annotator.project import Statistics
+from annotator.types import DetectorKind
+from annotator.workflows.detectors import used_model
+from annotator.workflows.training.held_out import measured_ious
+from annotator.workflows.training.model_report import decision_of
 
 
 def run(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
     """Show a project's progress: frames, labels, 2D boxes, effort per box, runs, models."""
     with open_named(project, projects) as opened:
-        statistics = opened.statistics()
+        statistics, view = opened.statistics(), used_model(opened, DetectorKind.VIEW)
+        newest = opened.models.all(DetectorKind.VIEW)[-1:]
+        decisions = [decision for decision in map(decision_of, newest) if decision is not None]
     if as_json:
         print_json(statistics)
-    else:
-        print_facts(_rows(statistics))
+        return
+    rows = list(_rows(statistics))
+    if view is not None:
+        rows.append(("view detector in use", view.described))
+    for decision in decisions:
+        rows.append(("  newest one", decision.outcome))
+        if decision.mean_iou is not None:
+            rows.append((f"  mean IoU on {decision.objects} held-out objects", measured_ious(decision)))
+    print_facts(rows)
 
 
 def _rows(counts: Statistics) -> Iterator[tuple[str, object]]:

@@ -18,8 +18,16 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
+from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
-from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
+from annotator.workflows.training.train import (
+    IMAGE_DEFAULTS,
+    MOST_MINUTES,
+    VIEW_DEFAULTS,
+    Trained,
+    TrainPlan,
+    train,
+)
 
 
 def run(
@@ -27,6 +35,7 @@ def run(
     /,
     *,
     only: DetectorKind | None = None,
+    minutes: float | None = None,
     epochs: int | None = None,
     image_epochs: int | None = None,
     size: Annotated[int | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.image_size_px})")] = None,
@@ -39,10 +48,14 @@ def run(
 ) -> None:
     """Train the two detectors, one for camera images and one for pseudo-views, from the project's boxes.
 
-    An interrupted training resumes if labels and settings are unchanged.
+    The pseudo-view detector starts from the best one so far: the project's own or the base detector. A fifth of the
+    frames never trains: the 3D boxes found on them decide which detector the project uses afterwards.
 
     Args:
         only: train only this detector; default: both.
+        minutes: how long to train the pseudo-view detector; what is better after three minutes, and from time to time
+            after that, is used at once. Default: three minutes, or by the number of images if there is no detector to
+            start from.
         epochs: epochs of the pseudo-view detector; default: depends on the number of training images.
         image_epochs: epochs of the image detector; default: depends on the number of training images.
         size: side of the pseudo-views in training, pixels.
@@ -59,7 +72,7 @@ def run(
         image=_with(IMAGE_DEFAULTS, epochs=image_epochs, image_size_px=image_size, **shared),
         view=_with(VIEW_DEFAULTS, epochs=epochs, image_size_px=size, **shared),
         samples=samples,
-        seed=seed,
+        minutes=_checked_minutes(minutes),
     )
     roles = (DetectorKind.IMAGE, DetectorKind.VIEW) if only is None else (only,)
     with open_named(project, projects) as opened, progress_bar() as bar:
@@ -72,6 +85,16 @@ def run(
     for result in trained:
         print_line(_summary(result))
     print_line(f"next: annotator annotate {project}")
+
+
+def _checked_minutes(minutes: float | None) -> float | None:
+    """
+    Raises:
+        ConfigError: not above 0.
+    """
+    if minutes is not None and not 0 < minutes <= MOST_MINUTES:
+        raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
+    return minutes
 
 
 def _with(config: TrainingConfig, **changes: object) -> TrainingConfig:
@@ -107,6 +130,14 @@ def _flag(setting: str, of_image: bool) -> str:
     return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name}"
 
 
+def _decision_lines(decision: Decision) -> list[str]:
+    """What held-out frames decided, as lines for people."""
+    lines = [f"  {decision.started_from}", f"  {decision.outcome}"]
+    if decision.mean_iou is not None:
+        lines.append(f"  mean IoU on {decision.objects} held-out objects: {measured_ious(decision)}")
+    return lines
+
+
 def _note(step: TrainingProgress) -> str:
     return "" if step.map50_95 is None else f"mAP50-95 {step.map50_95:.2f}"
 
@@ -118,7 +149,7 @@ def _summary(result: Trained) -> str:
         [
             f"{result.role} detector: trained on {result.manifest.images['train']} images in "
             f"{result.seconds:.0f} s; {figures} {measured}",
-            f"  {result.result.note}",
+            *([f"  {result.result.note}"] if result.decision is None else _decision_lines(result.decision)),
             f"  {result.model.path}",
             *(f"  left out: {line}" for line in result.left_out),
         ]

@@ -13,6 +13,9 @@ from annotator.types import DetectorKind
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
 Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnxruntime"]
 
+# A guess of the training speed with small views on two cores, for the length of a run before its first epoch.
+PICTURES_A_SECOND = 60
+
 
 class Augmentation(BaseModel):
     """Random changes of training images, limited to those that map an axis-aligned box onto an axis-aligned box.
@@ -68,7 +71,8 @@ class TrainingConfig(BaseModel):
     epochs: int | None = Field(
         None, ge=1, description="passes over the training images; None: as many as `pictures_seen` needs"
     )
-    pictures_seen: int = Field(4000, ge=1, description="length of a run without `epochs`, in images")
+    pictures_seen: int = Field(4000, ge=1, description="length of a run without `epochs` and `seconds`, in images")
+    seconds: float | None = Field(None, gt=0, description="length of a run without `epochs`, seconds of training")
     batch: int = Field(16, ge=2, description="images per step")
     patience: int = Field(0, ge=0, description="stop after this many epochs without improvement; 0: never")
     measure_every: int | None = Field(
@@ -100,7 +104,12 @@ class TrainingConfig(BaseModel):
         return self.augmentation or default_augmentation(role, self.free_rotation)
 
     def epochs_for(self, images: int) -> int:
-        """Epochs for a number of training images: `epochs` if set, else as `pictures_seen` needs, from 10 to 300."""
+        """Epochs for a number of training images: `epochs` if set, else as `pictures_seen` needs, from 10 to 300.
+
+        For a run of `seconds`, a first guess, which the trainer corrects after each epoch.
+        """
+        if self.epochs is None and self.seconds is not None:
+            return max(round(self.seconds * PICTURES_A_SECOND / images), 2)
         return self.epochs or min(max(round(self.pictures_seen / images), 10), 300)
 
 

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
 from annotator.files import new_folder
 from annotator.geometry.image_shares import clip_to_image, shares_of
@@ -85,8 +86,7 @@ def write_dataset(
     folder: Path,
     samples: Iterable[TrainingSample],
     classes: Sequence[str],
-    val_share: float = 0.2,
-    seed: int = 0,
+    is_held_out: Callable[[str], bool] = is_held_out,
     kind: BoxKind | None = None,
     image_format: Literal["png", "jpg"] = "png",
 ) -> DatasetManifest:
@@ -99,27 +99,26 @@ def write_dataset(
         folder: the new folder; missing parents are created.
         samples: at least one of them must have a box.
         classes: all class names, in the order of the class numbers.
-        val_share: share of the groups used for validation, 0 to 0.9. If fewer than two groups have boxes, the
+        is_held_out: whether a group's images validate; the others train. If no group with boxes validates, the
             training images are used for validation, and the manifest records this.
-        seed: seed of the split. The split depends only on the seed and the group names.
         kind: what the boxes measure; recorded in the manifest.
         image_format: png is lossless; jpg (quality 95) suits large camera images.
 
     Raises:
-        ConfigError: an invalid class list or share, or a box of an unknown class.
-        DetectionError: there is no box, an image is unreadable, or `folder` is not a training set.
+        ConfigError: an invalid class list, or a box of an unknown class.
+        DetectionError: there is no box to train on, an image is unreadable, or `folder` is not a training set.
         FormatError: the folder cannot be created.
     """
-    _check(folder, classes, val_share)
+    _check(folder, classes)
     with new_folder(folder, lambda _: True) as temporary:  # `_check` refuses any other folder
         written = [
             _write_sample(temporary, f"{index:06d}", sample, classes, image_format)
             for index, sample in enumerate(samples)
         ]
-        val_groups = _val_groups(written, val_share, seed)
+        val_groups = _val_groups(written, is_held_out)
         for item in written:
             _move(temporary, item, "val" if item.group in val_groups else "train", image_format)
-        manifest = _manifest(written, val_groups, classes, val_share, seed, kind, image_format)
+        manifest = _manifest(written, val_groups, classes, kind, image_format)
         (temporary / MANIFEST_NAME).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
         (temporary / "data.yaml").write_text(_data_yaml(classes, manifest.measured_on), encoding="utf-8")
     return manifest
@@ -133,11 +132,9 @@ def yolo_line(box: Box2D, width_px: int, height_px: int, class_number: int) -> s
     return " ".join([str(class_number), *(f"{share:.7f}" for share in shares_of(cut, width_px, height_px))])
 
 
-def _check(folder: Path, classes: Sequence[str], val_share: float) -> None:
+def _check(folder: Path, classes: Sequence[str]) -> None:
     if not classes or len(set(classes)) != len(classes) or not all(name.strip() for name in classes):
         raise ConfigError(f"the class names of a training set must be unique and not empty, but are {list(classes)}")
-    if not 0 <= val_share <= 0.9:
-        raise ConfigError(f"the validation share must be 0 to 0.9, not {val_share}")
     if folder.exists() and not (folder / MANIFEST_NAME).is_file() and (folder.is_file() or any(folder.iterdir())):
         raise DetectionError(f"{folder}: exists and is not a training set; choose another folder or remove it")
 
@@ -169,20 +166,22 @@ def _write_sample(
     return _Written(stem, sample.group, sample.origin, sample.label_uids, tuple(names), dropped, digest)
 
 
-def _val_groups(written: Sequence[_Written], val_share: float, seed: int) -> frozenset[str]:
-    """The validation groups: the same share of the groups with boxes and of the groups without."""
+def _val_groups(written: Sequence[_Written], is_held_out: Callable[[str], bool]) -> frozenset[str]:
+    """The held-out groups.
+
+    Raises:
+        DetectionError: no other group has boxes.
+    """
     with_boxes = {item.group for item in written if item.boxes}
     if not with_boxes:
         raise DetectionError("a training set needs at least one labelled box; label some frames first")
-
-    def pick(groups: set[str], most: int) -> list[str]:
-        ranked = sorted(groups, key=lambda group: hashlib.sha256(f"{seed}:{group}".encode()).digest())
-        count = max(round(val_share * len(ranked)), 1) if val_share else 0
-        return ranked[: min(count, most)]
-
-    validation = pick(with_boxes, len(with_boxes) - 1)
-    empty = {item.group for item in written} - with_boxes
-    return frozenset(validation + (pick(empty, len(empty) // 2) if validation else []))
+    held_out = frozenset(group for group in {item.group for item in written} if is_held_out(group))
+    if with_boxes <= held_out:
+        raise DetectionError(
+            f"all labelled frames ({', '.join(sorted(with_boxes)[:3])}) are among the fifth of the frames that never "
+            "trains and only measures; label another frame"
+        )
+    return held_out
 
 
 def _move(temporary: Path, item: _Written, split: Split, image_format: str) -> None:
@@ -196,8 +195,6 @@ def _manifest(
     written: Sequence[_Written],
     val_groups: frozenset[str],
     classes: Sequence[str],
-    val_share: float,
-    seed: int,
     kind: BoxKind | None,
     image_format: str,
 ) -> DatasetManifest:
@@ -222,9 +219,7 @@ def _manifest(
         sha256=digest.hexdigest(),
         classes=tuple(classes),
         kind=kind,
-        seed=seed,
-        val_share=val_share,
-        measured_on="val" if val_groups else "train",
+        measured_on="val" if any(entry.boxes for entry in by_split["val"]) else "train",
         images={split: len(by_split[split]) for split in SPLITS},
         boxes_by_class={
             split: {name: sum(entry.boxes.count(name) for entry in by_split[split]) for name in classes}

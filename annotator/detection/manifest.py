@@ -44,7 +44,6 @@ class DatasetManifest(BaseModel):
         sha256: hash of all images, labels, classes and the split.
         classes: names, in the order of the class numbers in the label files.
         kind: what the boxes measure; None for boxes on camera images.
-        seed, val_share: parameters of the split.
         measured_on: the split on which the metrics are measured; "train" if there were too few groups, which makes
             them too optimistic.
         images: number of images by split.
@@ -54,14 +53,13 @@ class DatasetManifest(BaseModel):
         entries: all images.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    # Older manifests also have the seed and the share of a random split.
+    model_config = ConfigDict(frozen=True, extra="ignore")
 
     version: Literal[1] = 1
     sha256: str
     classes: tuple[str, ...]
     kind: BoxKind | None
-    seed: int
-    val_share: float
     measured_on: Split
     images: dict[Split, int]
     boxes_by_class: dict[Split, dict[str, int]]

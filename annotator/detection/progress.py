@@ -26,6 +26,7 @@ class TrainingProgress:
         seconds: since the run started or was resumed.
         seconds_left: an estimate; None before the first batch.
         note: what the run started from.
+        part, parts: number of this run, from 1, and of all runs, of a training in several parts.
     """
 
     role: DetectorKind
@@ -39,6 +40,8 @@ class TrainingProgress:
     seconds: float
     seconds_left: float | None
     note: str
+    part: int = 1
+    parts: int = 1
 
     @property
     def epochs_done(self) -> float:
@@ -46,6 +49,11 @@ class TrainingProgress:
         if self.epoch >= self.epochs or self.batches == 0:
             return float(self.epoch)
         return self.epoch + (self.batch % self.batches) / self.batches
+
+    @property
+    def share_done(self) -> float:
+        """Finished share of the training, all parts counted alike, 0 to 1."""
+        return (self.part - 1 + min(self.epochs_done / self.epochs, 1.0)) / self.parts
 
 
 class TrainingStoppedError(DetectionError):
@@ -81,6 +89,7 @@ class Watch:
     def on_batch(self, trainer: Any) -> None:
         if self._first_epoch < 0:
             self._first_epoch = trainer.start_epoch
+        self.epochs = trainer.epochs  # a run of fixed duration estimates it anew after each epoch
         batches = len(trainer.train_loader)
         self._batch = self._batch % batches + 1
         self._send(trainer, trainer.epoch, self._batch, batches)

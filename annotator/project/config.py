@@ -61,12 +61,15 @@ class ProjectSettings(BaseModel):
         rotation: permitted rotations of boxes.
         rcv: settings of the recursion that differ from the defaults, groups as JSON objects. They are validated when
             the recursion is run (`annotator.workflows.settings`), not here.
+        learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
+            None: never.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     rotation: BoxRotation = BoxRotation.AUTO
     rcv: dict[str, JsonValue] = Field(default_factory=dict)
+    learn_every: int | None = Field(None, ge=1)
 
 
 class ProjectConfig(BaseModel):

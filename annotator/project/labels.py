@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, Select, func, select
 
 from annotator.project.event_types import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected, Origin
 from annotator.project.records import BoxRecord, box_2d_of, parsed, storable
@@ -138,6 +138,12 @@ class Labels:
         ordered = _in_order(query if tracks is None else query.where(labels.c.track_id.in_(tracks)))
         with self.writer.store.read() as connection:
             return tuple(map(stored_label, connection.execute(ordered)))
+
+    def count(self, states: Collection[ReviewState]) -> int:
+        """Number of labels in one of these states."""
+        query = select(func.count()).select_from(labels).where(labels.c.state.in_([state.value for state in states]))
+        with self.writer.store.read() as connection:
+            return int(connection.execute(query).scalar_one())
 
     def signals(
         self,

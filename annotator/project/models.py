@@ -108,6 +108,11 @@ class Models:
             _activate(connection, self._read(connection, model_id).role, model_id)
             return self._read(connection, model_id)
 
+    def deactivate(self, role: DetectorKind) -> None:
+        """Leaves a role without an active model; the base detector then stands in for a view detector."""
+        with self.store.write() as connection:
+            connection.execute(update(models).where(models.c.role == role.value).values(active=False))
+
     def all(self, role: DetectorKind | None = None) -> tuple[StoredModel, ...]:
         """All models (of one role), the oldest first."""
         query = select(models).order_by(models.c.id)

@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from annotator import __version__
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
+from annotator.web.learning import Learner, StepAside
 from annotator.web.security import Guard, check_settings
 from annotator.web.settings import ServerSettings
 from annotator.web.static import add_static
@@ -46,7 +47,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        watch = Watch(context)
+        watch = Watch(context, Learner(context.jobs))
         watch.start()
         context.jobs.start()
         yield
@@ -67,5 +68,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
     for name in ROUTES:
         app.include_router(import_module(f"annotator.web.routes.{name}").router)
     add_static(app)
+    app.add_middleware(StepAside, jobs=context.jobs)
+    # added last, so that it is the first to see a request
     app.add_middleware(Guard, settings=settings)
     return app

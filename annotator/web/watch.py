@@ -7,6 +7,7 @@ import threading
 
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
+from annotator.web.learning import Learner
 
 LOG = logging.getLogger("annotator.web")
 
@@ -14,10 +15,10 @@ EVERY_S = 0.5
 
 
 class Watch:
-    """Polls the log of each project that a page has open, and sends an event for each changed frame."""
+    """Polls the log of each project that a page has open: sends an event for each changed frame, and lets it learn."""
 
-    def __init__(self, context: Context, every_s: float = EVERY_S) -> None:
-        self._context, self._every_s = context, every_s
+    def __init__(self, context: Context, learner: Learner, every_s: float = EVERY_S) -> None:
+        self._context, self._learner, self._every_s = context, learner, every_s
         self._last_events: dict[str, int] = {}
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -43,6 +44,7 @@ class Watch:
                     self._last_events[name] = project.log.last()
                     continue
                 self._last_events[name], changed = project.log.changed_frames(self._last_events[name])
+                self._learner.look(name, project)
             except AnnotatorError as error:
                 LOG.warning("%s: its log cannot be read: %s", name, error)
                 continue

@@ -16,9 +16,11 @@ from annotator.gpu.compute import torch_compute
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
 from annotator.rcv.compute import NUMPY, Compute
-from annotator.rcv.config import RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
+
+AGNOSTIC = tuple(AGNOSTIC_LABELS.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +115,7 @@ class UsedModel:
         box_kind, class_agnostic: as in `Detectors`.
         fingerprint: changes with the detector.
         name: for people: the base detector's name, or "" for the project's own detector.
+        manifest: the list of its training data, if known.
     """
 
     path: Path
@@ -120,16 +123,35 @@ class UsedModel:
     class_agnostic: bool
     fingerprint: str
     name: str = ""
+    manifest: Path | None = None
+
+    @property
+    def described(self) -> str:
+        """For people: which detector it is."""
+        return self.name or f"project's detector {self.path.parent.name}"
+
+
+def own_model(project: Project, model: StoredModel) -> UsedModel:
+    """A model of the project; a training that started from the base detector gives a class-agnostic one."""
+    class_agnostic = model.labels == AGNOSTIC and model.labels != project.config.classes
+    return UsedModel(model.path, model.box_kind, class_agnostic, model.fingerprint, manifest=model.manifest)
+
+
+def base_model() -> UsedModel:
+    """The base detector.
+
+    Raises:
+        DetectionError: this installation has none.
+    """
+    return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
 
 
 def used_model(project: Project, role: DetectorKind) -> UsedModel | None:
     """Returns the project's active model; without an active view detector, the base detector; None without both."""
     model = project.models.active(role)
     if model is not None:
-        return UsedModel(model.path, model.box_kind, False, model.fingerprint)
-    if role is DetectorKind.VIEW and has_base():
-        return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
-    return None
+        return own_model(project, model)
+    return base_model() if role is DetectorKind.VIEW and has_base() else None
 
 
 def view_model(project: Project) -> UsedModel:

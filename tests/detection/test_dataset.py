@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.detection.dataset import TrainingSample, write_dataset, yolo_line
+from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import read_manifest
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
@@ -61,7 +62,8 @@ def test_files_are_in_the_yolo_layout(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "set"
     classes = ("yes", "a: b", 'say "hi"')
     boxes = (Box2D("a: b", 0.0, 0.0, 9.0, 9.0), Box2D('say "hi"', 1.0, 2.0, 8.0, 9.0))
-    write_dataset(folder, [sample("1", boxes, 1), sample("2", boxes, 2), sample("3", (), 3)], classes)
+    samples = [sample("1", boxes, 1), sample("2", boxes, 2), sample("3", (), 3)]
+    write_dataset(folder, samples, classes, "2".__eq__)
     described = yaml.safe_load((folder / "data.yaml").read_text())
     assert described == {"train": "images/train", "val": "images/val", "names": dict(enumerate(classes))}
     manifest = read_manifest(folder)
@@ -77,30 +79,38 @@ def test_files_are_in_the_yolo_layout(tmp_path: Path) -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(
-    groups=st.lists(st.sampled_from("abcdefghij"), min_size=2, max_size=30).filter(lambda g: len(set(g)) > 1),
-    share=st.floats(0.05, 0.9),
-    seed=st.integers(0, 5),
+    groups=st.lists(st.sampled_from("abcdefghij"), min_size=1, max_size=30),
+    held=st.sets(st.sampled_from("abcdefghij"), max_size=9),
+    labelled=st.sets(st.sampled_from("abcdefghij")),
 )
-def test_views_of_a_frame_are_in_the_same_split(
-    groups: list[str], share: float, seed: int, tmp_path_factory: pytest.TempPathFactory
+def test_held_out_views_only_validate(
+    groups: list[str], held: set[str], labelled: set[str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("sets")
-    small = np.zeros((8, 8, 3), np.uint8)
-    samples = [TrainingSample(small, (Box2D("hand", 0.0, 0.0, 5.0, 5.0),), group, "drawn") for group in groups]
-    first = write_dataset(folder / "a", samples, ["hand"], share, seed)
-    split = {entry.group: entry.split for entry in first.entries}
-    assert all(split[entry.group] == entry.split for entry in first.entries)
-    assert {"train", "val"} == set(split.values())
-    held = sum(value == "val" for value in split.values())
-    assert held == min(max(round(share * len(split)), 1), len(split) - 1)
-    turned = write_dataset(folder / "b", samples[::-1], ["hand"], share, seed)
-    assert {entry.group: entry.split for entry in turned.entries} == split
+    small, box = np.zeros((8, 8, 3), np.uint8), Box2D("hand", 0.0, 0.0, 5.0, 5.0)
+    samples = [TrainingSample(small, (box,) * (group in labelled), group, "drawn") for group in groups]
+    if not (set(groups) & labelled) - held:
+        with pytest.raises(DetectionError, match="label"):
+            write_dataset(folder / "a", samples, ["hand"], held.__contains__)
+        return
+    manifest = write_dataset(folder / "a", samples, ["hand"], held.__contains__)
+    assert {entry.group for entry in manifest.entries if entry.split == "val"} == set(groups) & held
+    assert manifest.measured_on == ("val" if set(groups) & held & labelled else "train")
 
 
-def test_a_single_group_is_validated_on_itself_with_a_note(tmp_path: Path) -> None:
-    manifest = write_dataset(tmp_path / "set", [sample("1"), sample("1", seed=1), sample("2", ())], ["hand"], 0.5)
+def test_about_a_fifth_is_held_out_whatever_else_there_is() -> None:
+    keys = [f"{number:06d}" for number in range(2000)]
+    held = {key for key in keys if is_held_out(key)}
+    assert 0.17 < len(held) / len(keys) < 0.23
+    assert held & set(keys[:100]) == {key for key in keys[:100] if is_held_out(key)}
+    assert {key for key in keys if is_held_out(key, 0.05)} < held
+
+
+def test_without_held_out_groups_the_training_images_validate(tmp_path: Path) -> None:
+    samples = [sample("1"), sample("1", seed=1), sample("2", ())]
+    manifest = write_dataset(tmp_path / "set", samples, ["hand"], lambda group: group == "2")
     assert manifest.measured_on == "train"
-    assert manifest.images == {"train": 3, "val": 0}
+    assert manifest.images == {"train": 2, "val": 1}
     assert "val: images/train" in (tmp_path / "set" / "data.yaml").read_text()
 
 
@@ -111,7 +121,7 @@ def test_the_manifest_counts_images_and_boxes(tmp_path: Path) -> None:
         TrainingSample(picture(), (BOX, Box2D("arm", 1.0, 1.0, 9.0, 9.0)), "1", "projected", ("uid-7",)),
         sample("2"),
     ]
-    manifest = write_dataset(tmp_path / "set", samples, ["hand", "arm"], 0.5, kind=BoxKind.SILHOUETTE)
+    manifest = write_dataset(tmp_path / "set", samples, ["hand", "arm"], "2".__eq__, kind=BoxKind.SILHOUETTE)
     assert manifest == read_manifest(tmp_path / "set")
     total = {name: sum(manifest.boxes_by_class[split][name] for split in ("train", "val")) for name in ("hand", "arm")}
     assert total == {"hand": 3, "arm": 1}
@@ -140,7 +150,7 @@ def test_the_hash_depends_on_images_labels_classes_and_split(tmp_path: Path) -> 
                 digest([sample("0", seed=9), *base[1:]]),
                 digest([sample("0", (moved,)), *base[1:]]),
                 digest(base, ("hand", "arm")),
-                digest(base, val_share=0.5),
+                digest(base, is_held_out="2".__eq__),
                 digest(base, kind=BoxKind.BOX),
             }
         )
@@ -177,22 +187,21 @@ def test_images_can_be_jpegs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("samples", "classes", "share", "expected"),
+    ("samples", "classes", "expected"),
     [
-        ([], ["hand"], 0.2, DetectionError),
-        ([sample("1", ())], ["hand"], 0.2, DetectionError),
-        ([sample("1")], ["arm"], 0.2, ConfigError),
-        ([sample("1")], [], 0.2, ConfigError),
-        ([sample("1")], ["hand", "hand"], 0.2, ConfigError),
-        ([sample("1")], ["hand"], 1.0, ConfigError),
-        ([TrainingSample(Path("nowhere.png"), (BOX,), "1", "drawn")], ["hand"], 0.2, DetectionError),
+        ([], ["hand"], DetectionError),
+        ([sample("1", ())], ["hand"], DetectionError),
+        ([sample("1")], ["arm"], ConfigError),
+        ([sample("1")], [], ConfigError),
+        ([sample("1")], ["hand", "hand"], ConfigError),
+        ([TrainingSample(Path("nowhere.png"), (BOX,), "1", "drawn")], ["hand"], DetectionError),
     ],
 )
 def test_a_failed_write_leaves_nothing(
-    samples: list[TrainingSample], classes: list[str], share: float, expected: type[Exception], tmp_path: Path
+    samples: list[TrainingSample], classes: list[str], expected: type[Exception], tmp_path: Path
 ) -> None:
     with pytest.raises(expected):
-        write_dataset(tmp_path / "set", samples, classes, share)
+        write_dataset(tmp_path / "set", samples, classes)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -10,7 +10,7 @@ from annotator.project import WriteContext
 from annotator.types import Source
 from annotator.types.errors import DetectionError
 from annotator.web.jobs.job_context import JobContext, Outcome
-from annotator.web.jobs.records import CurvePoint, ProposeRequest
+from annotator.web.jobs.records import CurvePoint, ProposeRequest, TrainRequest
 
 QUICK, REFUSED, BUG, KILLED, LONG, DEAF, EDITS = range(1, 8)
 
@@ -42,3 +42,11 @@ def work(job: JobContext, request: ProposeRequest) -> Outcome:
     job.progress("count", 2, 2)
     (job.folder / "left.txt").write_text("x")
     return Outcome("counted to 2", {"nice": os.nice(0), "omp": os.environ["OMP_WAIT_POLICY"]})
+
+
+def train(job: JobContext, request: TrainRequest) -> Outcome:
+    """Reports progress until it is stopped."""
+    for number in range(100_000):
+        job.progress("learn", float(number), 100_000.0)
+        time.sleep(0.01)
+    return Outcome("learned", {})

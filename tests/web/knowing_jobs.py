@@ -20,9 +20,9 @@ EPOCHS = 2
 
 
 def train(job: JobContext, request: TrainRequest) -> Outcome:
-    """`train_work` with fewer epochs than the 10 that a page can ask for."""
+    """`train_work` from random weights, with fewer epochs than the 10 that a page can ask for."""
     for name in ("IMAGE_DEFAULTS", "VIEW_DEFAULTS"):
-        setattr(work, name, getattr(work, name).model_copy(update={"epochs": EPOCHS}))
+        setattr(work, name, getattr(work, name).model_copy(update={"epochs": EPOCHS, "pretrained": "never"}))
     return work.train_work(job, request)
 
 

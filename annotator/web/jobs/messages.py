@@ -9,7 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from annotator.web.jobs.records import CurvePoint, JobRequest
 
-STOP = "stop\n"
+# Orders to a running worker. PAUSE and RESUME are for jobs in the background.
+STOP, PAUSE, RESUME = "stop\n", "pause\n", "resume\n"
 
 
 class _Message(BaseModel):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from annotator.web.jobs.messages import STOP, WORKER_MESSAGE, Order, WorkerMessage
+from annotator.web.jobs.messages import PAUSE, RESUME, STOP, WORKER_MESSAGE, Order, WorkerMessage
 
 LOG = logging.getLogger("annotator.web")
 
@@ -74,6 +74,10 @@ class WorkerProcess:
         self._write(STOP)
         self._later(grace_s, signal.SIGTERM)
         self._later(grace_s + KILL_AFTER_S, signal.SIGKILL)
+
+    def pause(self, is_paused: bool) -> None:
+        """Asks the worker to wait at its next safe point, or to go on."""
+        self._write(PAUSE if is_paused else RESUME)
 
     def _later(self, seconds: float, number: signal.Signals) -> None:
         timer = threading.Timer(seconds, self._signal, (number,))

@@ -13,6 +13,8 @@ from annotator.web.schemas import RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
+# One day.
+MOST_MINUTES = 1440
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
@@ -26,8 +28,11 @@ class TrainRequest(_Request):
     Attributes:
         image_pictures, view_pictures: number of training images shown to each detector, repetitions counted; null: the
             default.
+        minutes: how long to train the view detector; null: three minutes if it starts from a detector, else by the
+            number of images.
         model: an ultralytics detection model such as yolo11n; null: the default.
         image_size_px, view_size_px: longer side of the training images; null: the default.
+        background: at the lowest priority; it steps aside for other jobs and for drawing.
     """
 
     kind: Literal["train"]
@@ -36,9 +41,11 @@ class TrainRequest(_Request):
     )
     image_pictures: Pictures | None = None
     view_pictures: Pictures | None = None
+    minutes: Annotated[float, Field(gt=0, le=MOST_MINUTES)] | None = None
     model: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-zA-Z0-9_-]+$")] | None = None
     image_size_px: Annotated[int, Field(ge=32, le=2048, multiple_of=32)] | None = None
     view_size_px: Annotated[int, Field(ge=32, le=2048, multiple_of=32)] | None = None
+    background: bool = False
 
 
 class ProposeRequest(_Request):
@@ -100,6 +107,12 @@ class ImportRequest(_Request):
 
 JobRequest = Annotated[TrainRequest | ProposeRequest | ExportRequest | ImportRequest, Field(discriminator="kind")]
 
+
+def in_background(request: JobRequest) -> bool:
+    """Whether a job steps aside for other jobs and for drawing."""
+    return isinstance(request, TrainRequest) and request.background
+
+
 # Kind of job -> "module:function" of the work, which takes a `JobContext` and the request. A string, so that the server
 # does not import the work.
 WORK: dict[str, str] = {
@@ -148,6 +161,7 @@ class Job(BaseModel):
         created_ns: UTC nanoseconds since the epoch.
         curves: of a training, up to now.
         download: whether an export's file is still available; null for a job without a file.
+        background: whether it steps aside for other jobs and for drawing.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -166,3 +180,4 @@ class Job(BaseModel):
     operator: str
     curves: tuple[CurvePoint, ...] = ()
     download: Literal["kept", "gone"] | None = None
+    background: bool = False

@@ -8,7 +8,8 @@ import threading
 import time
 import uuid
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,16 @@ from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, write_journal
 from annotator.web.jobs.messages import Failed, Finished, Measured, Order, Progress, Stopped, WorkerMessage
 from annotator.web.jobs.process import GRACE_S, WorkerProcess
-from annotator.web.jobs.records import WORK, Job, JobRequest, JobState
+from annotator.web.jobs.records import WORK, Job, JobRequest, JobState, in_background
 
 LOG = logging.getLogger("annotator.web")
 
 # Number of listed jobs, of downloads kept per project, and of jobs that may wait.
 JOBS_KEPT, EXPORTS_KEPT, MOST_WAITING = 50, 3, 20
 WORK_LOG = "worker.log"
+STEPPED_ASIDE = "stepped aside for another job; a new round starts after it"
+# A job in the background goes on this long after the last request that it made room for.
+PAUSE_AFTER_S = 2.0
 # Shorter than GRACE_S, so that the server ends quickly.
 CLOSING_GRACE_S = 3.0
 
@@ -52,6 +56,9 @@ class JobRunner:
         self._worker: WorkerProcess | None = None
         self._stopping: str | None = None
         self._closed = False
+        # requests that a job in the background makes room for: how many there are, and how many there were
+        self._drawing, self._pauses = 0, 0
+        self._stepped_aside: set[str] = set()
         self._thread = threading.Thread(target=self._run, name="jobs", daemon=True)
 
     def start(self) -> None:
@@ -65,7 +72,14 @@ class JobRunner:
         Raises:
             ConfigError: too many jobs are waiting.
         """
-        job = Job(id=uuid.uuid4().hex, project=project, kind=request.kind, created_ns=time.time_ns(), operator=operator)
+        job = Job(
+            id=uuid.uuid4().hex,
+            project=project,
+            kind=request.kind,
+            created_ns=time.time_ns(),
+            operator=operator,
+            background=in_background(request),
+        )
         with self._lock:
             if len(self._waiting) >= MOST_WAITING:
                 raise ConfigError(f"{MOST_WAITING} jobs are waiting already; stop some, or wait until they are done")
@@ -73,7 +87,50 @@ class JobRunner:
             self._waiting.append((job.id, path, request))
             self._publish(job)
             self._lock.notify_all()
+            running = self._running()
+            if running is not None and running.background and not job.background:
+                self._stepped_aside.add(running.id)
+        if running is not None and running.id in self._stepped_aside:
+            self.cancel(running.id)
         return job
+
+    def stepped_aside(self, job_id: str) -> bool:
+        """True for a job in the background that was stopped for another job."""
+        return job_id in self._stepped_aside
+
+    def is_idle(self) -> bool:
+        """True if no job runs or waits."""
+        with self._lock:
+            return not self._waiting and self._running() is None
+
+    @contextmanager
+    def stepping_aside(self) -> Iterator[None]:
+        """Pauses a running job in the background, until `PAUSE_AFTER_S` after the last of these contexts has ended."""
+        with self._lock:
+            self._drawing += 1
+            self._pause(True)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._drawing -= 1
+                timer = threading.Timer(PAUSE_AFTER_S, self._resume, (self._pauses,))
+                timer.daemon = True
+            timer.start()
+
+    def _resume(self, pauses: int) -> None:
+        with self._lock:
+            if pauses == self._pauses and self._drawing == 0:
+                self._pause(False)
+
+    def _pause(self, is_paused: bool) -> None:
+        self._pauses += is_paused
+        running = self._running()
+        if self._worker is not None and running is not None and running.background:
+            self._worker.pause(is_paused)
+
+    def _running(self) -> Job | None:
+        return next((job for job in self._jobs.values() if job.state is JobState.RUNNING), None)
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
@@ -158,7 +215,8 @@ class JobRunner:
                 self._lock.wait()
             if self._closed:
                 return None
-            entry = self._waiting.pop(0)
+            entry = next((entry for entry in self._waiting if not in_background(entry[2])), self._waiting[0])
+            self._waiting.remove(entry)
             self._jobs[entry[0]] = self._jobs[entry[0]].model_copy(update={"state": JobState.RUNNING})
             self._stopping = None
             return entry
@@ -174,6 +232,8 @@ class JobRunner:
             self._worker = worker
             if self._closed or self._stopping == job_id:
                 worker.stop(CLOSING_GRACE_S)
+            elif self._drawing:
+                self._pause(True)
         last: WorkerMessage | None = None
         for message in worker.messages():
             self._handle(job_id, message, began)
@@ -205,6 +265,8 @@ class JobRunner:
                 end = {"state": JobState.FAILED, "message": INTERNAL}
             case Failed():
                 end = {"state": JobState.FAILED, "message": last.message}
+            case Stopped() if job_id in self._stepped_aside:
+                end = {"state": JobState.CANCELLED, "message": STEPPED_ASIDE}
             case Stopped():
                 end = {"state": JobState.CANCELLED, "message": last.message}
             case _ if self._stopping == job_id:

@@ -21,7 +21,7 @@ from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.sources import trained_detectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
+from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
 T = TypeVar("T")
 
@@ -34,6 +34,7 @@ def train_work(job: JobContext, request: TrainRequest) -> Outcome:
     plan = TrainPlan(
         image=_training_config(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
         view=_training_config(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),
+        minutes=request.minutes,
     )
     roles = tuple(dict.fromkeys(request.roles))
     reporter = _ProgressReporter(job, plan, roles)
@@ -42,9 +43,19 @@ def train_work(job: JobContext, request: TrainRequest) -> Outcome:
         trained = train(job.project, plan, roles=roles, progress=reporter.step, stop=job.stopped)
     except TrainingStoppedError as error:
         raise JobStoppedError(RESUMES) from error
-    figures = ", ".join(f"{t.role} detector mAP50 {t.result.metrics.map50:.2f}" for t in trained)
+    figures = "; ".join(f"{t.role} detector: {_result(t)}" for t in trained)
     left_out = [line for t in trained for line in t.left_out]
     return Outcome(f"trained: {figures}", {"models": [t.model.id for t in trained], "left_out": left_out})
+
+
+def _result(trained: Trained) -> str:
+    """What came out of a training, for people."""
+    decision = trained.decision
+    if decision is None or decision.mean_iou is None:
+        measured = f"mAP50 {trained.result.metrics.map50:.2f}"
+    else:
+        measured = f"mean IoU {decision.mean_iou:.2f} on {decision.objects} held-out objects"
+    return measured if decision is None else f"{measured}, {decision.outcome}"
 
 
 def _training_config(
@@ -59,33 +70,35 @@ class _ProgressReporter:
     """Converts the progress of one or two trainings into that of the job, in training images shown.
 
     Attributes:
-        reported: latest reported epoch of each training.
+        reported: latest reported epoch of each training, by part.
         measured: latest mAP50-95 of each training.
     """
 
     job: JobContext
     plan: TrainPlan
     roles: tuple[DetectorKind, ...]
-    reported: dict[DetectorKind, int] = field(default_factory=dict)
+    reported: dict[DetectorKind, dict[int, int]] = field(default_factory=dict)
     measured: dict[DetectorKind, float | None] = field(default_factory=dict)
 
     def step(self, role: DetectorKind, step: TrainingProgress) -> None:
         """Reports one batch or epoch of one training."""
-        if step.batch == 0 and step.epoch > self.reported.get(role, 0):
-            self.reported[role] = step.epoch
-            self._measured(role, step)
+        reported = self.reported.setdefault(role, {})
+        if step.batch == 0 and step.epoch > reported.get(step.part, 0):
+            reported[step.part] = step.epoch
+            self._measured(role, step, sum(reported.values()))
         if self.job.stopped():  # the training itself stops at its next safe point
             return
         before = sum(map(self._images, self.roles[: self.roles.index(role)]))
         total = sum(map(self._images, self.roles))
-        shown = self._images(role) * step.epochs_done / step.epochs
+        shown = self._images(role) * step.share_done
         epoch = min(step.epoch + 1, step.epochs)
-        stage = f"train the {role} detector, epoch {epoch} of {step.epochs}"
+        part = f"part {step.part} of {step.parts}, " if step.parts > 1 else ""
+        stage = f"train the {role} detector, {part}epoch {epoch} of {step.epochs}"
         self.job.progress(stage, before + shown, total, self._seconds_left(step, before + shown, shown, total))
 
     def _seconds_left(self, step: TrainingProgress, done: float, shown: float, total: float) -> float | None:
         """The remaining time of this training by its own estimate, plus that of the next one at the same speed."""
-        if step.seconds_left is None or shown <= 0:
+        if step.seconds_left is None or shown <= 0 or step.parts > 1:
             return None
         after = total - done - (self._images(DetectorKind(step.role)) - shown)
         return step.seconds_left + after * step.seconds / shown
@@ -93,13 +106,13 @@ class _ProgressReporter:
     def _images(self, role: DetectorKind) -> float:
         return float((self.plan.image if role is DetectorKind.IMAGE else self.plan.view).pictures_seen)
 
-    def _measured(self, role: DetectorKind, step: TrainingProgress) -> None:
+    def _measured(self, role: DetectorKind, step: TrainingProgress, epoch: int) -> None:
         metrics = {name.rpartition("/")[2]: value for name, value in step.losses.items()}
         if step.map50 is not None and step.map50_95 is not None and step.map50_95 != self.measured.get(role):
             # the trainer does not validate after every epoch, and repeats its latest figures in between
             self.measured[role] = step.map50_95
             metrics |= {"map50": step.map50, "map50_95": step.map50_95}
-        self.job.measured(CurvePoint(role=role, epoch=step.epoch, metrics=metrics))
+        self.job.measured(CurvePoint(role=role, epoch=epoch, metrics=metrics))
 
 
 def propose_work(job: JobContext, request: ProposeRequest) -> Outcome:

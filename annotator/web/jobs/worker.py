@@ -1,8 +1,8 @@
 """`python -m annotator.web.jobs.worker`: the process of one job.
 
-The first line of standard input is the order. A further line, or the end of standard input, asks the worker to stop, so
-that it also ends when its server has died. Messages to the server go to standard output, one per line; the output of
-libraries goes to standard error.
+The first line of standard input is the order. "pause" and "resume" hold a job in the background at its next safe point.
+Another line, or the end of standard input, asks the worker to stop, so that it also ends when its server has died.
+Messages to the server go to standard output, one per line; the output of libraries goes to standard error.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from typing import TextIO
 from annotator.project import open_project
 from annotator.types.errors import AnnotatorError
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
-from annotator.web.jobs.messages import Failed, Finished, Order, Progress, Stopped, WorkerMessage
+from annotator.web.jobs.messages import PAUSE, RESUME, Failed, Finished, Order, Progress, Stopped, WorkerMessage
+from annotator.web.jobs.records import in_background
 
-NICENESS = 5
+NICENESS, BACKGROUND_NICENESS = 5, 19
 # Minimum interval between progress messages: a training reports after every batch.
 PROGRESS_EVERY_S = 0.2
 # A worker exits if it has not stopped this long after its server died.
@@ -54,13 +55,13 @@ class MessageWriter:
 
 def main() -> int:
     """Runs the job and reports its end to the server; returns the exit code."""
-    os.nice(NICENESS)
     writer = MessageWriter(_own_output())
     order = Order.model_validate_json(sys.stdin.readline())
-    stopped = threading.Event()
-    threading.Thread(target=_wait_for_stop, args=(stopped,), daemon=True).start()
+    os.nice(BACKGROUND_NICENESS if in_background(order.request) else NICENESS)
+    orders = Orders()
+    threading.Thread(target=_read_orders, args=(orders,), daemon=True).start()
     try:
-        outcome = _work(order, writer, stopped)
+        outcome = _work(order, writer, orders)
         writer.send(Finished(message=outcome.message, result=outcome.result))
     except JobStoppedError as error:
         writer.send(Stopped(message=str(error)))
@@ -71,11 +72,33 @@ def main() -> int:
     return 0
 
 
-def _work(order: Order, writer: MessageWriter, stopped: threading.Event) -> Outcome:
+class Orders:
+    """The server's orders to the running job. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._stop, self._go_on = threading.Event(), threading.Event()
+        self._go_on.set()
+
+    def take(self, line: str) -> None:
+        """Takes an order; the end of the input is an order to stop."""
+        if line == PAUSE:
+            self._go_on.clear()
+            return
+        if line != RESUME:
+            self._stop.set()
+        self._go_on.set()
+
+    def stopped(self) -> bool:
+        """True once a stop was ordered; waits while the job is paused."""
+        self._go_on.wait()
+        return self._stop.is_set()
+
+
+def _work(order: Order, writer: MessageWriter, orders: Orders) -> Outcome:
     module, _, function = order.target.partition(":")
     work = getattr(import_module(module), function)
     with open_project(order.project) as project:
-        outcome: Outcome = work(JobContext(project, order.folder, writer.send, stopped.is_set), order.request)
+        outcome: Outcome = work(JobContext(project, order.folder, writer.send, orders.stopped), order.request)
         return outcome
 
 
@@ -86,9 +109,12 @@ def _own_output() -> TextIO:
     return out
 
 
-def _wait_for_stop(stopped: threading.Event) -> None:
-    line = sys.stdin.readline()
-    stopped.set()
+def _read_orders(orders: Orders) -> None:
+    while True:
+        line = sys.stdin.readline()
+        orders.take(line)
+        if line not in (PAUSE, RESUME):
+            break
     if not line:
         time.sleep(GIVE_UP_AFTER_S)
         os._exit(1)

@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.detection.base_detector import FOLDER
+from annotator.detection import base_detector
 from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
 from annotator.detection.progress import Report
 from annotator.detection.trained import TrainedModel, read_trained
@@ -29,6 +30,8 @@ from annotator.synthetic.snapshots import Snapshot, snapshot
 from annotator.types import DetectorKind, Frame, OrientedBox
 from annotator.types.errors import ConfigError
 
+# Share of the frames that measures and never trains.
+VALIDATION_SHARE = 0.02
 # Frames that one task of a worker renders.
 TASK_FRAMES = 16
 # An upright view is drawn of objects with an axis within this angle of the vertical, radians.
@@ -81,7 +84,7 @@ def train_base(folder: Path, plan: BasePlan, progress: Report | None = None) -> 
     _claim(folder, plan)
     views = folder / VIEWS
     manifest = _existing(views) or write_dataset(
-        views, samples(plan), tuple(AGNOSTIC_LABELS.values()), val_share=0.02, seed=plan.seed
+        views, samples(plan), tuple(AGNOSTIC_LABELS.values()), lambda frame: is_held_out(frame, VALIDATION_SHARE)
     )
     epochs = plan.config.epochs or max(round(plan.config.pictures_seen / manifest.images["train"]), 1)
     config = plan.config.model_copy(update={"epochs": epochs, "measure_every": 1})
@@ -120,12 +123,12 @@ class BaseManifest(BaseModel):
     image_size_px: int
 
 
-def install_base(folder: Path, target: Path = FOLDER) -> BaseManifest:
+def install_base(folder: Path, target: Path | None = None) -> BaseManifest:
     """Writes a finished base detector with its manifest into the package, in place of an earlier one.
 
     Args:
         folder: as for `train_base`, which has finished.
-        target: the package's folder.
+        target: None = the package's folder.
 
     Raises:
         FormatError: the training has not finished.
@@ -147,6 +150,7 @@ def install_base(folder: Path, target: Path = FOLDER) -> BaseManifest:
         model=trained.config.model,
         image_size_px=trained.image_size_px,
     )
+    target = target or base_detector.FOLDER
     target.mkdir(parents=True, exist_ok=True)
     write_atomic(target / trained.weights.name, content)
     trained.write(target)
@@ -183,7 +187,17 @@ def samples(plan: BasePlan) -> Iterator[TrainingSample]:
 
 
 def _draw_task(seeds: range, draws: int, size_px: int) -> list[TrainingSample]:
-    return [sample for seed in seeds for sample in _of_frame(snapshot(seed), seed, draws, size_px)]
+    return [sample for seed in seeds for sample in generated_views(seed, draws, size_px)]
+
+
+def generated_views(seed: int, draws: int, size_px: int) -> Iterator[TrainingSample]:
+    """The labelled views of one generated frame.
+
+    Args:
+        draws: crops per object, each with two views.
+        size_px: longer side of the views.
+    """
+    return _of_frame(snapshot(seed), seed, draws, size_px)
 
 
 def _of_frame(shot: Snapshot, seed: int, draws: int, size_px: int) -> Iterator[TrainingSample]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from annotator.detection.manifest import MANIFEST_NAME, read_manifest
 from annotator.project import StoredModel
 from annotator.types.errors import FormatError
+from annotator.workflows.training.held_out import Decision, read_decision
 from annotator.workflows.training.validation_pictures import validation_pictures
 
 LOG = logging.getLogger(__name__)
@@ -44,17 +45,28 @@ class ModelFacts:
         boxes: number of boxes it was trained on; None if unknown.
         pictures: validation images with its detections.
         curves: measurements by epoch.
+        decision: how held-out frames decided about it; None if they did not.
     """
 
     boxes: int | None
     pictures: tuple[Path, ...]
     curves: tuple[Epoch, ...]
+    decision: Decision | None = None
 
 
 def model_facts(model: StoredModel) -> ModelFacts:
     """Returns the report on a model; missing or damaged files are left out."""
     folder = model.path.parent
-    return ModelFacts(_boxes(model), tuple(validation_pictures(folder)), _curves(folder / CURVES))
+    return ModelFacts(_boxes(model), tuple(validation_pictures(folder)), _curves(folder / CURVES), decision_of(model))
+
+
+def decision_of(model: StoredModel) -> Decision | None:
+    """Returns how held-out frames decided about a model; a damaged file is left out."""
+    try:
+        return read_decision(model.path.parent)
+    except FormatError as error:
+        LOG.warning("%s", error)
+        return None
 
 
 def _boxes(model: StoredModel) -> int | None:

@@ -124,23 +124,23 @@ def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[
     Frames with unreviewed proposals and no drawn box are left out, since the objects would count as background.
     """
     known = material.labels.keys() - material.open.keys()
-    for stored, frame in _frames(project, sorted({*material.images, *known}), skip):
+    for stored, frame in labelled_frames(project, sorted({*material.images, *known}), skip):
         drawn = material.images.get(stored.id)
         labels = material.labels.get(stored.id, ())
         if drawn is not None:
             more = undrawn(frame.camera, labels, drawn.boxes)
             boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
-            yield TrainingSample(frame.rgb, boxes, _group(stored), DRAWN, uids)
+            yield TrainingSample(frame.rgb, boxes, frame_group(stored), DRAWN, uids)
         else:
             shown = outlines(frame.camera, labels)
-            yield TrainingSample(frame.rgb, tuple(shown.values()), _group(stored), PROJECTED, tuple(shown))
+            yield TrainingSample(frame.rgb, tuple(shown.values()), frame_group(stored), PROJECTED, tuple(shown))
 
 
 def view_samples(
     project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, skip: Skip
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
-    groups = {stored.id: _group(stored) for stored in project.frames.of()}
+    groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
     for view in material.views:
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
@@ -151,11 +151,11 @@ def view_samples(
     if total == 0:
         return
     draws = int(np.clip(round(config.views / (2 * total)), 1, config.most_draws))
-    for stored, frame in _frames(project, sorted({*material.labels, *drags}), skip):
+    for stored, frame in labelled_frames(project, sorted({*material.labels, *drags}), skip):
         labels = material.labels.get(stored.id, ())
         cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
         known = [TaughtObject(label.label, label.box) for label in labels]
-        known += [cut for cut in cuts if cut is not None and not _is_labelled(frame, cut, labels)]
+        known += [cut for cut in cuts if cut is not None and not is_labelled(frame, cut, labels)]
         rng = np.random.default_rng([config.seed, stored.id])
         orientation = orientation_for(project.config.settings.rotation, frame)
         settings = rcv.model_copy(update={"orientation": orientation})
@@ -164,7 +164,7 @@ def view_samples(
         for taught in teach_views(frame, known, material.kind, draws, settings, up, rng, doubtful):
             uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
             drawn = taught.view
-            yield TrainingSample(drawn.rgb, taught.boxes, _group(stored), TAUGHT, uids, drawn.look_px)
+            yield TrainingSample(drawn.rgb, taught.boxes, frame_group(stored), TAUGHT, uids, drawn.look_px)
 
 
 def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
@@ -201,7 +201,7 @@ def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | 
     return TaughtObject(views[0].boxes[0].label, aligned_box(frame.cloud.xyz_m[mask], np.array(last.axes).T), mask)
 
 
-def _is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bool:
+def is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bool:
     """Returns True if the object also has a reviewed 3D box, which would give it two boxes on each view."""
     xyz_m = frame.cloud.xyz_m[cut.points]
     return any(label.label == cut.label and contains(label.box, xyz_m).mean() >= 0.5 for label in labels)
@@ -212,11 +212,12 @@ def _drawn_uids(drawn: ImageBoxes | ViewBoxes) -> tuple[str, ...]:
     return tuple(f"event {drawn.event_id}, box {index}" for index in range(len(drawn.boxes)))
 
 
-def _group(stored: StoredFrame) -> str:
+def frame_group(stored: StoredFrame) -> str:
+    """The group of a frame's training samples."""
     return f"{stored.recording_id}/{stored.key}"
 
 
-def _frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> Iterator[tuple[StoredFrame, Frame]]:
+def labelled_frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> Iterator[tuple[StoredFrame, Frame]]:
     """Yields frames, one in memory at a time; passes those that cannot be read to `skip`."""
     source = FrameSource(project)
     for frame_id in frame_ids:

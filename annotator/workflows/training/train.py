@@ -2,34 +2,42 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import accumulate
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.dataset import write_dataset
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
+from annotator.detection.dataset import TrainingSample
+from annotator.detection.manifest import DatasetManifest
 from annotator.detection.pretrained import check_start
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.tiles import tiled
 from annotator.detection.trained import MODEL_NAME, TrainedModel
-from annotator.detection.training import train_detector
-from annotator.project import Project, StoredFrame, StoredModel
+from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig
-from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import ConfigError, FrameError
-from annotator.workflows.detectors import load_detector
+from annotator.types import DetectorKind
+from annotator.types.errors import ConfigError
+from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.agnostic_samples import agnostic_samples, with_generated
+from annotator.workflows.training.held_out import Decision, HeldOut
+from annotator.workflows.training.rounds import FIRST_PART_S, Choice, choose_start, part_seconds, starting_config
+from annotator.workflows.training.run import LeftOut, Ran, Report, Run, Stop, settings_hash
 from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
-from annotator.workflows.training.validation_pictures import write_validation_pictures
 
-DATASET = "dataset"
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=64, pictures_seen=48000)
+
+# Share of generated views among the training views of a class-agnostic detector (docs/detector_training.md).
+GENERATED_SHARE = 0.5
+# Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
+TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
+
+# One day.
+MOST_MINUTES = 1440
 
 ProgressCallback = Callable[[DetectorKind, TrainingProgress], None]
 
@@ -41,6 +49,7 @@ class Trained:
     Attributes:
         seconds: duration of the training.
         left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
+        decision: how held-out frames decided; None for an image detector.
     """
 
     role: DetectorKind
@@ -49,6 +58,7 @@ class Trained:
     manifest: DatasetManifest
     seconds: float
     left_out: tuple[str, ...] = ()
+    decision: Decision | None = None
 
 
 @dataclass(frozen=True)
@@ -60,16 +70,20 @@ class TrainPlan:
         samples: how many pseudo-views are generated.
         rcv: how pseudo-views are drawn; None = the project's settings, with views of the detector's input size unless
             they set a size.
-        val_share: share of the frames used for validation.
-        seed: of the split.
+        minutes: length of the view detector's training; None: three minutes if it starts from a detector, else as
+            many pictures as `view` says.
+        generated_share: share of generated views among those that continue a class-agnostic detector.
+        decides: whether held-out frames never train, and decide which view detector is used. False: all frames train,
+            and the new detector is used.
     """
 
     image: TrainingConfig = IMAGE_DEFAULTS
     view: TrainingConfig = VIEW_DEFAULTS
     samples: SampleConfig = field(default_factory=SampleConfig)
     rcv: RcvConfig | None = None
-    val_share: float = 0.15
-    seed: int = 0
+    minutes: float | None = None
+    generated_share: float = GENERATED_SHARE
+    decides: bool = True
 
 
 def train(
@@ -80,7 +94,10 @@ def train(
     progress: ProgressCallback | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> list[Trained]:
-    """Trains the detectors one after the other; each is registered and activated as soon as it is trained.
+    """Trains the detectors one after the other, and registers each.
+
+    An image detector is activated as soon as it is trained. The view detector is trained in parts (`rounds`), and after
+    each part held-out frames decide whether it is activated.
 
     Datasets and runs are stored in the project's `models/` under a hash of their content, so that an interrupted
     training on the same labels continues. Labelled frames that cannot be read are left out and reported.
@@ -97,7 +114,14 @@ def train(
     material = gather(project, roles)
     for role in roles:  # checked before the samples are made, which takes long
         _check_start(project, role, plan.image if role is DetectorKind.IMAGE else plan.view)
-    return [_train_one(project, material, role, plan, rcv, progress, stop) for role in roles]
+    results = []
+    for role in roles:
+        report = None if progress is None else partial(progress, role)
+        if role is DetectorKind.IMAGE:
+            results.append(_train_image(project, material, plan, report, stop))
+        else:
+            results.append(_ViewTraining(project, material, plan, rcv, report, stop).run())
+    return results
 
 
 def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -> None:
@@ -112,71 +136,92 @@ def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -
     try:
         check_start(config)
     except ConfigError:
-        if not any((project.models_folder / role.value).glob(f"*-{_settings_hash(config)}/{MODEL_NAME}")):
+        if not any((project.models_folder / role.value).glob(f"*-{settings_hash(config)}/{MODEL_NAME}")):
             raise
 
 
-def _train_one(
-    project: Project,
-    material: Material,
-    role: DetectorKind,
-    plan: TrainPlan,
-    rcv: RcvConfig,
-    progress: ProgressCallback | None,
-    stop: Callable[[], bool] | None,
+def _train_image(
+    project: Project, material: Material, plan: TrainPlan, report: Report | None, stop: Stop | None
 ) -> Trained:
     begin = time.perf_counter()
-    classes = project.config.classes
-    folder = project.models_folder / role.value
-    left_out: list[str] = []
-
-    def skip(stored: StoredFrame, error: FrameError) -> None:
-        left_out.append(f"frame {stored.key}: {error}")
-
-    if role is DetectorKind.IMAGE:
-        samples, kind, config = image_samples(project, material, skip), material.image_kind, plan.image
-        if material.unreviewed_images:
-            left_out.append(f"{material.unreviewed_images} camera images with unreviewed proposals")
-    else:
-        views = view_samples(project, material, rcv, plan.samples, skip)
-        samples, kind, config = tiled(views, plan.view.image_size_px), material.kind, plan.view
-        if material.left_out:
-            left_out.append(f"{material.left_out} pseudo-views whose boxes are not of the majority kind, {kind}")
-    manifest = write_dataset(folder / DATASET, samples, classes, plan.val_share, plan.seed, kind)
-    out = folder / run_name(manifest, config)
-    report = None if progress is None else (lambda step: progress(role, step))
-    result = train_detector(folder / DATASET, out, config, report, role, stop)
-    model_manifest = out / MANIFEST_NAME
-    # the next training overwrites the dataset; the model keeps the list of its labels
-    shutil.copyfile(folder / DATASET / MANIFEST_NAME, model_manifest)
-    detector = load_detector(result.weights)
-    write_validation_pictures(folder / DATASET, manifest, detector, out)
-    model = _registered(project, role, result, kind, model_manifest, detector.fingerprint)
-    return Trained(role, model, result, manifest, time.perf_counter() - begin, tuple(left_out))
+    left_out = LeftOut()
+    if material.unreviewed_images:
+        left_out.lines.append(f"{material.unreviewed_images} camera images with unreviewed proposals")
+    run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
+    ran = run.train(run.write(image_samples(project, material, left_out.skip)), plan.image, report, stop)
+    model = project.models.activate(ran.model.id)
+    seconds = time.perf_counter() - begin
+    return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))
 
 
-def _registered(
-    project: Project, role: DetectorKind, result: TrainedModel, kind: BoxKind, manifest: Path, fingerprint: str
-) -> StoredModel:
-    """Registers and activates the model; a model that is registered already is only activated."""
-    for known in project.models.all(role):
-        if known.fingerprint == fingerprint and known.path.resolve() == result.weights.resolve():
-            return project.models.activate(known.id)
-    return project.models.register(
-        role,
-        result.weights,
-        labels=result.classes,
-        box_kind=kind,
-        metrics=result.metrics.model_dump(exclude={"measured_on"}),
-        fingerprint=fingerprint,
-        manifest=manifest,
-    )
+@dataclass(eq=False)
+class _ViewTraining:
+    """A training of the view detector in parts; each part starts from the best detector so far."""
+
+    project: Project
+    material: Material
+    plan: TrainPlan
+    rcv: RcvConfig
+    report: Report | None
+    stop: Stop | None
+    left_out: LeftOut = field(default_factory=LeftOut)
+
+    def run(self) -> Trained:
+        """Trains all parts; the result is the detector that the project uses now, or else the last one."""
+        begin = time.perf_counter()
+        project, plan = self.project, self.plan
+        if self.material.left_out:
+            self.left_out.lines.append(
+                f"{self.material.left_out} pseudo-views whose boxes are not of the majority kind, {self.material.kind}"
+            )
+        held_out = HeldOut(project, self.material.labels if plan.decides else {})
+        choice = Choice(project, held_out, choose_start(project, held_out, plan.view), plan.decides)
+        ends: list[float | None] = [None]
+        if plan.view.epochs is None and (choice.best is not None or plan.minutes is not None):
+            ends = [begin + end for end in accumulate(part_seconds(plan.minutes or FIRST_PART_S / 60))]
+        parts = []
+        for number, end in enumerate(ends):
+            report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
+            parts.append(self._part(choice, number, end, report))
+        active = project.models.active(DetectorKind.VIEW)
+        used = [part for part in parts if active is not None and part[0].model.id == active.id]
+        ran, decision = (used or parts)[-1]
+        model, seconds = project.models.get(ran.model.id), time.perf_counter() - begin
+        lines = tuple(self.left_out.lines)
+        return Trained(DetectorKind.VIEW, model, ran.result, ran.manifest, seconds, lines, decision)
+
+    def _part(self, choice: Choice, number: int, end_s: float | None, report: Report | None) -> tuple[Ran, Decision]:
+        """One part, with views of its own.
+
+        Args:
+            number: from 0.
+            end_s: when it should end, by `time.perf_counter`; None: a run of epochs or pictures.
+        """
+        plan, best = self.plan, choice.best
+        drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
+        agnostic = best is not None and best.class_agnostic
+        samples = self._agnostic_samples(best, drawing) if agnostic and best else self._samples(drawing)
+        classes = AGNOSTIC if agnostic else self.project.config.classes
+        run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
+        written = run.write(tiled(samples, plan.view.image_size_px))
+        seconds = None
+        if end_s is not None:  # the rest of the time is for measuring the result
+            seconds = max((end_s - time.perf_counter()) * TRAINING_SHARE, MIN_TRAINING_S)
+        if best is None:
+            config = plan.view.model_copy(update={"seconds": seconds})
+        else:
+            config = starting_config(plan.view, best, seconds, drawing.seed)
+        ran = run.train(written, config, report, self.stop)
+        return ran, choice.add(ran.model, ran.result.note if best is None else f"starts from the {best.described}")
+
+    def _samples(self, drawing: SampleConfig) -> Iterator[TrainingSample]:
+        return view_samples(self.project, self.material, self.rcv, drawing, self.left_out.skip)
+
+    def _agnostic_samples(self, best: UsedModel, drawing: SampleConfig) -> Iterator[TrainingSample]:
+        start = load_detector(best.path)
+        own = agnostic_samples(self.project, self.material, self.rcv, drawing, start, self.left_out.skip)
+        return with_generated(own, self.plan.generated_share, self.plan.view.image_size_px, drawing.seed)
 
 
-def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
-    """Returns the folder name of a training, which depends on the labels and settings only."""
-    return f"{manifest.sha256[:12]}-{_settings_hash(config)}"
-
-
-def _settings_hash(config: TrainingConfig) -> str:
-    return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:8]
+def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:
+    report(replace(step, part=part, parts=parts))

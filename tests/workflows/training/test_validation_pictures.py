@@ -33,7 +33,9 @@ def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups
         TrainingSample(grey, (Box2D("person", 10.0, 20.0, 40.0, 60.0),), str(number), "drawn")
         for number in range(groups)
     ]
-    manifest = write_dataset(tmp_path / "set", samples, ("person",), 0.5, 0, BoxKind.BOX)
+    manifest = write_dataset(
+        tmp_path / "set", samples, ("person",), lambda group: 0 < int(group) <= groups // 2, BoxKind.BOX
+    )
     model = tmp_path / "model"
     model.mkdir()
     for _ in range(2):  # the second call replaces the first pictures
@@ -52,7 +54,7 @@ def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups
 
 def test_a_missing_picture_is_an_error(tmp_path: Path) -> None:
     sample = TrainingSample(np.zeros((80, 100, 3), np.uint8), (Box2D("person", 10.0, 20.0, 40.0, 60.0),), "a", "drawn")
-    manifest = write_dataset(tmp_path / "set", [sample], ("person",), 0.5, 0, BoxKind.BOX)
+    manifest = write_dataset(tmp_path / "set", [sample], ("person",), "b".__eq__, BoxKind.BOX)
     for path in (tmp_path / "set" / "images").rglob("*.*"):
         path.unlink()
     with pytest.raises(DetectionError, match="cannot be read"):

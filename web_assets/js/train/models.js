@@ -4,6 +4,9 @@ import { openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
+const HELD_OUT_HELP =
+  "Mean 3D IoU with the reviewed boxes on held-out frames: a fixed fifth of the frames that never trains and decides " +
+  "which view detector is used.";
 const COLUMNS = [
   ["map50", "mAP50"],
   ["map50_95", "mAP50-95"],
@@ -35,6 +38,39 @@ export function createModelList(host, app, reload) {
     }
   }
 
+  async function useBase() {
+    try {
+      await app.api.post(app.path("models", "base", "activate"));
+      app.toast("The base detector is in use now.", "good");
+      await reload();
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  /** @param {"in use" | "available"} state */
+  function baseRow(state) {
+    const isUsed = state === "in use";
+    return h(
+      "tr",
+      { "data-testid": "base-row", "data-active": String(isUsed), class: isUsed ? "active" : "" },
+      h("td", {}, ROLES.view),
+      h(
+        "td",
+        { colspan: COLUMNS.length + 4, class: "muted" },
+        "Base detector: measures objects of any class, trained on generated scenes",
+      ),
+      h(
+        "td",
+        {},
+        isUsed
+          ? h("span", { class: "chip state-accepted" }, "in use")
+          : h("button", { type: "button", "data-testid": "use-base", onclick: useBase }, "Use this one"),
+      ),
+      h("td", {}),
+    );
+  }
+
   /** @param {Api.ModelDetails} model */
   function row(model) {
     const made = new Date(model.created_ns / 1e6);
@@ -56,6 +92,7 @@ export function createModelList(host, app, reload) {
           model.metrics[name] === undefined || model.metrics[name] === null ? "–" : model.metrics[name].toFixed(3),
         ),
       ),
+      h("td", { class: "number", title: comparison(model), "data-testid": "held-out" }, heldOut(model)),
       h("td", {}, model.box_kind === "box" ? "the whole object" : "the visible part"),
       h(
         "td",
@@ -112,15 +149,24 @@ export function createModelList(host, app, reload) {
   }
 
   return {
-    /** @param {Api.ModelDetails[]} models */
-    show(models) {
-      if (models.length === 0) {
+    /** @param {Api.ModelList} list */
+    show({ models, base }) {
+      if (models.length === 0 && !base) {
         pictures.hidden = true;
         table.replaceChildren(h("p", { class: "muted" }, "No model has been trained yet."));
         return;
       }
       const newest = models.toSorted((a, b) => b.created_ns - a.created_ns);
-      const heads = ["Detector", "Trained", "Trained on", ...COLUMNS.map(([, text]) => text), "Boxes enclose", "", ""];
+      const heads = [
+        "Detector",
+        "Trained",
+        "Trained on",
+        ...COLUMNS.map(([, text]) => text),
+        "Held-out IoU",
+        "Boxes enclose",
+        "",
+        "",
+      ];
       table.replaceChildren(
         h(
           "table",
@@ -131,10 +177,12 @@ export function createModelList(host, app, reload) {
             h(
               "tr",
               {},
-              heads.map((text) => h("th", { scope: "col" }, text)),
+              heads.map((text) =>
+                h("th", { scope: "col", title: text === "Held-out IoU" ? HELD_OUT_HELP : null }, text),
+              ),
             ),
           ),
-          h("tbody", {}, newest.map(row)),
+          h("tbody", {}, newest.map(row), base ? baseRow(base) : null),
         ),
       );
       const active = newest.filter((model) => model.active && model.pictures.length > 0);
@@ -143,6 +191,23 @@ export function createModelList(host, app, reload) {
       );
     },
   };
+}
+
+/** @param {Api.ModelDetails} model */
+function heldOut({ decision }) {
+  if (!decision || decision.mean_iou === null) return "–";
+  return `${decision.mean_iou.toFixed(2)} (${count(decision.objects, "object", "objects")})`;
+}
+
+/**
+ * What a model was compared with, and the outcome.
+ *
+ * @param {Api.ModelDetails} model
+ */
+function comparison({ decision }) {
+  if (!decision) return HELD_OUT_HELP;
+  const others = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
+  return [decision.started_from, ...others, decision.outcome].join("\n");
 }
 
 /**

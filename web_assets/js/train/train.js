@@ -9,6 +9,7 @@ import { createPropose } from "./propose.js";
 
 /** The server's defaults, which empty fields show. */
 const PICTURES = { image: 1600, view: 48000 };
+const LEARN_EVERY = 20;
 const SIZES_PX = { image: 256, view: 64 };
 /** @type {[Api.DetectorKind, string, string][]} */
 const ROLES = [
@@ -30,6 +31,7 @@ export function mount(root, app) {
   const models = createModelList(modelsHost, app, load);
   const propose = createPropose(proposeHost, app);
   const { form, start } = createForm(app);
+  const learning = createLearning(app);
   /** @type {Api.ModelList | null} */
   let known = null;
   let ended = false;
@@ -43,7 +45,7 @@ export function mount(root, app) {
         "section",
         { class: "panel" },
         h("header", {}, h("h2", {}, "Train the detectors")),
-        h("div", { class: "body stack" }, material, form, line.root, curvesHost),
+        h("div", { class: "body stack" }, material, form, learning.root, line.root, curvesHost),
       ),
       proposeHost,
       modelsHost,
@@ -71,7 +73,8 @@ export function mount(root, app) {
     if (!known) return;
     const list = known;
     material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
-    models.show(known.models);
+    models.show(known);
+    learning.show(known.learn_every);
     const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
     if (nothing) material.append(nothingYet(app));
@@ -104,6 +107,69 @@ export function mount(root, app) {
   };
 }
 
+/**
+ * The switch "Learn while I label".
+ *
+ * @param {ModeApp} app
+ */
+function createLearning(app) {
+  const box = h("input", { type: "checkbox", "data-testid": "learn-switch" });
+  const every = h("input", {
+    type: "number",
+    min: 1,
+    max: 1000000,
+    value: LEARN_EVERY,
+    "aria-label": "Reviewed boxes between two rounds",
+    "data-testid": "learn-every",
+  });
+  /** @type {number | null | undefined} */
+  let stored;
+
+  async function store() {
+    const wanted = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
+    try {
+      await app.api.put(app.path("models", "learning"), { every: wanted });
+      stored = wanted;
+    } catch (error) {
+      app.toast(error);
+    }
+    fill();
+  }
+
+  function fill() {
+    box.checked = typeof stored === "number";
+    if (typeof stored === "number") every.value = String(stored);
+  }
+
+  box.addEventListener("change", store);
+  every.addEventListener("change", () => box.checked && store());
+  const root = h(
+    "div",
+    { class: "stack", "data-testid": "learning" },
+    h(
+      "div",
+      { class: "row" },
+      h("label", { class: "row" }, box, "Learn while I label"),
+      h("label", { class: "row" }, "after every", every, "reviewed boxes"),
+    ),
+    h(
+      "p",
+      { class: "help" },
+      "Trains the view detector for three minutes in the background, while a page has this project open. It waits ",
+      "while you draw and stops for other jobs. A better detector is used at once.",
+    ),
+  );
+  return {
+    root,
+    /** @param {number | null} now */
+    show(now) {
+      if (now === stored) return;
+      stored = now;
+      fill();
+    },
+  };
+}
+
 /** @param {ModeApp} app */
 function createForm(app) {
   const roles = ROLES.map(([role]) =>
@@ -131,6 +197,15 @@ function createForm(app) {
       "data-testid": `train-size-${role}`,
     }),
   );
+  const minutes = h("input", {
+    type: "number",
+    min: 0.5,
+    max: 1440,
+    step: 0.5,
+    placeholder: "3",
+    "aria-label": "Minutes for the view detector",
+    "data-testid": "train-minutes",
+  });
   const model = h(
     "select",
     { "data-testid": "train-model" },
@@ -155,12 +230,15 @@ function createForm(app) {
       ROLES.map(([, label], i) =>
         h("label", { class: "field" }, h("span", {}, `${label}: longer side, px`), sizes[i]),
       ),
+      h("label", { class: "field" }, h("span", {}, "View detector: minutes"), minutes),
       h("label", { class: "field" }, h("span", {}, "Network"), model),
       h(
         "p",
         { class: "help" },
         "Each picture is shown many times, with small random changes. More pictures take longer and train better; ",
-        "larger pictures show small objects better. An empty field uses the number shown in grey.",
+        "larger pictures show small objects better. An empty field uses the number shown in grey. ",
+        "A view detector that starts from another detector trains for the minutes; what is better after the first ",
+        "three is used at once. A fifth of the frames never trains: it decides which view detector is used.",
       ),
     ),
   );
@@ -191,6 +269,7 @@ function createForm(app) {
         roles: chosen,
         image_pictures: number(pictures[0]),
         view_pictures: number(pictures[1]),
+        minutes: number(minutes),
         image_size_px: number(sizes[0]),
         view_size_px: number(sizes[1]),
         model: model.value || null,

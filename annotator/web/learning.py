@@ -1,0 +1,59 @@
+"""Learning while somebody labels: rounds of training in the background, which step aside for drawing and other jobs."""
+
+from __future__ import annotations
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from annotator.project import REVIEWED, Project
+from annotator.types import DetectorKind
+from annotator.web.jobs.records import TrainRequest
+from annotator.web.jobs.runner import JobRunner
+
+OPERATOR = "learning while labelling"
+ROUND = TrainRequest(kind="train", roles=[DetectorKind.VIEW], background=True)
+
+
+class Learner:
+    """Starts a round for a project once enough boxes were reviewed since the last one."""
+
+    def __init__(self, jobs: JobRunner) -> None:
+        self._jobs = jobs
+        # number of reviewed boxes when the last round began, by project
+        self._learned: dict[str, int] = {}
+        # the last round's job, and the number before it, by project
+        self._rounds: dict[str, tuple[str, int]] = {}
+
+    def look(self, name: str, project: Project) -> None:
+        """Starts a round of a project if it is due and no other job runs or waits.
+
+        A round that stepped aside for another job is started again afterwards.
+        """
+        every = project.config.settings.learn_every
+        if every is None:
+            self._learned.pop(name, None)
+            return
+        reviewed = project.labels.count(REVIEWED)
+        # boxes that were reviewed before the first round are due at once
+        first = reviewed if project.models.all(DetectorKind.VIEW) else 0
+        learned = self._learned.setdefault(name, first)
+        if name in self._rounds and self._jobs.stepped_aside(self._rounds[name][0]):
+            self._learned[name] = learned = self._rounds.pop(name)[1]
+        if reviewed - learned >= every and self._jobs.is_idle():
+            job = self._jobs.add(name, project.path, ROUND, OPERATOR)
+            self._rounds[name] = (job.id, learned)
+            self._learned[name] = reviewed
+
+
+class StepAside:
+    """ASGI middleware: a job in the background waits while the server answers requests about a frame."""
+
+    def __init__(self, app: ASGIApp, jobs: JobRunner) -> None:
+        self.app, self._jobs = app, jobs
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes a request on."""
+        if scope["type"] != "http" or "/frames/" not in scope["path"]:
+            await self.app(scope, receive, send)
+            return
+        with self._jobs.stepping_aside():
+            await self.app(scope, receive, send)

@@ -1,0 +1,209 @@
+"""Measures view detectors on the reviewed objects of held-out frames.
+
+A fixed fifth of the frames, drawn by a hash of their keys (`detection.held_out`), never trains a detector. Its reviewed
+3D boxes decide what a training starts from, and which view detector the project uses afterwards. A detector gets the
+objects' boxes on the image, slightly wrong, as an operator would draw them; the measure is the mean exact 3D IoU of the
+boxes that it then finds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from annotator.detection.held_out import is_held_out
+from annotator.detection.trained import read_trained
+from annotator.files import write_atomic
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import contains
+from annotator.geometry.outline import box_on_image
+from annotator.project import Project, StoredFrame
+from annotator.project.config import BoxRotation
+from annotator.rcv.config import RcvConfig
+from annotator.types import Box2D, Camera, Detector, Frame, Label, OrientedBox
+from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.detectors import UsedModel, load_detector
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.samples import frame_group
+
+DECISION_NAME = "held_out.json"
+# With fewer objects, the measurement would be chance. More objects than the maximum would take too long.
+MIN_OBJECTS, MOST_OBJECTS = 5, 40
+# Objects with fewer points are not measured.
+MIN_POINTS = 20
+# Error of each edge of the boxes on the image, and the shortest side of a box that is used, pixels.
+JITTER_PX, MIN_SIDE_PX = 2.0, 2.0
+
+
+class Rival(BaseModel):
+    """A view detector that was compared: its name for people, and its mean IoU on the held-out objects."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    mean_iou: float
+
+
+class Decision(BaseModel):
+    """How held-out frames decided about a new view detector; stored beside its weights.
+
+    Attributes:
+        objects, frames: number of reviewed objects measured, and of their frames.
+        mean_iou: of the new detector; None with fewer than `MIN_OBJECTS` objects.
+        compared: the other detectors.
+        started_from: what the training started from.
+        outcome: which detector the project uses now, and why, in words.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    objects: int
+    frames: int
+    mean_iou: float | None
+    compared: tuple[Rival, ...]
+    started_from: str
+    outcome: str
+
+    def write(self, folder: Path) -> None:
+        """Writes `held_out.json`."""
+        write_atomic(folder / DECISION_NAME, self.model_dump_json(indent=1).encode())
+
+
+def measured_ious(decision: Decision) -> str:
+    """The mean IoU of the new detector and of the others, for people."""
+    figures = [] if decision.mean_iou is None else [f"this detector {decision.mean_iou:.2f}"]
+    return ", ".join(figures + [f"{rival.name} {rival.mean_iou:.2f}" for rival in decision.compared])
+
+
+def read_decision(folder: Path) -> Decision | None:
+    """Returns the decision beside a model; None for one that was not trained by `annotator train`, or before 0.3.
+
+    Raises:
+        FormatError: it cannot be read.
+    """
+    path = folder / DECISION_NAME
+    if not path.is_file():
+        return None
+    try:
+        return Decision.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise FormatError(path, f"not a measurement on held-out frames ({error})") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _HeldOutFrame:
+    """A frame, its measured objects, and the box on the image that each is measured from."""
+
+    frame: Frame
+    image_boxes: tuple[Box2D, ...]
+    truths: tuple[OrientedBox, ...]
+
+
+class HeldOut:
+    """The reviewed objects on a project's held-out frames; frames that cannot be read are left out."""
+
+    def __init__(self, project: Project, labels: Mapping[int, Sequence[Label]]) -> None:
+        """
+        Args:
+            labels: reviewed labels by frame id.
+        """
+        self._project = project
+        self._frames: list[_HeldOutFrame] = []
+        source = FrameSource(project)
+        for stored in held_out_frames(project, labels):
+            if self.objects >= MOST_OBJECTS:
+                break
+            try:
+                frame = source.read(stored)
+            except FrameError:  # reported by the training, which reads it, too
+                continue
+            measured = _measured(frame, labels[stored.id], np.random.default_rng([0, stored.id]))
+            if measured.truths:
+                self._frames.append(measured)
+
+    @property
+    def objects(self) -> int:
+        """Number of objects."""
+        return sum(len(frame.truths) for frame in self._frames)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames with objects."""
+        return len(self._frames)
+
+    @property
+    def decides(self) -> bool:
+        """True if there are enough objects to decide between detectors."""
+        return self.objects >= MIN_OBJECTS
+
+    def mean_iou(self, model: UsedModel) -> float:
+        """Mean 3D IoU of the boxes that a view detector finds from the objects' boxes on the image.
+
+        Raises:
+            DetectionError, FormatError: the detector cannot be loaded.
+        """
+        detector = load_detector(model.path)
+        config = rcv_config(self._project, view_px=read_trained(model.path.parent).image_size_px)
+        config = config.for_detector(model.box_kind, model.class_agnostic)
+        rotation = self._project.config.settings.rotation
+        ious: list[float] = []
+        for held in self._frames:
+            found = lifted(held.frame, held.image_boxes, detector, config, rotation)
+            pairs = zip(found, held.truths, strict=True)
+            ious += [0.0 if box is None else iou_3d(box, truth) for box, truth in pairs]
+        return float(np.mean(ious))
+
+
+def held_out_frames(project: Project, frame_ids: Mapping[int, object]) -> list[StoredFrame]:
+    """The held-out frames among some frames, in an order that does not depend on time."""
+    frames = [stored for stored in project.frames.of() if stored.id in frame_ids and is_held_out(stored.key)]
+    return sorted(frames, key=lambda stored: (stored.id * 2654435761) % 2**32)
+
+
+def held_out_groups(project: Project) -> frozenset[str]:
+    """The groups of the training samples of all held-out frames."""
+    return frozenset(frame_group(stored) for stored in project.frames.of() if is_held_out(stored.key))
+
+
+def lifted(
+    frame: Frame, image_boxes: Sequence[Box2D], detector: Detector, config: RcvConfig, rotation: BoxRotation
+) -> list[OrientedBox | None]:
+    """The best 3D box that a view detector finds from each 2D box, or None.
+
+    Args:
+        config: with the settings of the detector.
+    """
+    (result,) = propose_image_boxes([frame], [image_boxes], detector, config, rotation)
+    best: dict[int, OrientedBox] = {}
+    for proposal in result.proposals:  # best first
+        best.setdefault(id(proposal.image_box), proposal.box)
+    return [best.get(id(box)) for box in image_boxes]
+
+
+def inaccurate(camera: Camera, box: Box2D, errors_px: Float64[np.ndarray, "4"]) -> Box2D | None:
+    """A box on the image with these errors of its edges, clipped to the image; None if too small."""
+    right, bottom = camera.width_px - 0.5, camera.height_px - 0.5
+    edges = np.clip(np.array(box.xyxy) + errors_px, -0.5, [right, bottom, right, bottom])
+    x_min, y_min, x_max, y_max = edges.tolist()
+    if min(x_max - x_min, y_max - y_min) < MIN_SIDE_PX:
+        return None
+    return Box2D(box.label, x_min, y_min, x_max, y_max)
+
+
+def _measured(frame: Frame, labels: Sequence[Label], rng: np.random.Generator) -> _HeldOutFrame:
+    boxes, truths = [], []
+    for label in labels:
+        outline = box_on_image(frame.camera, label.box, label.label)
+        errors_px = rng.normal(0, JITTER_PX, 4)
+        box = None if outline is None else inaccurate(frame.camera, outline, errors_px)
+        if box is not None and contains(label.box, frame.cloud.xyz_m).sum() >= MIN_POINTS:
+            boxes.append(box)
+            truths.append(label.box)
+    return _HeldOutFrame(frame, tuple(boxes), tuple(truths))
