@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,9 @@ def run(
 
     def program(module: ModuleType, *words: object) -> Any:
         detector = AnyClass(knowing("people").view)
-        monkeypatch.setattr(module, "load_detector", lambda *_: detector)
+        monkeypatch.setattr(follow, "load_detector", lambda *_: detector)
+        monkeypatch.setattr(cold_start, "load_detector", lambda *_: detector)
+        monkeypatch.setattr(cold_start, "read_trained", lambda _: SimpleNamespace(image_size_px=64))
         monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, words), "--base", "unused", "--json"])
         module.main()
         return json.loads(capsys.readouterr().out.splitlines()[-1])
