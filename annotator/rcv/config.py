@@ -282,5 +282,9 @@ class RcvConfig(BaseModel):
 
         So frames that were annotated before these settings existed are not annotated again.
         """
-        unused = set() if self.class_agnostic else {"class_agnostic", "first_look"}
-        return self.model_dump(mode="json", exclude={"orientation", *unused})
+        left_out: dict[str, Any] = {"orientation": True}
+        if not self.class_agnostic:
+            left_out |= {"class_agnostic": True, "first_look": True}
+        if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint
+            left_out["fit"] = {"use_edge_errors"}
+        return self.model_dump(mode="json", exclude=left_out)

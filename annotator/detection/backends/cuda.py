@@ -95,7 +95,6 @@ def decode_in_full_precision(module: Any) -> Any:
     torch = api().torch
     head = module.model.model[-1]
     decode = head._inference
-    head.dfl.float()
 
     def in_full_precision(features: dict[str, Any]) -> Any:
         # The decoding reads only the shape and the type of the feature maps.

@@ -24,30 +24,20 @@ def give_edge_spread(head: Any) -> bool:
     bins = getattr(head.dfl, "c1", None)
     if bins is None:
         return False
-
-    class Mean(torch.nn.Module):  # type: ignore[name-defined]
-        def __init__(self) -> None:
-            super().__init__()
-            self.register_buffer("distances", torch.arange(bins, dtype=torch.float32).view(1, 1, bins, 1))
-
-        def shares(self, logits: Any) -> Any:
-            return logits.view(logits.shape[0], 4, bins, logits.shape[2]).softmax(2)
-
-        def forward(self, logits: Any) -> Any:
-            return (self.shares(logits) * self.distances).sum(2)
-
-        def spread(self, logits: Any) -> Any:
-            shares = self.shares(logits)
-            mean = (shares * self.distances).sum(2, keepdim=True)
-            # not the mean of squares minus the square of the mean, which would round to noise for narrow distributions
-            return (shares * (self.distances - mean) ** 2).sum(2).sqrt()
-
-    head.dfl = Mean().to(head.dfl.conv.weight.device)
     decode = head._inference
 
     def with_spread(features: dict[str, Any]) -> Any:
-        answer = decode(features)  # also sets the strides
-        return torch.cat((answer, head.dfl.spread(features["boxes"]) * head.strides), 1)
+        logits = features["boxes"]
+        images, _, anchors = logits.shape
+        shares = logits.view(images, 4, bins, anchors).softmax(2)
+        distances = torch.arange(bins, dtype=logits.dtype, device=logits.device).view(1, 1, bins, 1)
+        mean = (shares * distances).sum(2, keepdim=True)
+        answer = decode({**features, "boxes": mean[:, :, 0]})  # also sets the strides
+        # not the mean of squares minus the square of the mean, which would round to noise for narrow distributions
+        apart = distances - mean
+        spread = (shares * apart * apart).sum(2).sqrt()
+        return torch.cat((answer, spread * head.strides), 1)
 
+    head.dfl = torch.nn.Identity()  # `decode` gets the means
     head._inference = with_spread
     return True
