@@ -79,7 +79,9 @@ def run(
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
 
         def progress(role: DetectorKind, step: TrainingProgress) -> None:
-            bar.update(tasks[role], completed=step.epochs_done, total=step.epochs, note=_note(step))
+            # a run of fixed duration has no known number of epochs
+            done, total = (round(100 * step.share_done), 100) if step.is_timed else (step.epochs_done, step.epochs)
+            bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
         trained = train(opened, plan, roles=roles, progress=progress)
     for result in trained:
