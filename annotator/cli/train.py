@@ -61,8 +61,8 @@ def run(
         size: side of the pseudo-views in training, pixels.
         image_size: longer side of the camera images in training, pixels.
         model: name of an ultralytics YOLO model.
-        weights: initial weights: auto = the best view detector so far, else pretrained ones if found or downloadable, else
-            random; never = random; or a path.
+        weights: initial weights: auto = the best view detector so far, else pretrained ones if found or downloadable,
+            else random; never = random; or a path.
         views: approximate number of pseudo-views to generate from objects with 3D boxes.
     """
     start = weights if weights in ("auto", "never") else Path(weights)
