@@ -1,7 +1,7 @@
 """3D boxes of objects whose class was never seen, or of which a few were taught, from 2D boxes on the image.
 
     python -m benchmarks.cold_start DIR [--taught 0 1 5 20] [--upright | --free] [--image-box projected|label]
-        [--minutes 3] [--seed N] [--json]
+        [--minutes 3 | --epochs N] [--seed N] [--json]
 
 With `--taught 0` alone, the base detector is tried on all frames. Otherwise the first half of the recording teaches and
 the second half is tried, the same for every number. For each number of taught objects of each class, a project with
@@ -68,6 +68,8 @@ class Arguments:
     """Weights of a base detector for --taught 0; None = the one of the package."""
     minutes: float = 3.0
     """Length of each training, minutes."""
+    epochs: int | None = None
+    """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
     generated: float = GENERATED_SHARE
     """Share of generated views in each training."""
     min_points: int = 20
@@ -258,7 +260,11 @@ def after(
     """The IoU of each object of the taught classes by class, and the seconds of training."""
     with taught_project(recording, chosen, args) as project:
         plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
-        plan = replace(plan, samples=plan.samples.model_copy(update={"seed": args.seed}))
+        plan = replace(
+            plan,
+            samples=plan.samples.model_copy(update={"seed": args.seed}),
+            view=plan.view.model_copy(update={"epochs": args.epochs}),
+        )
         begin = time.perf_counter()
         train(project, plan, roles=(DetectorKind.VIEW,))
         seconds = time.perf_counter() - begin

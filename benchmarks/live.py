@@ -25,7 +25,7 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.web.live.page import LivePage
-from annotator.workflows.detectors import Detectors, load_detector
+from annotator.workflows.detectors import Detectors, load_detector, own_model
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback, Repeat
@@ -98,6 +98,7 @@ def _detectors(project: Project, args: Arguments) -> Detectors:
         load_detector(image.path, args.backend, args.image_size),
         load_detector(view.path, args.backend, args.view_size),
         view.box_kind,
+        own_model(project, view).class_agnostic,
     )
 
 

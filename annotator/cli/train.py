@@ -61,7 +61,8 @@ def run(
         size: side of the pseudo-views in training, pixels.
         image_size: longer side of the camera images in training, pixels.
         model: name of an ultralytics YOLO model.
-        weights: initial weights: auto = pretrained if found or downloadable, else random; never = random; or a path.
+        weights: initial weights: auto = the best view detector so far, else pretrained ones if found or downloadable,
+            else random; never = random; or a path.
         views: approximate number of pseudo-views to generate from objects with 3D boxes.
     """
     start = weights if weights in ("auto", "never") else Path(weights)
@@ -79,7 +80,9 @@ def run(
         tasks = {role: bar.add_task(f"{role} detector", total=None, note="") for role in roles}
 
         def progress(role: DetectorKind, step: TrainingProgress) -> None:
-            bar.update(tasks[role], completed=step.epochs_done, total=step.epochs, note=_note(step))
+            # a run of fixed duration has no known number of epochs
+            done, total = (round(100 * step.share_done), 100) if step.is_timed else (step.epochs_done, step.epochs)
+            bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
         trained = train(opened, plan, roles=roles, progress=progress)
     for result in trained:

@@ -26,6 +26,7 @@ class TrainingProgress:
         seconds: since the run started or was resumed.
         seconds_left: an estimate; None before the first batch.
         note: what the run started from.
+        is_timed: whether the run has a fixed duration, and `epochs` is an estimate.
         part, parts: number of this run, from 1, and of all runs, of a training in several parts.
     """
 
@@ -40,6 +41,7 @@ class TrainingProgress:
     seconds: float
     seconds_left: float | None
     note: str
+    is_timed: bool = False
     part: int = 1
     parts: int = 1
 
@@ -53,7 +55,10 @@ class TrainingProgress:
     @property
     def share_done(self) -> float:
         """Finished share of the training, all parts counted alike, 0 to 1."""
-        return (self.part - 1 + min(self.epochs_done / self.epochs, 1.0)) / self.parts
+        share = self.epochs_done / self.epochs
+        if self.is_timed and self.seconds_left is not None:
+            share = self.seconds / max(self.seconds + self.seconds_left, 1e-9)
+        return (self.part - 1 + min(share, 1.0)) / self.parts
 
 
 class TrainingStoppedError(DetectionError):
@@ -74,7 +79,14 @@ class Watch:
         epochs: int,
         progress: Report | None,
         stop: Callable[[], bool] | None,
+        limit_s: float | None = None,
     ) -> None:
+        """
+        Args:
+            epochs: of the run; a first guess for a run of fixed duration.
+            limit_s: duration of the run; None = until its epochs are done.
+        """
+        self._limit_s = limit_s
         self.role, self.run, self.out, self.epochs = role, run, out, epochs
         self._progress, self._stop = progress, stop
         self._begin = time.monotonic()
@@ -111,6 +123,8 @@ class Watch:
             return
         done = epoch - self._first_epoch + batch / batches
         left = self.seconds / done * (self.epochs - self._first_epoch - done) if done > 0 else None
+        if self._limit_s is not None:
+            left = max(self._limit_s - self.seconds, 0.0)
         losses = {name: float(value) for name, value in (trainer.tloss or {}).items()}
         self._progress(
             TrainingProgress(
@@ -125,5 +139,6 @@ class Watch:
                 self.seconds,
                 left,
                 self.run.note,
+                self._limit_s is not None,
             )
         )

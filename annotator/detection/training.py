@@ -82,8 +82,9 @@ def train_detector(
     else:
         start = StartingPoint(None, run.pretrained, run.note)
         checkpoint = out / "weights" / LAST
-    watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop)
-    if checkpoint is None or epochs_done(checkpoint) < watch.epochs or config.seconds is not None:
+    limit_s = None if config.epochs else config.seconds
+    watch = Watch(role, run, out, config.epochs_for(manifest.images["train"]), progress, stop, limit_s)
+    if checkpoint is None or epochs_done(checkpoint) < watch.epochs or limit_s is not None:
         _run(dataset, manifest, out, config, role, device, start, checkpoint, watch)
     return _finish(dataset, out, manifest, config, role, watch)
 
@@ -136,6 +137,7 @@ def trainer_settings(config: TrainingConfig, role: DetectorKind, epochs: int, de
         "save_dir": str(out.resolve()),
         "exist_ok": True,
         "epochs": epochs,
+        # hours
         "time": None if config.epochs or config.seconds is None else config.seconds / 3600,
         "imgsz": config.image_size_px,
         "batch": config.batch,

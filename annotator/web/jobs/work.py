@@ -10,17 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from annotator.detection.config import TrainingConfig
+from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.types import DetectorKind
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
+from annotator.workflows.detectors import used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.sources import trained_detectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.rounds import FIRST_PART_S
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
 T = TypeVar("T")
@@ -37,7 +39,9 @@ def train_work(job: JobContext, request: TrainRequest) -> Outcome:
         minutes=request.minutes,
     )
     roles = tuple(dict.fromkeys(request.roles))
-    reporter = _ProgressReporter(job, plan, roles)
+    starts = used_model(job.project, DetectorKind.VIEW) is not None
+    minutes = plan.minutes or (FIRST_PART_S / 60 if starts else None)
+    reporter = _ProgressReporter(job, plan, roles, minutes)
     job.progress(f"draw training images for the {roles[0]} detector")
     try:
         trained = train(job.project, plan, roles=roles, progress=reporter.step, stop=job.stopped)
@@ -70,6 +74,7 @@ class _ProgressReporter:
     """Converts the progress of one or two trainings into that of the job, in training images shown.
 
     Attributes:
+        minutes: expected duration of the view detector's training; None: by its number of images.
         reported: latest reported epoch of each training, by part.
         measured: latest mAP50-95 of each training.
     """
@@ -77,6 +82,7 @@ class _ProgressReporter:
     job: JobContext
     plan: TrainPlan
     roles: tuple[DetectorKind, ...]
+    minutes: float | None = None
     reported: dict[DetectorKind, dict[int, int]] = field(default_factory=dict)
     measured: dict[DetectorKind, float | None] = field(default_factory=dict)
 
@@ -104,6 +110,8 @@ class _ProgressReporter:
         return step.seconds_left + after * step.seconds / shown
 
     def _images(self, role: DetectorKind) -> float:
+        if role is DetectorKind.VIEW and self.minutes is not None:
+            return self.minutes * 60 * PICTURES_A_SECOND
         return float((self.plan.image if role is DetectorKind.IMAGE else self.plan.view).pictures_seen)
 
     def _measured(self, role: DetectorKind, step: TrainingProgress, epoch: int) -> None:

@@ -37,6 +37,8 @@ TASK_FRAMES = 16
 # An upright view is drawn of objects with an axis within this angle of the vertical, radians.
 UPRIGHT_RAD = 0.06
 VIEWS, RUN = "views", "run"
+# Origin of the views of generated frames.
+GENERATED = "generated"
 MANIFEST_FILE, PLAN_FILE = "manifest.json", "plan.json"
 
 
@@ -211,7 +213,7 @@ def _of_frame(shot: Snapshot, seed: int, draws: int, size_px: int) -> Iterator[T
             orientation = Orientation.UPRIGHT if upright else Orientation.FREE
             up = held_direction(shot.frame.up, config.model_copy(update={"orientation": orientation}))
             for taught in teach_agnostic_views(shot.frame, objects, [index], 1, config, up, random):
-                yield TrainingSample(taught.view.rgb, taught.boxes, f"snapshot/{seed}", "generated")
+                yield TrainingSample(taught.view.rgb, taught.boxes, f"snapshot/{seed}", GENERATED)
 
 
 def _is_upright(box: OrientedBox, frame: Frame) -> bool:

@@ -12,6 +12,7 @@ from pathlib import Path
 from annotator.detection.manifest import MANIFEST_NAME, read_manifest
 from annotator.project import StoredModel
 from annotator.types.errors import FormatError
+from annotator.workflows.training.base_detector import GENERATED
 from annotator.workflows.training.held_out import Decision, read_decision
 from annotator.workflows.training.validation_pictures import validation_pictures
 
@@ -77,9 +78,10 @@ def _boxes(model: StoredModel) -> int | None:
 
 @lru_cache(maxsize=256)
 def _boxes_of(folder: Path, changed_ns: int) -> int | None:
-    """Counts the training boxes of a manifest; cached until the file changes."""
+    """Counts the training boxes of a manifest, without those of generated frames; cached until the file changes."""
     try:
-        return sum(read_manifest(folder).boxes_by_class["train"].values())
+        entries = read_manifest(folder).entries
+        return sum(len(entry.boxes) for entry in entries if entry.split == "train" and entry.origin != GENERATED)
     except FormatError:  # only the number is lost: the model works without its manifest
         return None
 

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from browser_page import label_truth
 
+from annotator.detection import base_detector
 from annotator.project import Project
+from annotator.types import BoxKind, DetectorKind
+from annotator.workflows.training.held_out import Decision, Rival
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -53,3 +56,48 @@ def test_a_running_training_is_shown_after_a_reload_and_can_be_stopped(
     expect(page.get_by_test_id("job-train-text")).to_contain_text("topped")
     expect(page.get_by_test_id("train-start")).to_be_enabled()
     expect(page.get_by_test_id("propose-start")).to_be_disabled()
+
+
+def test_learning_while_labelling_is_switched_on_for_the_project(
+    signed_in: Page, room: Project, generated: Path
+) -> None:
+    label_truth(room, generated / "people", 1)
+    signed_in.goto(f"/#/{room.path.name}/train")
+    every = signed_in.get_by_test_id("learn-every")
+    expect(signed_in.get_by_test_id("learn-switch")).not_to_be_checked()
+    every.fill("1000")
+    with signed_in.expect_response("**/models/learning"):
+        signed_in.get_by_test_id("learn-switch").check()
+    assert room.config.settings.learn_every == 1000
+    signed_in.reload()
+    expect(signed_in.get_by_test_id("learn-switch")).to_be_checked()
+    expect(every).to_have_value("1000")
+    with signed_in.expect_response("**/models/learning"):
+        signed_in.get_by_test_id("learn-switch").uncheck()
+    assert room.config.settings.learn_every is None
+
+
+def test_what_held_out_frames_decided_is_shown_and_the_base_detector_can_be_chosen(
+    signed_in: Page, room: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    folder = room.models_folder / "view" / "run"
+    folder.mkdir(parents=True)
+    for weights in (tmp_path / "detector.safetensors", folder / "detector.safetensors"):
+        weights.write_bytes(b"weights")
+    room.models.register(
+        DetectorKind.VIEW, folder / "detector.safetensors", labels=("whole", "seen"), box_kind=BoxKind.BOX,
+        metrics={"map50": 0.5}, fingerprint="f",
+    )  # fmt: skip
+    rivals = (Rival(name="base detector", mean_iou=0.5),)
+    Decision(
+        objects=7, frames=2, mean_iou=0.625, compared=rivals, started_from="", outcome="the best one, in use now"
+    ).write(folder)
+    signed_in.goto(f"/#/{room.path.name}/train")
+    expect(signed_in.get_by_test_id("held-out")).to_have_text("0.63 (7 objects)")
+    expect(signed_in.get_by_test_id("decision")).to_contain_text("newest detector 0.63, base detector 0.50")
+    signed_in.get_by_test_id("use-base").click()
+    expect(signed_in.get_by_test_id("base-row")).to_have_attribute("data-active", "true")
+    assert room.models.active(DetectorKind.VIEW) is None
+    signed_in.get_by_test_id("use-model").click()
+    expect(signed_in.get_by_test_id("base-row")).to_have_attribute("data-active", "false")

@@ -184,6 +184,7 @@ export function createModelList(host, app, reload) {
           ),
           h("tbody", {}, newest.map(row), base ? baseRow(base) : null),
         ),
+        decisionLine(newest.find(({ decision }) => decision)),
       );
       const active = newest.filter((model) => model.active && model.pictures.length > 0);
       showPictures(
@@ -197,6 +198,16 @@ export function createModelList(host, app, reload) {
 function heldOut({ decision }) {
   if (!decision || decision.mean_iou === null) return "–";
   return `${decision.mean_iou.toFixed(2)} (${count(decision.objects, "object", "objects")})`;
+}
+
+/** @param {Api.ModelDetails | undefined} model */
+function decisionLine(model) {
+  const decision = model?.decision;
+  if (!decision) return "";
+  const figures = decision.compared.map(({ name, mean_iou }) => `${name} ${mean_iou.toFixed(2)}`);
+  if (decision.mean_iou !== null) figures.unshift(`newest detector ${decision.mean_iou.toFixed(2)}`);
+  const measured = figures.length ? ` Mean IoU on held-out frames: ${figures.join(", ")}.` : "";
+  return h("p", { class: "muted", "data-testid": "decision" }, `Latest round: ${decision.outcome}.${measured}`);
 }
 
 /**

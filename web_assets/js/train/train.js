@@ -69,7 +69,8 @@ export function mount(root, app) {
     line.show();
     curves.show(curvesOf(job, known));
     propose.show();
-    start.disabled = Boolean(job && isActive(job));
+    // a round in the background stops for this one
+    start.disabled = Boolean(job && isActive(job) && !job.background);
     if (!known) return;
     const list = known;
     material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
