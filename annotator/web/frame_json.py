@@ -135,9 +135,13 @@ def view_url(name: str, view_id: str) -> str:
     return f"/api/projects/{name}/views/{view_id}.png"
 
 
-def drawn_view(ctx: Context, name: str, view: PseudoView) -> ViewJson:
-    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it."""
-    view_id = ctx.caches.view_images.add(view.rgb)
+def drawn_view(ctx: Context, name: str, view: PseudoView, picture: bytes) -> ViewJson:
+    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it.
+
+    Args:
+        picture: its image as a PNG file.
+    """
+    view_id = ctx.caches.view_images.add(picture)
     height, width = view.rgb.shape[:2]
     return ViewJson(
         id=view_id,

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
-from annotator.detection.base_detector import NAME, base_weights, has_base
+from annotator.detection.base_detector import NAME, TITLE, base_weights, has_base
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
@@ -120,6 +120,15 @@ class UsedModel:
     class_agnostic: bool
     fingerprint: str
     name: str = ""
+
+
+def detector_title(name: str) -> str:
+    """Names a view detector for people.
+
+    Args:
+        name: as in `UsedModel`.
+    """
+    return TITLE if name == NAME else "this project's view detector"
 
 
 def used_model(project: Project, role: DetectorKind) -> UsedModel | None:

@@ -9,6 +9,7 @@ from fastapi.responses import JSONResponse
 from pydantic import Field
 
 from annotator.project import WriteContext
+from annotator.project.views import png
 from annotator.rcv.config import RcvConfig
 from annotator.types import DetectorKind
 from annotator.types.errors import StaleRevisionError
@@ -104,7 +105,7 @@ def ortho(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: OrthoI
     """Three views along the box's axes; points outside the box are dimmed."""
     opened = ctx.caches.frames.open(ctx.project(name), frame_id, operator)
     drawn = ortho_views(opened, body.box.box(), body.size_px)
-    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view))) for item in drawn]
+    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view, png(item.view.rgb)))) for item in drawn]
     return OrthoOut(views=views)
 
 
