@@ -8,20 +8,20 @@ from typing import Any
 from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
-from annotator.project import Statistics
+from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 
 
 def run(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
     """Show a project's progress: frames, labels, 2D boxes, effort per box, runs, models."""
     with open_named(project, projects) as opened:
-        statistics = opened.statistics()
+        statistics = reported_statistics(opened)
     if as_json:
         print_json(statistics)
     else:
         print_facts(_rows(statistics))
 
 
-def _rows(counts: Statistics) -> Iterator[tuple[str, object]]:
+def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
     yield "recordings", counts.recordings
     yield "frames", counts.frames
     yield "  with labels", counts.frames_with_labels
@@ -44,6 +44,7 @@ def _rows(counts: Statistics) -> Iterator[tuple[str, object]]:
         yield "IoU of proposal and final box", f"{counts.iou_proposal_to_final:.3f}"
     yield "runs", counts.runs
     yield "models", counts.models
+    yield "view detector", counts.view_detector or "none"
 
 
 def _listed(counts: Mapping[Any, int]) -> str:

@@ -156,7 +156,10 @@ class QualityJson(Schema):
 
 
 class LabelJson(Schema):
-    """A 3D label with its outline on the image, its number of points and its doubt."""
+    """A 3D label with its outline on the image, its number of points and its doubt.
+
+    `measured_by` names the base detector if it measured the proposal.
+    """
 
     uid: str
     label: str
@@ -169,6 +172,7 @@ class LabelJson(Schema):
     track_id: int | None
     quality: QualityJson | None
     doubt: float | None
+    measured_by: str | None
     outline: Outline
     points: int
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -13,6 +14,8 @@ from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.gpu.compute import torch_compute
+from annotator.project import Statistics
+from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
 from annotator.rcv.compute import NUMPY, Compute
@@ -129,6 +132,24 @@ def detector_title(name: str) -> str:
         name: as in `UsedModel`.
     """
     return TITLE if name == NAME else "this project's view detector"
+
+
+def base_title(run: Run) -> str | None:
+    """Names the base detector for people if it measured the boxes of a batch run; None for another detector."""
+    return TITLE if json.loads(run.config).get("class_agnostic") else None
+
+
+class ReportedStatistics(Statistics):
+    """Statistics, and the name of the view detector that the project uses; None without one."""
+
+    view_detector: str | None
+
+
+def reported_statistics(project: Project) -> ReportedStatistics:
+    """Returns the statistics of a project as they are shown to people."""
+    used = used_model(project, DetectorKind.VIEW)
+    named = None if used is None else detector_title(used.name)
+    return ReportedStatistics(**dict(project.statistics()), view_detector=named)
 
 
 def used_model(project: Project, role: DetectorKind) -> UsedModel | None:

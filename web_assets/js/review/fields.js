@@ -268,6 +268,7 @@ function describe(label) {
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
   ];
+  if (label.measured_by) rows.push(["Measured by", label.measured_by, label.measured_by]);
   if (label.doubt !== null)
     rows.push(["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"]);
   if (label.quality) {

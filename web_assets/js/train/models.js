@@ -19,7 +19,8 @@ const COLUMNS = [
 export function createModelList(host, app, reload) {
   const pictures = h("div", { class: "thumbs", "data-testid": "validation-pictures" });
   const table = h("div", { class: "scroll-x" });
-  const body = h("div", { class: "body stack" }, pictures, table);
+  const note = h("p", { hidden: true, "data-testid": "view-detector-in-use" });
+  const body = h("div", { class: "body stack" }, note, pictures, table);
   host.append(h("header", {}, h("h2", {}, "Models")), body);
   /** @type {number | null} */
   let shown = null;
@@ -112,8 +113,14 @@ export function createModelList(host, app, reload) {
   }
 
   return {
-    /** @param {Api.ModelDetails[]} models */
-    show(models) {
+    /**
+     * @param {Api.ModelDetails[]} models
+     * @param {string | null | undefined} standIn the detector that is used while there is no view detector.
+     */
+    show(models, standIn) {
+      const inUse = standIn ? `View detector in use: ${standIn}.` : "";
+      note.textContent = inUse;
+      note.hidden = !inUse;
       if (models.length === 0) {
         pictures.hidden = true;
         table.replaceChildren(h("p", { class: "muted" }, "No model has been trained yet."));

@@ -71,7 +71,8 @@ export function mount(root, app) {
     if (!known) return;
     const list = known;
     material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
-    models.show(known.models);
+    models.show(known.models, app.state.project?.detectors.stand_in);
+    propose.setToLift(known.material.to_lift);
     const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
     if (nothing) material.append(nothingYet(app));
