@@ -268,7 +268,6 @@ function describe(label) {
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
   ];
-  if (label.measured_by) rows.push(["Measured by", label.measured_by, label.measured_by]);
   if (label.doubt !== null)
     rows.push(["Doubt", percent(label.doubt), "sets the 'Most doubtful first' order of the queue"]);
   if (label.quality) {
@@ -284,9 +283,11 @@ function describe(label) {
     }
     rows.push(["Last step", percent(label.quality.last_change), "how much the last step changed the box"]);
   }
-  return rows.map(([name, value, help]) =>
+  const facts = rows.map(([name, value, help]) =>
     h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
   );
+  if (!label.measured_by) return facts;
+  return [h("div", { class: "wide" }, h("dt", {}, "Measured by"), h("dd", {}, label.measured_by)), ...facts];
 }
 
 /**
