@@ -6,7 +6,8 @@ With a project kept by `benchmarks.loop --project`, its trained detectors run on
 detectors run on a generated recording. All engines are started first; then each annotates the same frames, in turn and
 several times. The medians give the steady rate; the time to start is listed separately. "plain" is the engine without
 worker processes, whose detectors use all cores. "one core" is the same engine with detectors on one core, as in each of
-several workers.
+several workers. "base detector" is the plain engine with the base detector as view detector; it is left out if this
+installation has none. Projects with a view detector of their own never use it.
 """
 
 from __future__ import annotations
@@ -14,20 +15,22 @@ from __future__ import annotations
 import statistics
 import time
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Literal
 
 import tyro
 
+from annotator.detection.base_detector import base_weights, has_base
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
+from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.detectors import Detectors
+from annotator.workflows.detectors import Detectors, load_detector
 from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.engine import Engine
@@ -36,7 +39,7 @@ from annotator.workflows.proposing.engines.sources import DetectorSource, GivenD
 from benchmarks.repeating import LABEL, generate, lengthen, perfect_detector
 from benchmarks.report import Table, finish, guarded
 
-PLAIN, ONE_CORE, PROJECT = "plain", "one core", "loop"
+PLAIN, ONE_CORE, BASE, PROJECT = "plain", "one core", "base detector", "loop"
 
 
 @dataclass
@@ -71,9 +74,14 @@ class Arguments:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The work of every engine: a number of frames of a recording, with these detectors and settings."""
+    """The work of every engine: a number of frames of a recording, with these detectors and settings.
+
+    Attributes:
+        base: the same image detector with the base detector; None if this installation has none.
+    """
 
     source: DetectorSource
+    base: DetectorSource | None
     recording: Recording
     classes: tuple[str, ...]
     rotation: BoxRotation
@@ -98,12 +106,16 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
         lengthen(folder / "source", folder / "recording", args.frames, args.different)
         detector = perfect_detector(folder / "source", args.different)
         source: DetectorSource = GivenDetectors(Detectors(detector, detector))
-        return Job(source, open_recording(folder / "recording"), (LABEL,), BoxRotation.AUTO, config, args.frames)
+        base: DetectorSource | None = None
+        if has_base():
+            base = GivenDetectors(Detectors(detector, load_detector(base_weights(), args.backend), BoxKind.BOX, True))
+        return Job(source, base, open_recording(folder / "recording"), (LABEL,), BoxRotation.AUTO, config, args.frames)
     with open_project(args.project / PROJECT) as project:
         trained, stored = trained_detectors(project, args.backend), project.config
     recording = open_recording(args.recording)
     frames = min(args.frames, len(recording))
-    return Job(trained, recording, stored.classes, stored.settings.rotation, config, frames)
+    with_base = replace(trained, view=base_weights(), box_kind=BoxKind.BOX, class_agnostic=True) if has_base() else None
+    return Job(trained, with_base, recording, stored.classes, stored.settings.rotation, config, frames)
 
 
 def seconds(engine: Engine, job: Job) -> float:
@@ -129,11 +141,12 @@ def run(args: Arguments) -> dict[str, object]:
         ConfigError: unusable arguments, or frames failed.
         AnnotatorError: an engine failed.
     """
-    rows = [(PLAIN, 0), (ONE_CORE, 0), *((name, workers) for name in args.engines for workers in args.workers)]
-    taken: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         job = prepare_job(args, Path(temporary))
+        rows = [(PLAIN, 0), (ONE_CORE, 0), *((name, workers) for name in args.engines for workers in args.workers)]
+        rows += [] if job.base is None else [(BASE, 0)]
+        taken: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
         engines = {}
         for row in rows:
             begin = time.perf_counter()
@@ -164,7 +177,9 @@ def run(args: Arguments) -> dict[str, object]:
 
 def _started(row: tuple[str, int], job: Job, args: Arguments) -> Engine:
     name, workers = row
-    if name in (PLAIN, ONE_CORE):
+    if name == BASE and job.base is not None:
+        engine = make_engine(EngineName.INLINE, job.base, frames=job.frames)
+    elif name in (PLAIN, ONE_CORE):
         threads = 1 if name == ONE_CORE else None
         engine = make_engine(EngineName.INLINE, job.source, frames=job.frames, threads=threads)
     else:

@@ -1,6 +1,6 @@
 """The workbench's requirements: the operator's waiting times, and that no saved edit is lost.
 
-python -m benchmarks.workbench [--only switch,views,million,kill,clients] [--json]
+python -m benchmarks.workbench [--only switch,views,drag,million,kill,clients] [--json]
 
 The browser is headless Chromium, which renders WebGL in software. On a computer with a graphics card the 3D view is
 faster.
@@ -18,12 +18,14 @@ from typing import Annotated, Any
 
 import tyro
 
+from annotator.detection.base_detector import base_weights
 from annotator.types.errors import ConfigError
 from benchmarks import workbench_browser, workbench_edits
 from benchmarks.report import Table, finish, guarded
+from benchmarks.workbench_drag import first_drags
 from benchmarks.workbench_server import LABEL, PRESET, make_people, make_project, serving
 
-PARTS = ("switch", "views", "million", "kill", "clients")
+PARTS = ("switch", "views", "drag", "million", "kill", "clients")
 KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc")
 # A depth image of this size has a million valid points.
 MILLION_PX = (1280, 800)
@@ -40,7 +42,7 @@ class Arguments:
     switches: int = 60
     """Number of frame switches on each recording."""
     boxes: int = 24
-    """Number of image boxes to draw."""
+    """Number of image boxes to draw on each recording."""
     kills: int = 50
     """How often the server is killed."""
     clients: int = 20
@@ -67,7 +69,7 @@ def run(args: Arguments) -> dict[str, Any]:
 
 
 def _measures() -> dict[str, Callable[[Arguments, Path], dict[str, Any]]]:
-    measures = (measure_switch, measure_views, measure_million, measure_kill, measure_clients)
+    measures = (measure_switch, measure_views, measure_drag, measure_million, measure_kill, measure_clients)
     return dict(zip(PARTS, measures, strict=True))
 
 
@@ -95,21 +97,48 @@ def measure_switch(args: Arguments, folder: Path) -> dict[str, Any]:
 
 def measure_views(args: Arguments, folder: Path) -> dict[str, Any]:
     """Draws image boxes around true objects, on unlabelled frames."""
+    projects, recording = folder / "views", _people(args, folder)
+    make_project(projects, "views", (LABEL,), [recording])
+    boxes = _true_boxes(projects, "views", recording)
+    with serving(projects) as server, workbench_browser.chromium() as browser:
+        return workbench_browser.views(browser, server, "views", boxes[: args.boxes])
+
+
+def measure_drag(args: Arguments, folder: Path) -> dict[str, Any]:
+    """Draws image boxes that the base detector completes.
+
+    Raises:
+        DetectionError: this installation has no base detector.
+    """
+    base_weights()
+    projects = folder / "drag"
+    recordings = {"rgbd": _people(args, folder), **{n: args.shared / "data" / n for n in ("kitti", "hand_gesture")}}
+    classes = {"rgbd": (LABEL,), "kitti": KITTI, "hand_gesture": ("hand",)}
+    available = {name: path for name, path in recordings.items() if path.is_dir()}
+    for name, path in available.items():
+        make_project(projects, name, classes[name], [path])
+    with serving(projects) as server, workbench_browser.chromium() as browser:
+        return {
+            name: first_drags(browser, server, name, _true_boxes(projects, name, path)[: args.boxes])
+            for name, path in available.items()
+        }
+
+
+def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[float, float, float, float]]]:
+    """The frame's id and the edges on the image of each visible object of a project's recording."""
     from annotator.geometry.outline import box_on_image
     from annotator.recordings import open_recording
     from annotator.workflows.recorded.reading import load_truth
 
-    projects, recording = folder / "views", open_recording(_people(args, folder))
-    make_project(projects, "views", (LABEL,), [_people(args, folder)])
+    recording = open_recording(path)
     boxes = []
-    for index, frame_id in enumerate(workbench_browser.frames_of(projects, "views")):
+    for index, frame_id in enumerate(workbench_browser.frames_of(projects, name)):
         frame = recording.frame(index)
         for truth in load_truth(recording, index, frame):
-            box = box_on_image(frame.camera, truth.box, LABEL, 20)
+            box = box_on_image(frame.camera, truth.box, truth.label, 20)
             if box is not None:
                 boxes.append((frame_id, box.xyxy))
-    with serving(projects) as server, workbench_browser.chromium() as browser:
-        return workbench_browser.views(browser, server, "views", boxes[: args.boxes])
+    return boxes
 
 
 def measure_million(args: Arguments, folder: Path) -> dict[str, Any]:

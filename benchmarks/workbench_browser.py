@@ -222,20 +222,26 @@ def views(
     times = []
     for frame, box in boxes:
         page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/label/{frame}")
-        _wait_for_frame(page, frame)
-        corners = _on_page(page, box)
-        page.mouse.move(*corners[0])
-        page.mouse.down()
-        page.mouse.move(*corners[1], steps=4)
+        wait_for_frame(page, frame)
         watch(page, "pointerup", ".views img.picture", False)
-        page.mouse.up()
+        draw_box(page, box)
         times.append(measured(page)["picture"])
         page.wait_for_timeout(300)
     page.context.close()
     return {"boxes": len(times), "p50_ms": percentile(times, 50), "p95_ms": percentile(times, 95)}
 
 
-def _wait_for_frame(page: Page, frame: int) -> None:
+def draw_box(page: Page, box: tuple[float, float, float, float]) -> None:
+    """Draws a box on the camera image with the mouse: x_min, y_min, x_max, y_max, pixels of the image."""
+    corners = _on_page(page, box)
+    page.mouse.move(*corners[0])
+    page.mouse.down()
+    page.mouse.move(*corners[1], steps=4)
+    page.mouse.up()
+
+
+def wait_for_frame(page: Page, frame: int) -> None:
+    """Waits until a frame's image is on the page."""
     picture = f"[data-testid=image-editor] img.picture[src*='frames/{frame}/image']"
     until(page, f'document.querySelector("{picture}")?.complete', OPENS_WITHIN_S)
     page.wait_for_timeout(500)

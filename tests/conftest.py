@@ -6,7 +6,7 @@ import fcntl
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,6 +56,16 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     until = item.config.getoption("fuzz_until")
     if until is not None and time.time() > until:
         pytest.skip("the time for fuzzing is over")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _without_base_detector(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Tests give the same result whether or not this checkout has the weights of the base detector."""
+    from annotator.detection import base_detector
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(base_detector, "FOLDER", tmp_path_factory.mktemp("no_base"))
+        yield
 
 
 @pytest.fixture(scope="session")

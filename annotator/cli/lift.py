@@ -84,7 +84,7 @@ def run(
             print_left_out(given.other_classes, given.unmatched, "images")
             for reason in given.unreadable:
                 print_line(f"skipped: frame {reason}")
-    print_line(f"3D boxes of the {view.name or 'pseudo-view detector of the project'}, from {origin}")
+    print_line(f"3D boxes from {origin}, measured by: {view.title}")
     for line in summary_lines(done):
         print_line(line)
     return 1 if done.failures else 0

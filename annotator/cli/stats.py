@@ -8,9 +8,8 @@ from typing import Any
 from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
-from annotator.project import Statistics
 from annotator.types import DetectorKind
-from annotator.workflows.detectors import used_model
+from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of
 
@@ -18,15 +17,13 @@ from annotator.workflows.training.model_report import decision_of
 def run(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
     """Show a project's progress: frames, labels, 2D boxes, effort per box, runs, models."""
     with open_named(project, projects) as opened:
-        statistics, view = opened.statistics(), used_model(opened, DetectorKind.VIEW)
+        statistics = reported_statistics(opened)
         newest = opened.models.all(DetectorKind.VIEW)[-1:]
         decisions = [decision for decision in map(decision_of, newest) if decision is not None]
     if as_json:
         print_json(statistics)
         return
     rows = list(_rows(statistics))
-    if view is not None:
-        rows.append(("view detector in use", view.described))
     for decision in decisions:
         rows.append(("  newest one", decision.outcome))
         if decision.mean_iou is not None:
@@ -34,7 +31,7 @@ def run(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects 
     print_facts(rows)
 
 
-def _rows(counts: Statistics) -> Iterator[tuple[str, object]]:
+def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
     yield "recordings", counts.recordings
     yield "frames", counts.frames
     yield "  with labels", counts.frames_with_labels
@@ -57,6 +54,7 @@ def _rows(counts: Statistics) -> Iterator[tuple[str, object]]:
         yield "IoU of proposal and final box", f"{counts.iou_proposal_to_final:.3f}"
     yield "runs", counts.runs
     yield "models", counts.models
+    yield "view detector", counts.view_detector or "none"
 
 
 def _listed(counts: Mapping[Any, int]) -> str:

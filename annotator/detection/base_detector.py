@@ -12,6 +12,7 @@ from annotator.types.errors import DetectionError
 
 FOLDER = Path(__file__).parent / "base"
 NAME = "base detector"
+TITLE = f"{NAME}, not trained on this project's classes"
 
 
 def base_weights() -> Path:

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, select
 
 from annotator.project.event_types import ImageBoxesSet, ViewBoxesSet
 from annotator.project.records import BOXES_2D, ViewGeometry, parsed, storable
-from annotator.project.schema import AnyRow, frames, image_labels, view_labels
+from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
 from annotator.project.views import Views
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Source
@@ -125,6 +125,21 @@ class Boxes:
         """Ids of the frames with a labelled camera image."""
         with self.writer.store.read() as connection:
             return frozenset(connection.execute(select(image_labels.c.frame_id)).scalars())
+
+    def frames_without_labels(self) -> tuple[int, ...]:
+        """Ids of the frames with boxes on their image but no 3D label, in order; finalised frames are left out."""
+        query = (
+            select(image_labels.c.frame_id)
+            .join(frames, frames.c.id == image_labels.c.frame_id)
+            .where(
+                image_labels.c["count"] > 0,
+                ~frames.c.finalised,
+                image_labels.c.frame_id.not_in(select(labels.c.frame_id)),
+            )
+            .order_by(image_labels.c.frame_id)
+        )
+        with self.writer.store.read() as connection:
+            return tuple(connection.execute(query).scalars())
 
     def on_views_of(self, frame_id: int) -> tuple[ViewBoxes, ...]:
         """All labelled pseudo-views of one frame."""

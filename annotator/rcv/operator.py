@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners
@@ -86,12 +86,19 @@ def first_views(frame: Frame, image_box: Box2D, config: RcvConfig) -> Views | No
     return frustum_views(cloud, camera_axes(held_direction(frame.up, config)), config)
 
 
-def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: RcvConfig) -> Views | None:
-    """The views of the next step: the points inside the front and the side box, along the axes of their normals.
+def next_views(
+    frame: Frame,
+    image_box: Box2D,
+    spans: Sequence[Span],
+    config: RcvConfig,
+    next_axes: Float64[np.ndarray, "3 3"] | None = None,
+) -> Views | None:
+    """The views of the next step: the points inside the front and the side box.
 
     Args:
         frame: see `draw_object`.
         spans: of the boxes on the front and the side view, in this order.
+        next_axes: rows = axes of the next front view; None: those of the points' normals.
 
     Returns:
         None if too few points are left.
@@ -109,7 +116,8 @@ def next_views(frame: Frame, image_box: Box2D, spans: Sequence[Span], config: Rc
     cloud = cut_cloud(frustum, box, (front, side), config)
     if len(cloud) < config.min_points:
         return None
-    next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
+    if next_axes is None:
+        next_axes = find_axes(cloud, Strategy.NORMALS, axes, held_direction(frame.up, config), config).axes
     show = box_corners(shown_box(box, any_cut((front, side), drawn, (0, 0), config), config))
     front, side = render_pairs(cloud, [next_axes], config.view, show)
     return front, side

@@ -6,10 +6,6 @@ import hashlib
 import threading
 from collections import OrderedDict
 
-import numpy as np
-from jaxtyping import UInt8
-
-from annotator.project.views import png
 from annotator.workflows.workbench.frame_cache import FrameCache
 from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
 
@@ -25,9 +21,8 @@ class ViewImageCache:
         self._lock = threading.Lock()
         self._images: OrderedDict[str, bytes] = OrderedDict()
 
-    def add(self, rgb: UInt8[np.ndarray, "h w 3"]) -> str:
-        """Adds an image; returns its id, the same as that of `project.views.store`."""
-        content = png(rgb)
+    def add(self, content: bytes) -> str:
+        """Adds the content of a PNG file; returns its id, the same as that of `project.views.store`."""
         name = hashlib.sha256(content).hexdigest()
         with self._lock:
             self._images[name] = content

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi.responses import JSONResponse
@@ -30,6 +31,7 @@ from annotator.web.schemas import (
     QualityJson,
     ViewJson,
 )
+from annotator.workflows.detectors import base_titles
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
 from annotator.workflows.workbench.review_priority import doubt
 
@@ -84,7 +86,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
     objects, labels = opened.newest(
         "json",
         page.frame.revision,
-        lambda: ([_object(name, project, drawn) for drawn in shown.objects], [_label(label) for label in shown.labels]),
+        lambda: ([_object(name, project, drawn) for drawn in shown.objects], _labels(project, shown.labels)),
     )
     return FrameStateJson.model_construct(
         frame=_frame(shown),
@@ -135,9 +137,13 @@ def view_url(name: str, view_id: str) -> str:
     return f"/api/projects/{name}/views/{view_id}.png"
 
 
-def drawn_view(ctx: Context, name: str, view: PseudoView) -> ViewJson:
-    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it."""
-    view_id = ctx.caches.view_images.add(view.rgb)
+def drawn_view(ctx: Context, name: str, view: PseudoView, picture: bytes) -> ViewJson:
+    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it.
+
+    Args:
+        picture: its image as a PNG file.
+    """
+    view_id = ctx.caches.view_images.add(picture)
     height, width = view.rgb.shape[:2]
     return ViewJson(
         id=view_id,
@@ -165,7 +171,13 @@ def _frame(shown: ShownFrame) -> FrameJson:
     )
 
 
-def _label(shown: ShownLabel) -> LabelJson:
+def _labels(project: Project, shown: Sequence[ShownLabel]) -> list[LabelJson]:
+    run_ids = {label.stored.run_id for label in shown} - {None}
+    measured_by = base_titles(project) if run_ids else {}
+    return [_label(label, measured_by.get(label.stored.run_id or 0)) for label in shown]
+
+
+def _label(shown: ShownLabel, measured_by: str | None) -> LabelJson:
     label = shown.stored.label
     return LabelJson.model_construct(
         uid=label.uid,
@@ -179,6 +191,7 @@ def _label(shown: ShownLabel) -> LabelJson:
         track_id=label.track_id,
         quality=quality_json(shown.stored.quality),
         doubt=shown.doubt,
+        measured_by=measured_by,
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
@@ -29,6 +29,16 @@ Vector3 = tuple[Metres, Metres, Metres]
 Unit3 = tuple[Unit, Unit, Unit]
 Matrix3 = tuple[Unit3, Unit3, Unit3]
 Outline = list[list[list[float]]]
+
+
+def _rotation_matrix(rows: Matrix3) -> Matrix3:
+    matrix = np.array(rows)
+    if np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
+        raise ValueError("must be a rotation matrix (orthonormal, determinant +1)")
+    return rows
+
+
+Axes = Annotated[Matrix3, AfterValidator(_rotation_matrix)]
 
 
 class Schema(BaseModel):
@@ -62,7 +72,7 @@ class Box3DJson(Schema):
 
     center: Vector3
     size: tuple[Length, Length, Length]
-    rotation: Matrix3 | None = None
+    rotation: Axes | None = None
     quaternion: tuple[Unit, Unit, Unit, Unit] | None = None
 
     @model_validator(mode="after")
@@ -71,10 +81,6 @@ class Box3DJson(Schema):
             raise ValueError("give either rotation or quaternion")
         if self.quaternion is not None and not 0.5 <= float(np.linalg.norm(self.quaternion)) <= 2:
             raise ValueError("a quaternion must have length 1")
-        if self.rotation is not None:
-            matrix = np.array(self.rotation)
-            if np.abs(matrix.T @ matrix - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0:
-                raise ValueError("rotation must be a rotation matrix (orthonormal, determinant +1)")
         return self
 
     def box(self) -> OrientedBox:
@@ -150,7 +156,10 @@ class QualityJson(Schema):
 
 
 class LabelJson(Schema):
-    """A 3D label with its outline on the image, its number of points and its doubt."""
+    """A 3D label with its outline on the image, its number of points and its doubt.
+
+    `measured_by` names the base detector if it measured the proposal.
+    """
 
     uid: str
     label: str
@@ -163,6 +172,7 @@ class LabelJson(Schema):
     track_id: int | None
     quality: QualityJson | None
     doubt: float | None
+    measured_by: str | None
     outline: Outline
     points: int
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
-from annotator.detection.base_detector import NAME, base_weights, has_base
+from annotator.detection.base_detector import NAME, TITLE, base_weights, has_base
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.gpu.compute import torch_compute
+from annotator.project import Statistics
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
 from annotator.rcv.compute import NUMPY, Compute
@@ -144,6 +146,39 @@ def base_model() -> UsedModel:
         DetectionError: this installation has none.
     """
     return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
+
+
+def detector_title(name: str) -> str:
+    """Names a view detector for people.
+
+    Args:
+        name: as in `UsedModel`.
+    """
+    return TITLE if name == NAME else "this project's view detector"
+
+
+def base_titles(project: Project) -> dict[int, str]:
+    """Names the base detector for people, by the id of each batch run whose boxes it measured."""
+    own = {model.fingerprint for model in project.models.all(DetectorKind.VIEW)}
+    return {
+        run.id: TITLE
+        for run in project.jobs.all()
+        # a project's own detector is class-agnostic, too, if its training continued the base detector
+        if json.loads(run.config).get("class_agnostic") and run.view_detector not in own
+    }
+
+
+class ReportedStatistics(Statistics):
+    """Statistics, and the name of the view detector that the project uses; None without one."""
+
+    view_detector: str | None
+
+
+def reported_statistics(project: Project) -> ReportedStatistics:
+    """Returns the statistics of a project as they are shown to people."""
+    used = used_model(project, DetectorKind.VIEW)
+    named = None if used is None else detector_title(used.name)
+    return ReportedStatistics(**dict(project.statistics()), view_detector=named)
 
 
 def used_model(project: Project, role: DetectorKind) -> UsedModel | None:

@@ -11,30 +11,49 @@ import numpy as np
 from annotator.detection.perfect import PerfectDetector
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
-from annotator.rcv.propose import propose
+from annotator.rcv.propose import propose, propose_from_boxes
 from annotator.rcv.warm_start import WarmStart
-from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
+from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, Truth
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 POINTS = 2000
 
 
+BOX = OrientedBox.from_parts(np.array([0.05, 0.0, 1.5]), np.eye(3), np.array([0.4, 0.3, 0.2]))
+
+
 def warm_up() -> list[FrameProposals]:
     """Proposes boxes on a synthetic frame with a perfect detector: free and upright, without and with a warm start."""
-    rng = np.random.default_rng(0)
-    box = OrientedBox.from_parts(np.array([0.05, 0.0, 1.5]), np.eye(3), np.array([0.4, 0.3, 0.2]))
-    xyz = rng.uniform(-0.5, 0.5, (POINTS, 3)) * box.size_m + box.center_m
-    cloud = PointCloud(xyz.astype(np.float32), rng.integers(0, 255, (POINTS, 3)).astype(np.uint8))
-    frame = Frame("0", 0, CAMERA, np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8), cloud)
-    detector = PerfectDetector.for_frame(frame, [Truth("thing", box)])
+    frame = _frame()
+    detector = PerfectDetector.for_frame(frame, [Truth("thing", BOX)])
     configs = [RcvConfig(orientation=orientation) for orientation in (Orientation.FREE, Orientation.UPRIGHT)]
-    seeds: tuple[list[WarmStart], ...] = ([], [WarmStart("thing", box)])
+    seeds: tuple[list[WarmStart], ...] = ([], [WarmStart("thing", BOX)])
     return [
         proposals
         for config in configs
         for frame_seeds in seeds
         for proposals in propose([frame], detector, detector, config, [frame_seeds])
     ]
+
+
+def warm_up_with(detector: Detector, kind: BoxKind, class_agnostic: bool) -> list[FrameProposals]:
+    """Proposes boxes on the synthetic frame with a view detector, whose first calls are slow."""
+    frame = _frame()
+    on_image = Box2D(detector.labels[0], 52.0, 38.0, 118.0, 82.0)
+    configs = [
+        RcvConfig(orientation=orientation).for_detector(kind, class_agnostic)
+        for orientation in (Orientation.FREE, Orientation.UPRIGHT)
+    ]
+    return [
+        proposals for config in configs for proposals in propose_from_boxes([frame], [[on_image]], detector, config)
+    ]
+
+
+def _frame() -> Frame:
+    rng = np.random.default_rng(0)
+    xyz = rng.uniform(-0.5, 0.5, (POINTS, 3)) * BOX.size_m + BOX.center_m
+    cloud = PointCloud(xyz.astype(np.float32), rng.integers(0, 255, (POINTS, 3)).astype(np.uint8))
+    return Frame("0", 0, CAMERA, np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8), cloud)
 
 
 if __name__ == "__main__":

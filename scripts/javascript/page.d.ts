@@ -202,6 +202,8 @@ interface EditorOptions {
   onChange?: (boxes: EditorBox[], why: EditKind, index: number, actions: number) => unknown;
   /** Called while dragging, before the change is finished. */
   onDrag?: (boxes: EditorBox[], index: number) => unknown;
+  /** Replaces the effect of Enter, which accepts the selected suggestion; true if it did something. */
+  onEnter?: () => boolean;
   /** Called with the index of the selected box; -1: none. */
   onSelect?: (index: number) => unknown;
   /** Called by the rotation handle; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
@@ -254,34 +256,40 @@ type ViewBox = Box2D | null;
 
 /**
  * An object of a frame: its box on the image, and up to four boxes on its views (front and side of step 1, then of
- * step 2). `stored` is the image box that was last sent to the server, or null. `loose` is the view of an incomplete
- * step with its box: whether it is the front or the side is unknown until the step's views are loaded.
+ * step 2). `stored` is the image box that was last sent to the server, or null.
  */
 type Item = {
   image_box: Box2D;
   uid: string | null;
   boxes: ViewBox[];
   views: (Api.ViewJson | null)[];
-  loose: [Api.ViewJson, ViewBox] | null;
   stored: Box2D | null;
 };
 
-/** The object that is being drawn. `edits` counts what the operator did on each view. */
+/**
+ * The object that is being drawn. `kept` marks suggestions that are the operator's own boxes from former views.
+ * `changes` counts the operator's changes.
+ */
 type Draft = {
   item: Item;
   /** Its frame's id. */
   frame: number;
   steps: { views: Api.ViewJson[] }[];
   suggestions: ViewBox[];
-  edits: number[];
+  kept: boolean[];
   /** Outline on the image of the 3D box so far. */
   outline: Line[] | null;
   /** The reason why there are no further views. */
   stop: string | null;
   isLoading: boolean;
+  changes: number;
   detector: Api.StepsOut["detector"];
+  /** The name of the detector that suggests boxes. */
+  measuredBy: string | null;
   /** The reason why the detector could not be loaded. */
   problem: string | null;
+  /** The reason why it suggests nothing. */
+  note: string | null;
 };
 
 /** A dashed box on the image. */
@@ -290,9 +298,8 @@ type Guess = { item: Item; image_box: Box2D; caption: string };
 /** The state that the files of Label mode share. */
 interface Work {
   items: Item[];
-  /** The current object, and which of its steps is shown. */
+  /** The current object. */
   draft: Draft | null;
-  step: number;
   /** Class of the next box. */
   label: string;
   /** The object that is selected on the image. */
@@ -318,7 +325,7 @@ type FrameChange = {
   body: (state: FrameState) => object;
   /** The operator's version, for the question in stale.js. */
   mine: (state: FrameState) => Mine;
-  done?: (answer: { uid?: string | null }) => void;
+  done?: (answer: Api.SaveOut) => void;
   /** The change is not sent before this resolves. */
   after?: Promise<unknown>;
   item?: Item;
@@ -328,7 +335,7 @@ type FrameChange = {
 type LaterChange = { item: Item; make: () => Promise<FrameChange | null> };
 type Waiting = (FrameChange | LaterChange) & { frame: number; made?: FrameChange | null };
 
-type AskSteps = (draft: Draft, boxes: ViewBox[], suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
+type AskSteps = (draft: Draft, suggest: boolean, signal: AbortSignal) => Promise<Api.StepsOut>;
 
 type Order = ReturnType<typeof import("../../web_assets/js/label/order.js").createOrder>;
 type OrderName = "teach" | "time";
@@ -396,7 +403,11 @@ interface Window {
 /** A box that is not stored. */
 type PreviewBox = { uid: string | null; box: Box3D };
 /** `Api.SceneRequest`, with boxes as the page has them. */
-type Scene3D = Omit<Api.SceneRequest, "preview" | "added"> & { preview?: PreviewBox | null; added?: PreviewBox[] };
+type Scene3D = Omit<Api.SceneRequest, "preview" | "added" | "draft"> & {
+  preview?: PreviewBox | null;
+  added?: PreviewBox[];
+  draft?: (Omit<Api.DraftJson, "axes"> & { axes: Matrix | null }) | null;
+};
 
 // -- other modes
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from annotator.web.viewport.viewports import Viewport
 
 POLL_MS = 50
+VIEWS = ("front", "side", "front-2", "side-2")
 
 
 def until(page: Page, condition: str | Callable[[], object], seconds: float = 120.0) -> None:
@@ -68,14 +69,21 @@ def drag_box(page: Page, editor: str, box: dict[str, Any], width: int, height: i
     drag(page, tuple(start), tuple((start + end) / 2), tuple(end))
 
 
-def brings_views(response: Response) -> bool:
-    """True for the answer with the next views in Label mode, False for the one with suggestions."""
-    return response.url.endswith("/label/steps") and response.request.post_data_json["suggest"] is False
+def answers_drag(drawn: int) -> Callable[[Response], bool]:
+    """True for the answer, in Label mode, to a change after which an object has this many boxes on its views."""
+
+    def is_answer(response: Response) -> bool:
+        if not response.url.endswith("/label/object"):
+            return False
+        boxes = response.request.post_data_json["object"]["boxes"]
+        return sum(box is not None for box in boxes) == drawn
+
+    return is_answer
 
 
-def draw_on_views(page: Page, scene: Scene, number: int, views: Sequence[dict[str, Any]]) -> None:
-    """Draws the boxes of a true object on the two shown views."""
-    for name, view in zip(("front", "side"), views, strict=True):
+def draw_on_views(page: Page, scene: Scene, number: int, views: Sequence[dict[str, Any]], step: int = 0) -> None:
+    """Draws the boxes of a true object on the two views of a step."""
+    for name, view in zip(VIEWS[2 * step :], views, strict=False):
         shown = page.get_by_test_id(f"view-{name}").locator(f'img.picture[src="{view["url"]}"]')
         shown.wait_for(state="attached")
         drag_box(page, f"view-{name}", scene.view_box(number, view), view["width"], view["height"])

@@ -1,4 +1,4 @@
-"""Label mode: views are sent without waiting for the view detector; suggestions are a separate request."""
+"""Label mode: one request stores a drag and answers with the views, suggestions and 3D box that follow from it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from drawing import Scene
 
+from annotator.project.views import png
 from annotator.types import BoxKind, DetectorKind
+from annotator.workflows.workbench import open_frame
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 if TYPE_CHECKING:
@@ -18,7 +21,7 @@ if TYPE_CHECKING:
 
     from annotator.workflows.detectors import Detectors
 
-STEPS = "/api/projects/room/frames/1/label/steps"
+STEPS, SAVE = (f"/api/projects/room/frames/1/label/{name}" for name in ("steps", "object"))
 
 
 class CountingDetector:
@@ -36,24 +39,60 @@ class CountingDetector:
         return self.detector.detect(images)
 
 
-def test_the_detector_is_called_only_for_suggestions(
-    live: Live, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def counting(live: Live, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> CountingDetector:
+    """The view detector of the project."""
     detector = CountingDetector(knowing("people", kind=BoxKind.SILHOUETTE).view)
     ready = Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
     monkeypatch.setattr(live.context.caches.detectors, "readiness", lambda project, role, wait_s=None: ready)
-    scene = Scene.of(generated / "people", 0, ["person"])
-    body = {"image_box": scene.image_box(0), "boxes": []}
+    return detector
+
+
+def test_steps_without_suggestions_do_not_call_the_detector(
+    live: Live, generated: Path, counting: CountingDetector
+) -> None:
+    body = {"image_box": Scene.of(generated / "people", 0, ["person"]).image_box(0), "boxes": []}
     views = live.client.post(STEPS, json={**body, "suggest": False}).json()
-    assert detector.calls == 0 and views["detector"] == "ready"
-    assert views["steps"][0]["suggested"] == [None, None]
-    (suggested,) = live.client.post(STEPS, json={**body, "suggest": True}).json()["steps"]
-    assert detector.calls == 1
-    assert [view["id"] for view in suggested["views"]] == [view["id"] for view in views["steps"][0]["views"]]
-    assert None not in suggested["suggested"]
-    second = live.client.post(STEPS, json={**body, "boxes": suggested["suggested"]}).json()
-    assert detector.calls == 2, "views with drawn boxes need no suggestion"
-    assert None not in second["steps"][1]["suggested"]
+    assert counting.calls == 0 and views["detector"] == "ready"
+    assert [step["suggested"] for step in views["steps"]] == [[None, None]]
+
+
+def test_one_request_stores_a_drag_and_answers_with_all_that_follows(
+    live: Live, generated: Path, counting: CountingDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoded: list[int] = []
+    monkeypatch.setattr(open_frame, "png", lambda rgb: encoded.append(1) or png(rgb))
+    scene = Scene.of(generated / "people", 0, ["person"])
+    image_box = scene.image_box(0)
+    body = {"revision": 0, "image_boxes": [image_box], "object": {"image_box": image_box, "boxes": []}}
+    saved = live.client.post(SAVE, json=body)
+    assert saved.status_code == 200, saved.text
+    answer, drawn = saved.json(), saved.json()["drawn"]
+    assert answer["uid"] is None and answer["state"]["image_boxes"]["boxes"] == [image_box]
+    suggested = [box for step in drawn["steps"] for box in step["suggested"]]
+    assert len(suggested) == 4 and None not in suggested
+    assert drawn["box"] is not None and drawn["measured_by"] == "this project's view detector"
+    calls = counting.calls
+    # Enter: the suggestions become the object's boxes, and its label is the box that was shown
+    boxes, axes = suggested, drawn["steps"][1]["views"][0]["axes"]
+    accepted = {**body, "revision": 1, "object": {"image_box": image_box, "boxes": boxes, "axes": axes}}
+    finished = live.client.post(SAVE, json=accepted)
+    assert finished.status_code == 200, finished.text
+    (label,) = finished.json()["state"]["labels"]
+    assert label["uid"] == finished.json()["uid"] is not None
+    for part in ("center", "size"):
+        np.testing.assert_allclose(label["box"][part], drawn["box"][part], atol=1e-9)
+    ids = [view["id"] for step in drawn["steps"] for view in step["views"]]
+    assert [view["id"] for step in finished.json()["drawn"]["steps"] for view in step["views"]] == ids
+    assert counting.calls == calls, "nothing is left to suggest"
+    assert len(encoded) == 4, "each picture is encoded once"
+
+
+def test_axes_must_be_those_of_a_view(live: Live, generated: Path) -> None:
+    image_box = Scene.of(generated / "people", 0, ["person"]).image_box(0)
+    skewed = [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]
+    answer = live.client.post(STEPS, json={"image_box": image_box, "boxes": [], "axes": skewed})
+    assert answer.status_code == 422 and "must be a rotation matrix" in answer.text
 
 
 def test_a_failed_detector_is_reported_with_its_problem(live: Live, generated: Path, tmp_path: Path) -> None:

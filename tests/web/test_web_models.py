@@ -15,7 +15,11 @@ MODELS = "/api/projects/room/models"
 def test_a_project_without_models(live: Live) -> None:
     answer = live.client.get(MODELS).json()
     assert answer.pop("base") in (None, "in use")
-    assert answer == {"models": [], "learn_every": None, "material": {"image": 0, "view": 0, "labels": 0}}
+    assert answer == {
+        "models": [],
+        "learn_every": None,
+        "material": {"image": 0, "view": 0, "labels": 0, "to_lift": 0},
+    }
     for method, path in (
         ("POST", f"{MODELS}/1/activate"),
         ("GET", f"{MODELS}/1/pictures/0.jpg"),

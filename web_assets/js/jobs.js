@@ -20,7 +20,7 @@ export function latestJob(app, kind) {
  * Starts a job and shows it at once.
  *
  * @param {App} app
- * @param {Api.TrainRequest | Api.ProposeRequest | Api.ExportRequest} request
+ * @param {Api.TrainRequest | Api.ProposeRequest | Api.LiftRequest | Api.ExportRequest} request
  */
 export async function startJob(app, request) {
   /** @type {Api.Job} */

@@ -65,7 +65,7 @@ export const KEYS = [
   {
     id: "accept-suggestion",
     keys: ["Enter"],
-    label: "Accept the suggested (dashed) box",
+    label: "Accept the suggested (dashed) boxes of the object",
     modes: ["label"],
     group: "Label",
   },

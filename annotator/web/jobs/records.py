@@ -56,6 +56,12 @@ class ProposeRequest(_Request):
     limit: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
 
 
+class LiftRequest(_Request):
+    """Propose 3D boxes from the 2D boxes on the images of frames that have no 3D box yet."""
+
+    kind: Literal["lift"]
+
+
 class SplitRequest(_Request):
     """Split of the frames: shares such as "train=0.8,val=0.2", and the unit that stays in one part."""
 
@@ -105,7 +111,9 @@ class ImportRequest(_Request):
     recordings: Ids
 
 
-JobRequest = Annotated[TrainRequest | ProposeRequest | ExportRequest | ImportRequest, Field(discriminator="kind")]
+JobRequest = Annotated[
+    TrainRequest | ProposeRequest | LiftRequest | ExportRequest | ImportRequest, Field(discriminator="kind")
+]
 
 
 def in_background(request: JobRequest) -> bool:
@@ -118,6 +126,7 @@ def in_background(request: JobRequest) -> bool:
 WORK: dict[str, str] = {
     "train": "annotator.web.jobs.work:train_work",
     "propose": "annotator.web.jobs.work:propose_work",
+    "lift": "annotator.web.jobs.work:lift_work",
     "export": "annotator.web.jobs.work:export_work",
     "import": "annotator.web.jobs.work:import_work",
 }
@@ -168,7 +177,7 @@ class Job(BaseModel):
 
     id: str
     project: str
-    kind: Literal["train", "propose", "export", "import"]
+    kind: Literal["train", "propose", "lift", "export", "import"]
     state: JobState = JobState.QUEUED
     stage: str = ""
     done: float = 0.0

@@ -14,16 +14,26 @@ from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.types import DetectorKind
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
-from annotator.web.jobs.records import CurvePoint, ExportRequest, ImportRequest, ProposeRequest, TrainRequest
+from annotator.web.jobs.records import (
+    CurvePoint,
+    ExportRequest,
+    ImportRequest,
+    LiftRequest,
+    ProposeRequest,
+    TrainRequest,
+)
 from annotator.workflows.detectors import used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.proposing.annotate import annotate_with
+from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.sources import trained_detectors
+from annotator.workflows.proposing.lift import drawn_boxes, lift
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.rounds import FIRST_PART_S
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
+from annotator.workflows.workbench.loaded_detectors import require_view
 
 T = TypeVar("T")
 
@@ -142,6 +152,18 @@ def propose_work(job: JobContext, request: ProposeRequest) -> Outcome:
             limit=request.limit,
             progress=job.counter("propose boxes"),
         )
+    return _proposed(done)
+
+
+def lift_work(job: JobContext, request: LiftRequest) -> Outcome:
+    """Proposes 3D boxes from the 2D boxes on the images, without any training."""
+    job.progress("load the view detector")
+    boxes, view = drawn_boxes(job.project, only_without_labels=True), require_view(job.project)
+    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter("propose 3D boxes"))
+    return _proposed(done, f", measured by: {view.title}")
+
+
+def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
     message = f"{done.proposals} proposals in {done.done} frames"
     if done.skipped:
         message += f", {done.skipped} frames were done before"
@@ -149,7 +171,7 @@ def propose_work(job: JobContext, request: ProposeRequest) -> Outcome:
         message += f", {done.failures} frames failed"
     failed = [{"key": key, "reason": reason} for key, reason in done.failed[:MOST_FAILURES]]
     result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
-    return Outcome(message, {**result, "failed": failed, "failures": done.failures})
+    return Outcome(message + source, {**result, "failed": failed, "failures": done.failures})
 
 
 def import_work(job: JobContext, request: ImportRequest) -> Outcome:

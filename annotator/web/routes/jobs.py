@@ -47,7 +47,7 @@ class FormatList(BaseModel):
 
 @router.post("/api/projects/{project}/jobs", status_code=201)
 def begin(project: str, body: Annotated[JobRequest, Body()], ctx: Ctx, operator: Operator) -> Job:
-    """Start a job (train, propose, export or import); it waits until earlier jobs have ended."""
+    """Start a job (train, propose, lift, export or import); it waits until earlier jobs have ended."""
     return ctx.jobs.add(project, ctx.project(project).path, body, operator)
 
 

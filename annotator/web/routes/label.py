@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from annotator.project import WriteContext
+from annotator.project import Project, WriteContext
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
-from annotator.web.context import Ctx, Operator
+from annotator.web.context import Context, Ctx, Operator
 from annotator.web.frame_json import drawn_view, frame_state, stale_response
 from annotator.web.routes.frames import STALE
 from annotator.web.schemas import (
     MOST_BOXES,
+    Axes,
     Box2DJson,
     Box2DOut,
     Box3DOut,
@@ -27,7 +29,9 @@ from annotator.web.schemas import (
     Uid,
     ViewJson,
 )
-from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
+from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
+from annotator.workflows.workbench.loaded_detectors import Readiness
+from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object, suggested_image_boxes
 
 router = APIRouter(tags=["label"])
@@ -38,26 +42,37 @@ LOADING_WAIT_S = 0.1
 ViewBoxesIn = Annotated[list[Box2DJson | None], Field(max_length=4)]
 
 
-class StepsIn(Schema):
-    """An object with the boxes drawn so far. `suggest`: also detect boxes on its views."""
+class DrawnIn(Schema):
+    """An object with the boxes drawn so far.
+
+    `axes` are those of the second step's front view (`ViewJson`); null while no box is drawn on that step.
+    """
 
     image_box: Box2DJson
     boxes: ViewBoxesIn
+    axes: Axes | None = None
+
+
+class StepsIn(DrawnIn):
+    """An object with the boxes drawn so far, and what they measure. `suggest`: also suggest the others."""
+
     box_kind: BoxKind = BoxKind.SILHOUETTE
     suggest: bool = True
 
 
 class StepJson(Schema):
-    """The front and side view of a step, and the boxes that the view detector suggests on them."""
+    """The front and side view of a step, and the boxes that are suggested on those without a drawn one."""
 
     views: list[ViewJson]
     suggested: list[Box2DOut | None]
 
 
 class StepsOut(Schema):
-    """The steps so far, the 3D box from the drawn boxes with its number of points, and why there is no further step.
+    """The steps so far, the 3D box of the drawn and suggested boxes with its number of points, and why there is no
+    further step.
 
     While `detector` is "loading", a later request returns suggestions; `problem` is the reason why it failed.
+    `measured_by` names the detector; `note` is the reason why it suggests nothing.
     """
 
     steps: list[StepJson]
@@ -66,14 +81,14 @@ class StepsOut(Schema):
     points: int
     stop: str | None
     detector: Literal["none", "loading", "ready", "failed"]
+    measured_by: str | None
     problem: str | None
+    note: str | None
 
 
-class ObjectIn(Schema):
+class ObjectIn(DrawnIn):
     """An object with the boxes drawn so far; its label's uid, if it has one."""
 
-    image_box: Box2DJson
-    boxes: ViewBoxesIn
     uid: Uid | None = None
 
 
@@ -89,10 +104,11 @@ class SaveIn(Schema):
 
 
 class SaveOut(Schema):
-    """The present state, and the uid of the object's label if the object is finished."""
+    """The present state, the uid of the object's label if the object is finished, and the object's steps."""
 
     state: FrameStateJson
     uid: str | None
+    drawn: StepsOut | None
 
 
 class SuggestionsOut(Schema):
@@ -107,15 +123,26 @@ def steps(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: StepsI
     """The views for an object's boxes so far, with suggestions, and its 3D box. Nothing is stored."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
-    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW, LOADING_WAIT_S if body.suggest else 0.0)
-    detector = ready.detector if body.suggest else None
+    labelling, ready = _labelled(ctx, project, opened, body, body.box_kind, body.suggest)
+    return _steps_json(ctx, name, opened, labelling, ready)
+
+
+def _labelled(
+    ctx: Context, project: Project, opened: OpenFrame, body: DrawnIn, kind: BoxKind, suggest: bool = True
+) -> tuple[Labelling, Readiness]:
+    """The state of a drawn object, and that of the view detector that suggests its boxes."""
+    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW, LOADING_WAIT_S if suggest else 0.0)
+    detector = ready.detector if suggest else None
     boxes = [None if box is None else box.box() for box in body.boxes]
-    config = label_config(project, opened.frame)
-    labelling = label_steps(opened, body.image_box.box(), boxes, config, body.box_kind, detector)
+    axes = None if body.axes is None else np.array(body.axes)
+    return label_object(project, opened, body.image_box.box(), boxes, kind, axes, detector), ready
+
+
+def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling, ready: Readiness) -> StepsOut:
     return StepsOut(
         steps=[
             StepJson(
-                views=[drawn_view(ctx, name, view) for view in step.views],
+                views=[drawn_view(ctx, name, view, opened.picture(view)) for view in step.views],
                 suggested=[None if box is None else Box2DOut.of(box) for box in step.suggested],
             )
             for step in labelling.steps
@@ -125,7 +152,9 @@ def steps(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: StepsI
         points=labelling.points,
         stop=labelling.stop,
         detector=ready.state,
+        measured_by=None if ready.detector is None else ready.detector.title,
         problem=None if ready.problem is None else ctx.public_message(ready.problem),
+        note=None if labelling.note is None else ctx.public_message(labelling.note),
     )
 
 
@@ -144,20 +173,22 @@ def suggestions(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> Sug
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/object", response_model=SaveOut, responses=STALE)
 def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut | JSONResponse:
-    """Store the drawn boxes; an object with all four boxes on its views becomes a label."""
+    """Store the drawn boxes and suggest the others; an object with all four boxes on its views becomes a label."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
     effort = None if body.effort is None else body.effort.stored()
     context = WriteContext(body.revision, operator, effort=effort, effort_target=body.subject)
     image_boxes = [box.box() for box in body.image_boxes]
-    drawn = None
+    drawn = answer = None
     if body.object is not None:
         on_views = [None if box is None else box.box() for box in body.object.boxes]
-        drawn = ObjectDrawn(body.object.image_box.box(), on_views, body.object.uid)
+        labelling, ready = _labelled(ctx, project, opened, body.object, body.box_kind)
+        drawn = ObjectDrawn(body.object.image_box.box(), on_views, labelling, body.object.uid)
+        answer = _steps_json(ctx, name, opened, labelling, ready)
     try:
         saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, context)
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     if saved.receipt is not None:
         ctx.hub.frame_changed(name, frame_id, saved.receipt.revision, operator)
-    return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid)
+    return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid, drawn=answer)

@@ -41,11 +41,15 @@ class ModelDetails(ModelInfo):
 
 
 class TrainingData(BaseModel):
-    """Numbers of available training data: 2D boxes on camera images and on pseudo-views, and reviewed 3D labels."""
+    """Numbers of available training data: 2D boxes on camera images and on pseudo-views, and reviewed 3D labels.
+
+    `to_lift`: number of frames with 2D boxes on their image, but no 3D box.
+    """
 
     image: int
     view: int
     labels: int
+    to_lift: int
 
 
 class ModelList(BaseModel):
@@ -136,4 +140,5 @@ def _details(name: str, project: Project, model_id: int) -> ModelDetails:
 def _material(project: Project) -> TrainingData:
     counts = project.statistics()
     labels = counts.labels.by_state[ReviewState.ACCEPTED] + counts.labels.by_state[ReviewState.EDITED]
-    return TrainingData(image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels)
+    to_lift = len(project.boxes.frames_without_labels())
+    return TrainingData(image=counts.image_boxes.boxes, view=counts.view_boxes.boxes, labels=labels, to_lift=to_lift)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from annotator.project import Statistics
 from annotator.web.context import Ctx
 from annotator.web.schemas import RowId
 from annotator.workflows.checking.project_labels import CheckReport, check_project
+from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 
 router = APIRouter(tags=["reports"])
 
@@ -16,9 +16,9 @@ READING_S = 3.0
 
 
 @router.get("/api/projects/{name}/statistics")
-def statistics(ctx: Ctx, name: str) -> Statistics:
+def statistics(ctx: Ctx, name: str) -> ReportedStatistics:
     """The same numbers as `annotator stats --json`."""
-    return ctx.project(name).statistics()
+    return reported_statistics(ctx.project(name))
 
 
 @router.get("/api/projects/{name}/checks")

@@ -9,6 +9,7 @@ from fastapi.responses import JSONResponse
 from pydantic import Field
 
 from annotator.project import WriteContext
+from annotator.project.views import png
 from annotator.rcv.config import RcvConfig
 from annotator.types import DetectorKind
 from annotator.types.errors import StaleRevisionError
@@ -33,7 +34,7 @@ from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.loaded_detectors import Readiness
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.ortho_views import ortho_views
-from annotator.workflows.workbench.refit import find_box, refit
+from annotator.workflows.workbench.refit import RCV, find_box, refit
 
 router = APIRouter(tags=["review"])
 
@@ -65,12 +66,13 @@ class RefitIn(Schema):
 
 
 class RefitOut(Schema):
-    """The refitted box, the method, and a note for the operator."""
+    """The refitted box, the method, the name of the detector that measured it, if one did, and a note."""
 
     box: Box3DOut
     outline: Outline
     quality: QualityJson | None
     method: Literal["rcv", "points"]
+    measured_by: str | None
     note: str | None
 
 
@@ -81,13 +83,17 @@ class FitIn(Schema):
 
 
 class FitOut(Schema):
-    """The object in an image box; if none was found, `box` is null and `note` is the reason."""
+    """The object in an image box; if none was found, `box` is null and `note` is the reason.
+
+    `measured_by` names the detector that looked for it.
+    """
 
     box: Box3DOut | None
     outline: Outline
     points: int
     score: float | None
     quality: QualityJson | None
+    measured_by: str | None
     note: str | None
 
 
@@ -104,7 +110,7 @@ def ortho(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: OrthoI
     """Three views along the box's axes; points outside the box are dimmed."""
     opened = ctx.caches.frames.open(ctx.project(name), frame_id, operator)
     drawn = ortho_views(opened, body.box.box(), body.size_px)
-    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view))) for item in drawn]
+    views = [OrthoView(name=item.name, **dict(drawn_view(ctx, name, item.view, png(item.view.rgb)))) for item in drawn]
     return OrthoOut(views=views)
 
 
@@ -118,6 +124,7 @@ def refit_box(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Re
         outline=fitted.outline.round(2).tolist(),
         quality=quality_json(fitted.quality),
         method=fitted.method,
+        measured_by=ready.detector.title if ready.detector is not None and fitted.method == RCV else None,
         note=None if fitted.note is None else ctx.public_message(fitted.note),
     )
 
@@ -133,6 +140,7 @@ def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FitIn) -
         points=fitted.points,
         score=fitted.score,
         quality=quality_json(fitted.quality),
+        measured_by=None if ready.detector is None else ready.detector.title,
         note=None if fitted.note is None else ctx.public_message(fitted.note),
     )
 

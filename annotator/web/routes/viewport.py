@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, Response, WebSocket
 from pydantic import Field
 from starlette.requests import HTTPConnection, Request
@@ -16,11 +17,11 @@ from annotator.project import Project
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.web.context import Ctx, Operator
 from annotator.web.hub import Hub
-from annotator.web.schemas import MOST_BOXES, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
+from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
 from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
 from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.web.viewport.viewports import Viewport, Viewports
-from annotator.workflows.workbench.drawing_steps import label_config, label_steps
+from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_state import present_page
 from annotator.workflows.workbench.open_frame import OpenFrame
 
@@ -66,10 +67,12 @@ class OpenedViewport(Schema):
 
 
 class DraftJson(Schema):
-    """An object that is being labelled: its box on the image, and the boxes drawn on its views so far."""
+    """An object that is being labelled: its box on the image, the drawn or suggested boxes on its views, and the axes
+    of the second step's front view."""
 
     image_box: Box2DJson
     boxes: Annotated[tuple[Box2DJson | None, ...], Field(max_length=4)] = ()
+    axes: Axes | None = None
     box_kind: BoxKind = BoxKind.SILHOUETTE
 
 
@@ -190,5 +193,6 @@ def _draft(project: Project, opened: OpenFrame, body: DraftJson) -> Draft:
     """The draft with the views of its present step, which are cached since the page has requested them before."""
     image_box = body.image_box.box()
     drawn = [None if box is None else box.box() for box in body.boxes]
-    labelling = label_steps(opened, image_box, drawn, label_config(project, opened.frame), body.box_kind)
+    axes = None if body.axes is None else np.array(body.axes)
+    labelling = label_object(project, opened, image_box, drawn, body.box_kind, axes, None)
     return Draft(image_box, labelling.steps[-1].views if labelling.steps else (), labelling.box)

@@ -16,6 +16,7 @@ from annotator.formats.openlabel import write_openlabel
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv
 from annotator.formats.sunrgbd.folder import write_sunrgbd
 from annotator.types.errors import ConfigError
+from annotator.workflows.detectors import base_titles
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.kitti_rows import dont_care_rows
@@ -49,7 +50,9 @@ def _detectors(job: ExportJob) -> tuple[RcvDetector, ...]:
         if run.id in run_ids
         for used in (("image", run.image_detector), ("view", run.view_detector))
     )
-    # detectors that were not trained in the project (as in the benchmarks) have no name
+    titles = base_titles(project)
+    names |= {("view", run.view_detector): titles[run.id] for run in project.jobs.all() if run.id in titles}
+    # other detectors that were not trained in the project (as in the benchmarks) have no name
     return tuple(RcvDetector(role=r, name=names.get((r, f), UNREGISTERED), fingerprint=f) for r, f in detectors)
 
 

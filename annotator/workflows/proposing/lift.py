@@ -52,13 +52,20 @@ class GivenBoxes:
     renamed: Renamed | None = None
 
 
-def drawn_boxes(project: Project) -> GivenBoxes:
+def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBoxes:
     """Returns the boxes that were drawn or imported on the project's images.
+
+    Args:
+        only_without_labels: only those on frames that have no 3D box yet.
 
     Raises:
         ConfigError: there are none.
     """
     boxes = {drawn.frame_id: drawn.boxes for drawn in project.boxes.on_images() if drawn.boxes}
+    if only_without_labels:
+        boxes = {frame_id: boxes[frame_id] for frame_id in project.boxes.frames_without_labels()}
+        if not boxes:
+            raise ConfigError(f"project {project.config.name}: no frame has boxes on its image but no 3D box")
     if not boxes:
         raise ConfigError(
             f"project {project.config.name} has no boxes on its images; give --boxes or --detector, or draw some"

@@ -16,7 +16,8 @@ import numpy as np
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import UsedModel, load_detector, used_model, view_model
+from annotator.workflows.detectors import UsedModel, detector_title, load_detector, used_model, view_model
+from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")
 
@@ -35,6 +36,11 @@ class ReadyDetector:
     lock: threading.Lock
     class_agnostic: bool = False
     name: str = ""
+
+    @property
+    def title(self) -> str:
+        """Its name for people."""
+        return detector_title(self.name)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -158,7 +164,10 @@ class ReadyDetectors:
     def _load(self, role: DetectorKind, model: UsedModel) -> ReadyDetector:
         try:
             ready = _ready(model, self._use)
-            ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
+            if role is DetectorKind.VIEW:
+                warm_up_with(ready, ready.box_kind, ready.class_agnostic)
+            else:
+                ready.detect([_Blank(np.full((64, 64, 3), 114, np.uint8))])
         except AnnotatorError as error:
             LOG.warning("the %s detector %s cannot be loaded: %s", role.value, model.path, error)
             raise

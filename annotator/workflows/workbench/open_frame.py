@@ -1,4 +1,4 @@
-"""An open frame with its cached results: JPEG, point index, normals, views and detections."""
+"""An open frame with its cached results: JPEG, point index, normals, views, their pictures, and detections."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from annotator.geometry.frustum import in_frustum
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.point_index import PointIndex
 from annotator.project.overview import FramePage
+from annotator.project.views import png
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError
 
 JPEG_QUALITY = 92
-# Cached frustums, views and detections of one frame: enough to go back and forth between a few objects.
-MAX_RESULTS = 40
+# Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.
+MAX_RESULTS = 80
 
 T = TypeVar("T")
 Views = tuple[PseudoView, PseudoView]
@@ -80,26 +81,25 @@ class OpenFrame:
 
     def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:
         """Returns the mask of the points inside the frustum of a box on the image."""
-        mask: np.ndarray = self._once(
+        mask: np.ndarray = self.once(
             ("frustum", box.xyxy), lambda: in_frustum(self.frame.camera, self.frame.cloud.xyz_m, box)
         )
         return mask
 
     def views(self, key: Hashable, draw: Callable[[Frame], Views | None]) -> Views | None:
         """Returns the views of a step, drawn once per `key`, which must hold all that they depend on."""
-        views: Views | None = self._once(("views", key), lambda: draw(self.with_normals))
+        views: Views | None = self.once(("views", key), lambda: draw(self.with_normals))
         return views
 
-    def detections(self, views: Views, detector: Detector) -> list[list[Box2D]]:
-        """Returns a detector's boxes on the views of a step; detected once."""
-        boxes: list[list[Box2D]] = self._once(
-            ("detections", id(views[0]), detector.fingerprint), lambda: (views, detector.detect(views))
-        )[1]
-        return boxes
+    def picture(self, view: PseudoView) -> bytes:
+        """Returns the PNG file of a view from `views`; encoded once."""
+        # the result holds the view, so that no other view gets its id
+        content: bytes = self.once(("picture", id(view)), lambda: (view, png(view.rgb)))[1]
+        return content
 
     def image_detections(self, detector: Detector) -> list[Box2D]:
         """Returns a detector's boxes on the image; detected once."""
-        boxes: list[Box2D] = self._once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
+        boxes: list[Box2D] = self.once(("image", detector.fingerprint), lambda: detector.detect([self.frame])[0])
         return boxes
 
     def newest(self, name: str, revision: int, compute: Callable[[], T]) -> T:
@@ -110,11 +110,13 @@ class OpenFrame:
         result: T = cached[1]
         return result
 
-    def _once(self, key: Hashable, compute: Callable[[], Any]) -> Any:
+    def once(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""
         with self._lock:
             if key in self._results:
                 self._results.move_to_end(key)
-                return self._results[key]
+                known: T = self._results[key]
+                return known
         # without the lock: two threads may compute the same result, and the later one is kept
         result = compute()
         with self._lock:

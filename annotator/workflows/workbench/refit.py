@@ -1,4 +1,4 @@
-"""Fits a 3D box, either to a box drawn on the image or starting from an existing 3D box.
+"""Fits a 3D box, either to the boxes drawn of an object or starting from an existing 3D box.
 
 An existing box is refitted by Recursive Cross-View on the points in and around it, starting from its axes. Without a
 detector for its class, the sides move to the points inside and the rotation stays.
@@ -16,19 +16,36 @@ Axes keep their names (x, y, z), so the heading stays as the operator set it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.edges import visible_edges
-from annotator.geometry.oriented_box import aligned_box
-from annotator.geometry.outline import box_on_image
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.oriented_box import aligned_box, canonical_box
+from annotator.geometry.outline import NEAR_M, box_on_image
 from annotator.rcv.axes import match_axes
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.first_look import image_planes
+from annotator.rcv.interval_fit import Intervals, fit_box
+from annotator.rcv.known_size_fit import traced_intervals
+from annotator.rcv.operator import Span, cut_out
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
-from annotator.types import Box2D, Detector, OrientedBox, PointCloud, Proposal, Quality, StepTrace, StopReason
+from annotator.types import (
+    Box2D,
+    BoxKind,
+    Detector,
+    Frame,
+    OrientedBox,
+    PointCloud,
+    Proposal,
+    Quality,
+    StepTrace,
+    StopReason,
+)
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 RCV, POINTS = "rcv", "points"
@@ -37,6 +54,10 @@ SEARCH_FACTOR = 1.3
 # The recursion starts as if this many steps had led to the given box.
 STEPS_BEFORE = 2
 NOT_DETECTED = "the detector found no object in this box"
+# Margin around a drawn box within which points belong to the object, share of the box's mean side.
+KNOWN_MARGIN = 0.03
+# Expected error of a drawn edge, share of that of the best detected one.
+KNOWN_DOUBT = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +106,7 @@ def refit(
 
 @dataclass(frozen=True, eq=False)
 class FoundBox:
-    """The 3D box of an object in a box drawn on the image.
+    """The 3D box of an object that was drawn on the image.
 
     Attributes:
         box: None if the object was not found.
@@ -104,37 +125,82 @@ class FoundBox:
 
 
 def find_box(
-    opened: OpenFrame, image_box: Box2D, config: RcvConfig, detector: Detector | None, problem: str | None = None
+    opened: OpenFrame,
+    image_box: Box2D,
+    config: RcvConfig,
+    detector: Detector | None,
+    problem: str | None = None,
+    known: Sequence[Span] = (),
 ) -> FoundBox:
-    """Finds the 3D box of an object in a box drawn on the image, by Recursive Cross-View.
+    """Finds the 3D box of an object from the boxes drawn of it, by Recursive Cross-View; done once for the same boxes.
 
     Args:
         image_box: has the object's class.
         config: with the orientation for the frame and the box kind of the detector.
         detector: for pseudo-views, or None.
         problem: why the detector could not be loaded, if it could not.
+        known: the axes of views, and what the boxes drawn on them span.
     """
     reason = _why_no_detector(detector, image_box.label, config, problem)
     if reason is not None or detector is None:
-        return _not_found(reason or "")
+        return not_found(reason or "")
+    spans = tuple((axes.tobytes(), span_m.tobytes()) for axes, span_m in known)
+    key = ("found", image_box.label, image_box.xyxy, spans, config, detector.fingerprint)
+    return opened.once(key, lambda: _found(opened, image_box, config, detector, known))
+
+
+def _found(
+    opened: OpenFrame, image_box: Box2D, config: RcvConfig, detector: Detector, known: Sequence[Span]
+) -> FoundBox:
+    frame = opened.with_normals
+    if known:
+        # the object lies within the drawn boxes
+        margins_m = [KNOWN_MARGIN * float(np.diff(span_m).mean()) for _, span_m in known]
+        inside = cut_out(frame, image_box, list(zip(known, margins_m, strict=True)))
+        frame = replace(frame, cloud=frame.cloud.select(inside))
     # an object lost during the recursion has no box
     strict = config.model_copy(update={"coarse_box": False})
     # a drawn box is certain
     drawn = replace(image_box, score=1.0)
-    (result,) = propose_from_boxes([opened.with_normals], [[drawn]], detector, strict)
+    (result,) = propose_from_boxes([frame], [[drawn]], detector, strict)
     if not result.proposals:
-        too_few = opened.frustum(image_box).sum() < config.min_points
-        return _not_found(f"fewer than {config.min_points} points lie in this box" if too_few else NOT_DETECTED)
+        too_few = in_frustum(frame.camera, frame.cloud.xyz_m, image_box).sum() < config.min_points
+        return not_found(f"fewer than {config.min_points} points lie in this box" if too_few else NOT_DETECTED)
     best = max(result.proposals, key=_agreement)
-    outline = visible_edges(opened.frame.camera, [best.box])[0]
-    return FoundBox(best.box, outline, opened.points_in(best.box), best.score, best.quality, None)
+    box = best.box
+    if known and config.box_kind is BoxKind.BOX:
+        box = _through_known(frame, best, known, config)
+    outline = visible_edges(frame.camera, [box])[0]
+    return FoundBox(box, outline, opened.points_in(box), best.score, best.quality, None)
+
+
+def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config: RcvConfig) -> OrientedBox:
+    """Fits a proposal again, with the spans of drawn boxes beside what was detected."""
+    detected = traced_intervals(found.trace[1:], config)
+    if detected is None:
+        return found.box
+    directions = np.concatenate([axes[:2] for axes, _ in known])
+    ends_m = np.concatenate([span_m for _, span_m in known])
+    sigma_m = np.full(ends_m.shape, KNOWN_DOUBT * float(detected.sigma_m.min()))
+    parts = [detected, Intervals(directions, ends_m, sigma_m)]
+    depth_m = max(float(found.box.center_m[2]), NEAR_M)
+    noise_px = config.first_look.plane_noise_px
+    planes = image_planes(frame.camera, found.image_box, depth_m, noise_px) if noise_px else None
+    if config.class_agnostic and planes is not None:
+        parts.append(planes)
+    up = held_direction(frame.up, config)
+    fit = fit_box(Intervals.concatenate(parts), up, found.box.rotation, config.fit)
+    if fit is None:
+        return found.box
+    return canonical_box(OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m), up)
 
 
 def _agreement(proposal: Proposal) -> float:
     return proposal.score * (proposal.quality.image_agreement or 0.0)
 
 
-def _not_found(reason: str) -> FoundBox:
+def not_found(reason: str) -> FoundBox:
+    """Returns no box, with the reason."""
     return FoundBox(None, np.zeros((0, 2, 2)), 0, None, None, reason)
 
 

@@ -10,7 +10,7 @@ from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, OrientedBox
 from annotator.workflows.views.follow_image_boxes import changes_kind
-from annotator.workflows.workbench.drawing_steps import MAX_BOXES, label_steps
+from annotator.workflows.workbench.drawing_steps import MAX_BOXES, VIEWS_PER_STEP, label_steps
 from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 from annotator.workflows.workbench.open_frame import OpenFrame
 
@@ -54,7 +54,9 @@ def _measured(opened: OpenFrame, item: ShownObject, config: RcvConfig, kind: Box
     """Returns the 3D box that an object's drawn boxes give; None if one of these is missing."""
     if len(item.views) != MAX_BOXES or any(len(view.boxes) != 1 for view in item.views):
         return None
-    return label_steps(opened, item.image_box, [view.boxes[0] for view in item.views], config, kind).box
+    boxes, geometry = [view.boxes[0] for view in item.views], item.views[VIEWS_PER_STEP].geometry
+    axes = None if geometry is None else np.array(geometry.axes)
+    return label_steps(opened, item.image_box, boxes, config, kind, axes=axes).box
 
 
 def same_box(a: OrientedBox, b: OrientedBox) -> bool:

@@ -15,13 +15,14 @@ from annotator.project.event_types import (
     Payload,
     ViewBoxesSet,
 )
-from annotator.project.overview import FramePage, read_page
+from annotator.project.overview import FramePage
 from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers
 from annotator.workflows.views.places import geometry_of
-from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, Labelling, label_config, label_steps
+from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, Labelling, label_config
+from annotator.workflows.workbench.frame_state import present_page
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.remeasure import remeasured, same_box
@@ -34,11 +35,13 @@ class ObjectDrawn:
     Attributes:
         image_box: on the camera image.
         boxes: on its views, as for `label_steps`.
+        labelling: what `label_steps` returned for these boxes.
         uid: of the object's label, or None while it has none.
     """
 
     image_box: Box2D
     boxes: Boxes
+    labelling: Labelling
     uid: str | None = None
 
 
@@ -74,7 +77,7 @@ def save_object(
         ConfigError: the object's image box is not in `image_boxes`, or it has more than four boxes.
         ProjectError: unknown class.
     """
-    page = read_page(project, frame_id)
+    page = present_page(project, frame_id, opened)
     if page.frame.revision != context.revision:
         where = f"frame {page.frame.key} of recording {page.recording_name}"
         raise StaleRevisionError(where, context.revision, page.frame.revision)
@@ -87,10 +90,8 @@ def save_object(
     uid = None
     view_boxes: list[ViewBoxesSet] = []
     if drawn is not None:
-        config = label_config(project, opened.frame)
-        labelling = label_steps(opened, drawn.image_box, drawn.boxes, config, kind)
-        view_boxes = _view_boxes(project, page, drawn, kind, labelling)
-        label = _label_change(page, drawn, labelling, view_boxes)
+        view_boxes = _view_boxes(project, page, opened, drawn, kind)
+        label = _label_change(page, drawn, view_boxes)
         uid = _label_uid(page, drawn) if label is None else label.uid
         payloads += _new_views(page, view_boxes) + ([] if label is None else [label])
     redrawn = None if drawn is None else drawn.image_box
@@ -113,7 +114,7 @@ def suggested_image_boxes(
 
 
 def _view_boxes(
-    project: Project, page: FramePage, drawn: ObjectDrawn, kind: BoxKind, labelling: Labelling
+    project: Project, page: FramePage, opened: OpenFrame, drawn: ObjectDrawn, kind: BoxKind
 ) -> list[ViewBoxesSet]:
     """Returns the boxes of an object on its views.
 
@@ -121,10 +122,10 @@ def _view_boxes(
     """
     known = {view.view_id: view.boxes[1:] for view in page.view_boxes if view.box_kind is kind}
     events = []
-    for place, (view, box) in enumerate(zip(labelling.views, drawn.boxes, strict=False)):
+    for place, (view, box) in enumerate(zip(drawn.labelling.views, drawn.boxes, strict=False)):
         if box is None:
             continue
-        view_id = project.views.store(view.rgb)
+        view_id = project.views.store(opened.picture(view))
         boxes, geometry = (box, *known.get(view_id, ())), geometry_of(view, drawn.image_box)
         events.append(
             ViewBoxesSet(view=view_id, boxes=boxes, box_kind=kind, step=place // VIEWS_PER_STEP, geometry=geometry)
@@ -147,13 +148,14 @@ def _is_stored(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
 
 
 def _label_change(
-    page: FramePage, drawn: ObjectDrawn, labelling: Labelling, view_boxes: Sequence[ViewBoxesSet]
+    page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet]
 ) -> LabelCreated | LabelEdited | None:
     """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
 
     A label is created once all four boxes are drawn. An existing label gets a new 3D box only if the drawn boxes have
     changed and are complete: its present box may be a correction. Otherwise only its class and image box are updated.
     """
+    labelling = drawn.labelling
     is_complete = len(labelling.views) == len(drawn.boxes) == 2 * VIEWS_PER_STEP and None not in drawn.boxes
     measured = labelling.box if is_complete else None
     name, uid = drawn.image_box.label, _label_uid(page, drawn)

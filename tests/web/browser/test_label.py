@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import brings_views, drag_box, draw_on_views, sign_in, until
+from browser_page import VIEWS, answers_drag, drag, drag_box, draw_on_views, sign_in, until
 from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 FRAME = 1
 EDGES = ("x_min", "y_min", "x_max", "y_max")
-SIDES = ("front", "side")
 
 
 @dataclass(eq=False)
@@ -70,30 +69,37 @@ class Bench:
         assert self.page.get_by_test_id("save-problem").inner_text() == ""
 
     def draw_on_image(self, number: int) -> dict[str, Any]:
-        """Draws the image box of a true object; returns the answer with its first views."""
+        """Draws the image box of a true object; returns the answer's views and suggestions."""
+        with self.page.expect_response(answers_drag(0)) as answer:
+            self.drag_on_image(number)
+        drawn: dict[str, Any] = answer.value.json().get("drawn", {})
+        return drawn
+
+    def drag_on_image(self, number: int) -> None:
         camera = self.scene.frame.camera
-        with self.page.expect_response(brings_views) as answer:
-            drag_box(self.page, "image-editor", self.scene.image_box(number), camera.width_px, camera.height_px)
-        return answer.value.json()
+        drag_box(self.page, "image-editor", self.scene.image_box(number), camera.width_px, camera.height_px)
 
-    def draw_on_views(self, number: int, views: list[dict[str, Any]]) -> None:
-        """Draws the boxes of a true object on the two shown views."""
-        draw_on_views(self.page, self.scene, number, views)
+    def draw_on_view(self, place: int, view: dict[str, Any], box: dict[str, Any]) -> None:
+        """Draws a box on one of the four views."""
+        drag_box(self.page, f"view-{VIEWS[place]}", box, view["width"], view["height"])
 
-    def draw_on_view(self, side: int, view: dict[str, Any], box: dict[str, Any]) -> None:
-        """Draws a box on one of the two shown views."""
-        drag_box(self.page, f"view-{SIDES[side]}", box, view["width"], view["height"])
-
-    def wait_for_view(self, side: int, view: dict[str, Any]) -> None:
-        pane = self.page.get_by_test_id(f"view-{SIDES[side]}")
+    def wait_for_view(self, place: int, view: dict[str, Any]) -> None:
+        pane = self.page.get_by_test_id(f"view-{VIEWS[place]}")
         pane.locator(f'img.picture[src="{view["url"]}"]').wait_for(state="attached")
+
+    def pull(self, place: int, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drags the dashed box of a view; both points are shares of its width and height."""
+        shown = self.page.get_by_test_id(f"view-{VIEWS[place]}").locator(".box.suggested rect.line").bounding_box()
+        assert shown is not None
+        corner, size = np.array([shown["x"], shown["y"]]), np.array([shown["width"], shown["height"]])
+        drag(self.page, tuple(corner + start * size), tuple(corner + end * size))
 
     def draw_object(self, number: int) -> None:
         """Draws all five boxes of a true object."""
         first = self.draw_on_image(number)
-        with self.page.expect_response(brings_views) as answer:
-            self.draw_on_views(number, first["steps"][0]["views"])
-        self.draw_on_views(number, answer.value.json()["steps"][1]["views"])
+        with self.page.expect_response(answers_drag(2)) as answer:
+            draw_on_views(self.page, self.scene, number, first["steps"][0]["views"])
+        draw_on_views(self.page, self.scene, number, answer.value.json()["drawn"]["steps"][1]["views"], step=1)
         self.saved()
 
     def other_saves(self, box: dict[str, Any]) -> None:
@@ -144,14 +150,13 @@ def test_each_drag_is_saved_at_once_and_survives_a_reload(bench: Bench) -> None:
     bench.saved()
     assert _close(bench.image_boxes[0], bench.scene.image_box(0))
     front = first["steps"][0]["views"][0]
-    bench.draw_on_views(0, first["steps"][0]["views"])
+    draw_on_views(bench.page, bench.scene, 0, first["steps"][0]["views"])
     bench.saved()
     bench.page.reload()
     row = bench.page.get_by_test_id("object")
     row.wait_for()
     assert row.get_attribute("data-boxes") == "3"
     row.get_by_role("button").first.click()
-    bench.page.get_by_test_id("step-1").click()
     bench.wait_for_view(0, front)
     expect(bench.page.get_by_test_id("view-front").get_by_test_id("editor-box")).to_have_count(1)
 
@@ -170,7 +175,7 @@ def test_a_box_on_the_side_view_alone_is_restored_after_a_reload(bench: Bench) -
 def test_correcting_a_view_box_updates_the_label(bench: Bench) -> None:
     bench.draw_object(0)
     (before,) = bench.labels
-    bench.page.get_by_test_id("view-front").get_by_test_id("editor2d").focus()
+    bench.page.get_by_test_id("view-front-2").get_by_test_id("editor2d").focus()
     bench.page.keyboard.press("Alt+Shift+ArrowRight")
     bench.page.wait_for_timeout(700)
     bench.saved()
@@ -212,9 +217,8 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
     moved = bench.state
     assert moved["image_boxes"]["boxes"][0]["x_min"] > before["image_boxes"]["boxes"][0]["x_min"] + 5
     assert moved["objects"][0]["views"][0][0]["origin_m"] != before["objects"][0]["views"][0][0]["origin_m"]
-    np.testing.assert_allclose(_metres(moved)[:2], _metres(before)[:2], atol=1e-6)
-    guesses = page.locator(".views .box.suggested")
-    expect(guesses).to_have_count(2)  # the second step's views have other axes
+    np.testing.assert_allclose(_metres(moved), _metres(before), atol=1e-6)
+    assert page.locator(".views .box.suggested").count() == 0, "the second step's views keep their axes"
 
     # the answer arrives after the object was deselected
     held: list[Any] = []
@@ -227,11 +231,9 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
     held[0].continue_()
     bench.saved()
     assert _close(bench.image_boxes[0], before["image_boxes"]["boxes"][0])
-    np.testing.assert_allclose(_metres(bench.state)[:2], _metres(before)[:2], atol=1e-6)
+    np.testing.assert_allclose(_metres(bench.state), _metres(before), atol=1e-6)
     assert [known.uid for known in bench.labels] == [label.uid]
     np.testing.assert_allclose(bench.labels[0].box.center_m, label.box.center_m, atol=1e-6)
-    page.get_by_test_id("object").get_by_role("button").first.click()
-    expect(guesses).to_have_count(2)
 
 
 def test_undo_and_redo_work_on_single_drags(bench: Bench) -> None:
@@ -347,7 +349,7 @@ def test_keys_change_the_frame_and_the_key_table_lists_them(bench: Bench) -> Non
 
 def test_a_failed_save_is_shown_and_can_be_retried(bench: Bench) -> None:
     bench.page.route("**/label/object", lambda route: route.abort())
-    bench.draw_on_image(0)
+    bench.drag_on_image(0)
     problem = bench.page.get_by_test_id("save-problem")
     problem.get_by_role("button").wait_for()
     assert bench.image_boxes == []
@@ -385,22 +387,93 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return taught
 
 
-def test_suggestions_are_accepted_with_enter(
+def test_one_drag_and_enter_make_a_label(
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
+) -> None:
+    teach(view=knowing("people", kind=BoxKind.SILHOUETTE).view)
+    page = bench.page
+    posts: list[str] = []
+
+    def record(request: Request) -> None:
+        if request.method == "POST":
+            posts.append(request.url.rsplit("/", 1)[-1])
+
+    page.on("request", record)
+    drawn = bench.draw_on_image(0)
+    dashed = page.locator(".views .box.suggested")
+    expect(dashed).to_have_count(4)
+    outline = page.get_by_test_id("image-editor").get_by_test_id("editor-overlay")
+    expect(outline).to_have_count(1)
+    expect(page.get_by_test_id("hint")).to_contain_text("Enter accepts")
+    expect(page.get_by_test_id("views-source")).to_contain_text("this project's view detector")
+    page.remove_listener("request", record)
+    assert posts == ["object"], "one request a drag"
+    assert bench.labels == []
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
+    expect(dashed).to_have_count(0)
+    bench.saved()
+    (label,) = bench.labels
+    np.testing.assert_allclose(label.box.center_m, drawn["box"]["center"], atol=1e-9)
+    assert iou_3d(label.box, bench.scene.objects[0].box) > 0.5
+    assert bench.live.client.get(f"{bench.api}/statistics").json()["effort"]["actions_a_box"] == 2
+    # undo returns to the dashed boxes, then to the empty image
+    page.keyboard.press("Control+z")
+    expect(dashed).to_have_count(4)
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
+    assert bench.labels == []
+    page.keyboard.press("Control+z")
+    expect(page.get_by_test_id("object")).to_have_count(0)
+    page.keyboard.press("Control+Shift+z")
+    page.keyboard.press("Control+Shift+z")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-uid", label.uid)
+
+
+def test_the_dashed_boxes_follow_a_corrected_one(
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
+) -> None:
+    teach(view=knowing("people", kind=BoxKind.SILHOUETTE).view)
+    page = bench.page
+    drawn = bench.draw_on_image(0)
+    dashed = page.locator(".views .box.suggested")
+    expect(dashed).to_have_count(4)
+    (front, *_), (suggested, *_) = drawn["steps"][0]["views"], drawn["steps"][0]["suggested"]
+    bench.wait_for_view(0, front)
+    with page.expect_response(answers_drag(1)) as answer:
+        bench.pull(0, (0.3, 1.0), (0.3, 0.5))  # the lower edge, to the middle
+    following = answer.value.json()["drawn"]
+    expect(dashed).to_have_count(3)
+    bench.saved()
+    assert following["box"]["size"][2] < 0.75 * drawn["box"]["size"][2]
+    # a correction on the second step confirms the first one
+    bench.wait_for_view(3, following["steps"][1]["views"][1])
+    with page.expect_response(answers_drag(3)):
+        bench.pull(3, (1.0, 0.3), (0.9, 0.3))
+    expect(dashed).to_have_count(1)
+    page.get_by_test_id("accept-all").click()
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
+    bench.saved()
+    assert len(bench.labels) == 1
+    stored = [box for _, box in bench.state["objects"][0]["views"]]
+    assert abs(stored[0]["y_max"] - (suggested["y_min"] + suggested["y_max"]) / 2) < 3
+    # after a reload, the box that is left is on its view again
+    page.keyboard.press("Control+z")
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "4")
+    expect(dashed).to_have_count(1)
+
+
+def test_detected_image_boxes_are_accepted_with_enter(
     bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
     perfect = knowing("people", kind=BoxKind.SILHOUETTE)
     teach(image=perfect.image, view=perfect.view)
     expect(bench.page.get_by_test_id("image-editor").locator(".box.suggested")).to_have_count(3)
-    for accepted in range(1, 6):
-        where = bench.page.get_by_test_id("image-editor") if accepted == 1 else bench.page.locator(".views")
-        expect(where.locator(".box.suggested").first).to_be_attached()
-        bench.page.keyboard.press("Enter")
-        expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", str(accepted))
-        bench.saved()
-    (label,) = bench.labels
-    assert max(iou_3d(label.box, item.box) for item in bench.scene.objects) > 0.5
-    effort = bench.live.client.get(f"{bench.api}/statistics").json()["effort"]
-    assert effort["actions_a_box"] == 5
+    bench.page.keyboard.press("Enter")
+    expect(bench.page.locator(".views .box.suggested")).to_have_count(4)
+    bench.page.keyboard.press("Enter")
+    expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
+    bench.saved()
+    assert len(bench.labels) == 1
 
 
 class BlockedDetector:
@@ -427,36 +500,40 @@ def blocked(bench: Bench, knowing: Callable[..., Detectors], teach: Callable[...
     detector.may_answer.set()
 
 
-def test_views_do_not_wait_for_the_detector_and_suggestions_replace_no_drawn_box(
-    bench: Bench, blocked: BlockedDetector
+def test_a_box_drawn_while_the_detector_runs_is_kept(bench: Bench, blocked: BlockedDetector) -> None:
+    blocked.may_answer.set()
+    drawn = bench.draw_on_image(0)
+    views = drawn["steps"][0]["views"]
+    dashed = bench.page.locator(".views .box.suggested")
+    expect(dashed).to_have_count(4)
+    blocked.may_answer.clear()
+    # two drags before the first is answered
+    before = [(views[place], box) for place, box in enumerate(drawn["steps"][0]["suggested"])]
+    for place, (view, _) in enumerate(before):
+        bench.wait_for_view(place, view)
+        bench.pull(place, (0.5, 0.3), (0.4, 0.3))
+    expect(bench.page.get_by_test_id("hint")).to_contain_text("Looking for")
+    blocked.may_answer.set()
+    expect(dashed).to_have_count(2)
+    bench.saved()
+    for (_, kept), (_, box) in zip(bench.state["objects"][0]["views"], before, strict=True):
+        assert kept["x_min"] < box["x_min"] - 1 and abs(kept["y_min"] - box["y_min"]) < 2
+
+
+def test_a_deleted_view_box_is_suggested_again(
+    bench: Bench, knowing: Callable[..., Detectors], teach: Callable[..., None]
 ) -> None:
-    views = bench.draw_on_image(0)["steps"][0]["views"]
-    front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
-    bench.wait_for_view(1, views[1])
-    true = bench.scene.view_box(0, views[0])
-    mine = {**true, "x_max": (true["x_min"] + true["x_max"]) / 2}
-    bench.draw_on_view(0, views[0], mine)
-    bench.saved()
-    assert side.locator(".box.suggested").count() == 0
-    blocked.may_answer.set()
-    expect(side.locator(".box.suggested")).to_have_count(1)
-    expect(front.locator(".box.suggested")).to_have_count(0)
-    (kept,) = [box for _, box in bench.state["objects"][0]["views"] if box]
-    assert abs(kept["x_max"] - mine["x_max"]) < 1
-
-
-def test_a_box_deleted_while_the_detector_runs_is_not_suggested_again(bench: Bench, blocked: BlockedDetector) -> None:
-    views = bench.draw_on_image(0)["steps"][0]["views"]
-    front, side = bench.page.get_by_test_id("view-front"), bench.page.get_by_test_id("view-side")
-    bench.wait_for_view(0, views[0])
-    bench.draw_on_view(0, views[0], bench.scene.view_box(0, views[0]))
-    front.get_by_test_id("editor2d").focus()
+    teach(view=knowing("people", kind=BoxKind.SILHOUETTE).view)
+    bench.draw_on_image(0)
+    dashed = bench.page.locator(".views .box.suggested")
+    expect(dashed).to_have_count(4)
+    bench.page.keyboard.press("Enter")
+    expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", "5")
+    bench.page.get_by_test_id("view-side-2").get_by_test_id("editor2d").focus()
     bench.page.keyboard.press("Delete")
-    expect(front.get_by_test_id("editor-box")).to_have_count(0)
+    expect(dashed).to_have_count(1)
+    expect(bench.page.get_by_test_id("object")).to_have_attribute("data-boxes", "4")
     bench.saved()
-    blocked.may_answer.set()
-    expect(side.locator(".box.suggested")).to_have_count(1)
-    expect(front.locator(".box.suggested")).to_have_count(0)
 
 
 def test_a_detector_that_cannot_be_loaded_is_reported_once(bench: Bench, tmp_path: Path) -> None:

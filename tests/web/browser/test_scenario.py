@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import knowing_jobs
 import numpy as np
 import pytest
-from browser_page import brings_views, drag_box, draw_on_views
+from browser_page import answers_drag, drag_box, draw_on_views
 from drawing import Scene
 from live_server import ended
 
@@ -93,12 +93,12 @@ class Operator:
     def draw_object(self, scene: Scene, number: int) -> None:
         """Draws the five boxes of an object."""
         camera = scene.frame.camera
-        with self.page.expect_response(brings_views) as answer:
+        with self.page.expect_response(answers_drag(0)) as answer:
             drag_box(self.page, "image-editor", scene.image_box(number), camera.width_px, camera.height_px)
-        first = answer.value.json()["steps"][0]["views"]
-        with self.page.expect_response(brings_views) as answer:
+        first = answer.value.json()["drawn"]["steps"][0]["views"]
+        with self.page.expect_response(answers_drag(2)) as answer:
             draw_on_views(self.page, scene, number, first)
-        draw_on_views(self.page, scene, number, answer.value.json()["steps"][1]["views"])
+        draw_on_views(self.page, scene, number, answer.value.json()["drawn"]["steps"][1]["views"], step=1)
         self.page.wait_for_selector(".label-mode:not([data-saving])")
 
     def label_frames(self) -> int:

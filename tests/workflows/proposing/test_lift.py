@@ -9,18 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 
+import numpy as np
 import pytest
 
 from annotator.cli.main import main
 from annotator.detection import base_detector
+from annotator.detection.base_detector import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.project import Project, WriteContext
-from annotator.project.event_types import ImageBoxesSet
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.project.event_types import FrameFinalised, ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types import Box2D, BoxKind, Detector, Image, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Detector, Image, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError, FormatError
-from annotator.workflows.detectors import Detectors
+from annotator.workflows.detectors import Detectors, base_titles
+from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import FlatFormat
 from annotator.workflows.proposing.annotate import annotate
@@ -148,6 +151,34 @@ def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
     assert seen == [(1, 2), (2, 2)]
 
 
+def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyDetector, tmp_path: Path) -> None:
+    stored = people.frames.of()[1]
+    lift(people, GivenBoxes("test", {stored.id: outlines(people, 1)}, {}), base, rcv_config(people))
+    (run,) = people.jobs.all()
+    assert base_titles(people) == {run.id: TITLE}
+    report = export_project(
+        people, tmp_path / "out", ExportFormat.RCV, choose=ExportFilter(states=(ReviewState.PROPOSED,))
+    )
+    assert report.objects > 0
+    manifest = json.loads((tmp_path / "out" / "dataset.json").read_text())
+    assert {detector["role"]: detector["name"] for detector in manifest["detectors"]}["view"] == TITLE
+
+
+def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base: ReadyDetector) -> None:
+    first, second, third = people.frames.of()[:3]
+    for stored, index in ((first, 0), (second, 1)):
+        drawn = ImageBoxesSet(boxes=outlines(people, index), box_kind=BoxKind.BOX)
+        people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
+    people.log.append(third.id, [ImageBoxesSet(boxes=(), box_kind=BoxKind.BOX)], WriteContext(third.revision, "ann"))
+    assert people.boxes.frames_without_labels() == (first.id, second.id)
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
+    people.labels.create(first.id, [NewLabel("person", box)], WriteContext(people.frames.get(first.id).revision, "ann"))
+    people.log.append(second.id, [FrameFinalised()], WriteContext(people.frames.get(second.id).revision, "ann"))
+    assert people.boxes.frames_without_labels() == ()
+    with pytest.raises(ConfigError, match="no frame has boxes on its image but no 3D box"):
+        drawn_boxes(people, only_without_labels=True)
+
+
 def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
     people: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -165,7 +196,8 @@ def test_the_command_lifts_drawn_boxes(
     people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
     where = [people.path.name, "--projects", str(people.path.parent)]
     assert main(["lift", *where]) == 0
-    assert "3D boxes of the base detector, from boxes drawn on the images\n1 frames done" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert f"3D boxes from boxes drawn on the images, measured by: {TITLE}\n1 frames done" in output
     assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
     assert "exclude each other" in capsys.readouterr().err
     assert main(["lift", *where, "--rename", "car"]) == 2

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -14,23 +15,27 @@ from annotator.project import Origin, Project, WriteContext
 from annotator.project.efforts import draft_id
 from annotator.project.events import Effort
 from annotator.rcv.cross_view import box_iou
-from annotator.rcv.operator import draw_object
+from annotator.rcv.operator import Span, draw_object
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.workflows.detectors import Detectors
 from annotator.workflows.simulate import _draw, _image_box, visible_objects
 from annotator.workflows.training.samples import gather
 from annotator.workflows.workbench.drawing_steps import (
     LABEL_VIEW_PX,
+    Fit,
     Labelling,
     frame_config,
     label_config,
+    label_object,
     label_steps,
 )
 from annotator.workflows.workbench.frame_state import show_frame
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.refit import FoundBox
+from annotator.workflows.workbench.remeasure import same_box
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
 
 
@@ -58,6 +63,20 @@ class Desk:
 
     def steps(self, boxes: Sequence[Box2D | None], number: int = 0) -> Labelling:
         return label_steps(self.opened, self.image_box(number), boxes, self.config, self.kind)
+
+    def object(self, image_box: Box2D, boxes: Sequence[Box2D | None], uid: str | None = None) -> ObjectDrawn:
+        labelling = label_steps(self.opened, image_box, boxes, self.config, self.kind)
+        return ObjectDrawn(image_box, boxes, labelling, uid)
+
+    def fit(self, found: OrientedBox | None, asked: list[Sequence[Span]]) -> Fit:
+        """Answers with the same 3D box each time, and records the spans that it was asked with."""
+
+        def fit(known: Sequence[Span]) -> FoundBox:
+            asked.append(list(known))
+            outline = np.zeros((0, 2, 2))
+            return FoundBox(found, outline, 0, None, None, None if found else "nothing here")
+
+        return fit
 
     def four(self, number: int = 0) -> list[Box2D]:
         boxes: list[Box2D] = []
@@ -148,23 +167,83 @@ def test_more_than_four_boxes_are_refused(desk: Desk) -> None:
         desk.steps([None] * 5)
 
 
-def test_suggestions_are_close_to_the_drawn_boxes(desk: Desk, knowing: Callable[..., Detectors]) -> None:
-    detector = knowing("people", BoxKind.SILHOUETTE).view
-    boxes: list[Box2D | None] = []
-    for place in range(4):
-        found = label_steps(desk.opened, desk.image_box(), boxes, desk.config, BoxKind.SILHOUETTE, detector)
-        suggested = found.steps[place // 2].suggested[place % 2]
-        assert suggested is not None
-        drawn = desk.draw(found.views[place])
-        # the detector counts all points in the true box, including those of the floor
-        assert box_iou(suggested, drawn) > 0.6
-        boxes.append(drawn)
+def test_after_the_image_box_all_views_have_a_suggestion_and_these_give_the_found_box(desk: Desk) -> None:
+    true = desk.objects[0].box
+    for kind in BoxKind:
+        found = label_steps(desk.opened, desk.image_box(), [], desk.config, kind, fit=desk.fit(true, []))
+        suggested = [box for step in found.steps for box in step.suggested]
+        assert len(suggested) == 4 and None not in suggested
+        for view, box in zip(found.views, suggested, strict=True):
+            assert box is not None and box.label == "person"
+            height_px, width_px = view.rgb.shape[:2]
+            assert -0.5 <= box.x_min < box.x_max <= width_px - 0.5 and -0.5 <= box.y_min < box.y_max <= height_px - 0.5
+        assert found.box is not None
+        # a silhouette ends with the visible points
+        assert iou_3d(found.box, true) > (0.9 if kind is BoxKind.BOX else 0.5)
+        # accepting them changes neither the views nor the 3D box
+        axes = found.views[2].axes
+        accepted = label_steps(desk.opened, desk.image_box(), suggested, desk.config, kind, axes=axes)
+        assert [view is same for view, same in zip(accepted.views, found.views, strict=True)] == [True] * 4
+        assert accepted.box is not None and same_box(accepted.box, found.box)
+
+
+def test_suggested_silhouettes_are_close_to_the_drawn_ones(desk: Desk) -> None:
+    fit = desk.fit(desk.objects[0].box, [])
+    found = label_steps(desk.opened, desk.image_box(), [], desk.config, BoxKind.SILHOUETTE, fit=fit)
+    for view, box in zip(found.views, (box for step in found.steps for box in step.suggested), strict=True):
+        # all points in the true box count, including those of the floor
+        assert box is not None and box_iou(box, desk.draw(view)) > 0.6
+
+
+def test_the_fit_knows_the_drawn_boxes_and_only_the_other_views_have_suggestions(desk: Desk) -> None:
+    asked: list[Sequence[Span]] = []
+    fit = desk.fit(desk.objects[0].box, asked)
+    whole = label_steps(desk.opened, desk.image_box(), [], desk.config, desk.kind, fit=fit)
+    (front, side), (third, _) = (step.suggested for step in whole.steps)
+    assert front is not None and side is not None and third is not None
+    corrected = replace(front, x_max=front.x_max - 5.0)
+    found = label_steps(desk.opened, desk.image_box(), [corrected], desk.config, desk.kind, fit=fit)
+    assert found.steps[0].suggested[0] is None and found.steps[0].suggested[1] is not None
+    assert [len(known) for known in asked] == [0, 1]
+    axes, span_m = asked[1][0]
+    np.testing.assert_array_equal(axes, whole.views[0].axes)
+    np.testing.assert_allclose(span_m, whole.views[0].interval_m(corrected))
+    # a box on the second step: its views keep their axes, and the other view takes over the shared span
+    shorter = replace(third, y_min=third.y_min + 8.0)
+    boxes, own = [front, side, shorter], whole.views[2].axes
+    found = label_steps(desk.opened, desk.image_box(), boxes, desk.config, desk.kind, axes=own, fit=fit)
+    assert [len(known) for known in asked] == [0, 1, 2, 3]
+    np.testing.assert_array_equal(found.views[2].axes, own)
+    last = found.steps[1].suggested[1]
+    assert found.steps[1].suggested[0] is None and last is not None
+    np.testing.assert_allclose(found.views[3].interval_m(last)[1], found.views[2].interval_m(shorter)[1], atol=0.02)
+
+
+def test_without_a_found_object_the_reason_is_told_and_boxes_can_be_drawn(desk: Desk) -> None:
+    found = label_steps(desk.opened, desk.image_box(), [], desk.config, desk.kind, fit=desk.fit(None, []))
+    assert found.note == "nothing here" and found.steps[0].suggested == (None, None) and found.box is None
+    four = desk.four()
+    found = label_steps(desk.opened, desk.image_box(), four, desk.config, desk.kind, fit=desk.fit(None, []))
+    assert found.box is not None and found.note is None, "nothing is left to suggest"
+
+
+def test_a_detector_that_fails_leaves_drawing_possible(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    class Broken:
+        labels, fingerprint = ("person",), "broken"
+
+        def detect(self, images: object) -> list[list[Box2D]]:
+            raise RuntimeError("secret")
+
+    detector = ReadyDetector(Broken(), BoxKind.SILHOUETTE, Lock())
+    found = label_object(desk.project, desk.opened, desk.image_box(), [], desk.kind, None, detector)
+    assert len(found.views) == 2 and found.note == "internal error, see the server's log"
+    assert "secret" in caplog.text
 
 
 def test_each_drag_is_stored_and_the_fifth_creates_the_label(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     for count in range(5):
-        uid = desk.save([image_box], ObjectDrawn(image_box, four[:count]))
+        uid = desk.save([image_box], desk.object(image_box, four[:count]))
         assert (uid is None) == (count < 4)
     (stored,) = desk.project.labels.select()
     assert stored.label.uid == uid
@@ -183,35 +262,35 @@ def test_each_drag_is_stored_and_the_fifth_creates_the_label(desk: Desk) -> None
 
 def test_saving_the_same_boxes_again_writes_nothing(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
-    uid = desk.save([image_box], ObjectDrawn(image_box, four))
+    uid = desk.save([image_box], desk.object(image_box, four))
     before = desk.revision
-    assert desk.save([image_box], ObjectDrawn(image_box, four)) == uid
-    assert desk.save([image_box], ObjectDrawn(image_box, four, uid)) == uid
+    assert desk.save([image_box], desk.object(image_box, four)) == uid
+    assert desk.save([image_box], desk.object(image_box, four, uid)) == uid
     assert desk.revision == before
 
 
 def test_boxes_of_other_objects_on_a_view_are_kept(desk: Desk) -> None:
     """Views from 3D boxes also have boxes of other objects."""
     image_box, four = desk.image_box(), desk.four()
-    desk.save([image_box], ObjectDrawn(image_box, four[:2]))
+    desk.save([image_box], desk.object(image_box, four[:2]))
     view = next(view for view in desk.project.boxes.on_views_of(desk.frame_id) if view.boxes == (four[1],))
     other = Box2D("person", 1.0, 2.0, 9.0, 12.0)
     placed = {"frame_id": desk.frame_id, "step": view.step, "geometry": view.geometry}
     context = WriteContext(desk.revision, "import")
     desk.project.boxes.set_on_view(view.view_id, [four[1], other], desk.kind, context, **placed)
     before = desk.revision
-    desk.save([image_box], ObjectDrawn(image_box, four[:2]))
+    desk.save([image_box], desk.object(image_box, four[:2]))
     assert desk.revision == before, "nothing is new"
     wider = Box2D("person", *four[1].xyxy[:3], four[1].y_max + 2)
-    desk.save([image_box], ObjectDrawn(image_box, [four[0], wider]))
+    desk.save([image_box], desk.object(image_box, [four[0], wider]))
     assert {view.boxes for view in desk.project.boxes.on_views_of(desk.frame_id)} == {(four[0],), (wider, other)}
 
 
 def test_changing_a_box_of_the_first_step_removes_the_second_step(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
-    uid = desk.save([image_box], ObjectDrawn(image_box, four))
+    uid = desk.save([image_box], desk.object(image_box, four))
     wider = Box2D("person", four[0].x_min - 8, four[0].y_min, four[0].x_max + 8, four[0].y_max)
-    desk.save([image_box], ObjectDrawn(image_box, [wider, four[1]], uid))
+    desk.save([image_box], desk.object(image_box, [wider, four[1]], uid))
     views = desk.project.boxes.on_views_of(desk.frame_id)
     assert sorted(view.step or 0 for view in views) == [0, 0]
     assert {view.boxes for view in views} == {(wider,), (four[1],)}
@@ -220,16 +299,16 @@ def test_changing_a_box_of_the_first_step_removes_the_second_step(desk: Desk) ->
     )
     again = desk.steps([wider, four[1]])
     last = [desk.draw(view) for view in again.views[2:]]
-    assert desk.save([image_box], ObjectDrawn(image_box, [wider, four[1], *last], uid)) == uid
+    assert desk.save([image_box], desk.object(image_box, [wider, four[1], *last], uid)) == uid
     assert desk.project.labels.get(uid or "").label.state is ReviewState.EDITED
 
 
 def test_an_object_keeps_its_label_when_its_image_box_moves(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
-    uid = desk.save([image_box], ObjectDrawn(image_box, four))
+    uid = desk.save([image_box], desk.object(image_box, four))
     x_min, y_min, x_max, y_max = image_box.xyxy
     moved = Box2D("person", x_min - 30, y_min - 2, x_max + 30, y_max + 2)
-    assert desk.save([moved], ObjectDrawn(moved, [], uid)) == uid
+    assert desk.save([moved], desk.object(moved, [], uid)) == uid
     (shown,) = show_frame(desk.project, desk.frame_id, desk.opened).objects
     assert (shown.image_box, shown.uid) == (moved, uid), "it is the same object, also after a reload"
     assert desk.project.boxes.on_views_of(desk.frame_id) == (), "views of the old frustum are removed"
@@ -237,7 +316,7 @@ def test_an_object_keeps_its_label_when_its_image_box_moves(desk: Desk) -> None:
     for place in range(4):
         views = label_steps(desk.opened, moved, boxes, desk.config).views
         boxes.append(desk.draw(views[place]))
-    assert desk.save([moved], ObjectDrawn(moved, boxes, uid)) == uid
+    assert desk.save([moved], desk.object(moved, boxes, uid)) == uid
     (stored,) = desk.project.labels.select()
     assert stored.image_box == moved
     assert stored.label.state is ReviewState.EDITED
@@ -246,7 +325,7 @@ def test_an_object_keeps_its_label_when_its_image_box_moves(desk: Desk) -> None:
 def test_changing_the_class_keeps_a_corrected_box(desk: Desk) -> None:
     desk.project.configure(classes=["person", "robot"])
     image_box, four = desk.image_box(), desk.four()
-    uid = desk.save([image_box], ObjectDrawn(image_box, four)) or ""
+    uid = desk.save([image_box], desk.object(image_box, four)) or ""
     better = OrientedBox.from_parts(np.array([0.5, 0.1, 3.0]), np.eye(3), np.array([0.7, 0.4, 1.8]))
     desk.project.labels.edit(
         desk.frame_id, uid, WriteContext(desk.revision, "bob"), label="person", box=better, track_id=7
@@ -258,16 +337,16 @@ def test_changing_the_class_keeps_a_corrected_box(desk: Desk) -> None:
         return label.label, iou_3d(label.box, better) > 1 - 1e-9, label.track_id, stored.image_box
 
     before = desk.revision
-    assert desk.save([image_box], ObjectDrawn(image_box, four, uid)) == uid
+    assert desk.save([image_box], desk.object(image_box, four, uid)) == uid
     assert desk.revision == before, "saving the same boxes does not overwrite it"
     renamed, boxes = replace(image_box, label="robot"), [replace(box, label="robot") for box in four]
-    assert desk.save([renamed], ObjectDrawn(renamed, boxes, uid)) == uid
+    assert desk.save([renamed], desk.object(renamed, boxes, uid)) == uid
     assert present() == ("robot", True, 7, renamed)
     desk.project.history.undo("ann")
     assert present() == ("person", True, 7, image_box)
     desk.project.history.redo("ann")
     wider = replace(boxes[3], x_max=boxes[3].x_max + 2)
-    desk.save([renamed], ObjectDrawn(renamed, [*boxes[:3], wider], uid))
+    desk.save([renamed], desk.object(renamed, [*boxes[:3], wider], uid))
     assert present()[1] is False, "another drag changes the box"
 
 
@@ -277,13 +356,13 @@ def test_effort_is_kept_when_the_image_box_of_a_draft_changes(desk: Desk) -> Non
     sloppy = Box2D("person", x_min - 20, y_min - 20, x_max + 20, y_max)
     desk.save([sloppy], None)
     desk.save([image_box], None)
-    desk.save([image_box], ObjectDrawn(image_box, desk.four()))
+    desk.save([image_box], desk.object(image_box, desk.four()))
     numbers = desk.project.statistics().effort
     assert (numbers.boxes, numbers.actions_a_box) == (1, 3.0)
 
 
 def test_changing_the_kind_of_boxes_applies_to_the_views_of_all_objects(desk: Desk) -> None:
-    objects = [ObjectDrawn(desk.image_box(number), desk.four(number)) for number in range(2)]
+    objects = [desk.object(desk.image_box(number), desk.four(number)) for number in range(2)]
     image_boxes = [drawn.image_box for drawn in objects]
     for drawn in objects:
         desk.save(image_boxes, drawn)
@@ -298,7 +377,7 @@ def test_changing_the_kind_of_boxes_applies_to_the_views_of_all_objects(desk: De
 def test_one_undo_reverts_one_drag(desk: Desk) -> None:
     image_box, four = desk.image_box(), desk.four()
     for count in range(5):
-        desk.save([image_box], ObjectDrawn(image_box, four[:count]))
+        desk.save([image_box], desk.object(image_box, four[:count]))
     desk.project.history.undo("ann")
     assert desk.project.labels.select() == ()
     assert len(desk.project.boxes.on_views_of(desk.frame_id)) == 3
@@ -311,9 +390,9 @@ def test_one_undo_reverts_one_drag(desk: Desk) -> None:
 def test_invalid_saves_are_errors_and_change_nothing(desk: Desk) -> None:
     image_box = desk.image_box()
     with pytest.raises(ConfigError, match="is not among image_boxes"):
-        desk.save([], ObjectDrawn(image_box, []))
+        desk.save([], desk.object(image_box, []))
     with pytest.raises(NotFoundError, match="has no label ab"):
-        desk.save([image_box], ObjectDrawn(image_box, desk.four(), "ab"))
+        desk.save([image_box], desk.object(image_box, desk.four(), "ab"))
     with pytest.raises(StaleRevisionError, match="is at revision 0, but the change was made on revision 3"):
         desk.save([image_box], None, revision=3)
     assert desk.revision == 0

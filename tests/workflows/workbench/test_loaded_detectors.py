@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +34,12 @@ class Blank:
     def __init__(self) -> None:
         self.running = self.most = 0
 
-    def detect(self, images: object) -> list[list[object]]:
+    def detect(self, images: Sequence[object]) -> list[list[object]]:
         self.running += 1
         self.most = max(self.most, self.running)
         time.sleep(0.01)
         self.running -= 1
-        return [[]]
+        return [[] for _ in images]
 
 
 @pytest.fixture

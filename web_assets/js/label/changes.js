@@ -1,20 +1,24 @@
 /** The changes of a frame, for saver.js. */
 
+import { drawnObject } from "./draft.js";
 import { exchanged, makeItem, plainBox } from "./items.js";
 
 /**
  * Saves an object as it is now. Afterwards `stored` is its image box, which later changes replace.
  *
- * @param {Item} item
- * @param {{ after: Promise<unknown>, outline: Line[] | null, kind: () => Api.BoxKind }} options
+ * @param {Draft} draft
+ * @param {object} options
+ * @param {Promise<unknown>} options.after
+ * @param {() => Api.BoxKind} options.kind
+ * @param {(drawn: Api.StepsOut) => void} options.onDrawn called with the views and suggestions that follow.
  * @returns {FrameChange}
  */
-export function objectChange(item, { after, outline, kind }) {
-  const box = plainBox(item.image_box);
+export function objectChange(draft, { after, kind, onDrawn }) {
+  const { item, outline } = draft;
+  const drawn = drawnObject(draft);
+  const { image_box: box, boxes } = drawn;
   const before = item.stored;
   item.stored = box;
-  const boxes = item.boxes.map((one) => one && plainBox(one));
-  while (boxes.length && !boxes.at(-1)) boxes.pop();
   return {
     path: ["label", "object"],
     after,
@@ -22,10 +26,11 @@ export function objectChange(item, { after, outline, kind }) {
     body: (state) => ({
       image_boxes: exchanged(state.image_boxes?.boxes ?? [], before, box),
       box_kind: kind(),
-      object: { image_box: box, boxes, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null },
+      object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null },
     }),
-    done({ uid }) {
+    done({ uid, drawn: following }) {
       item.uid = uid ?? item.uid;
+      if (following) onDrawn(following);
     },
     mine: () => ({
       text: [`${box.label}: its box on the image and ${boxes.filter(Boolean).length} on the views`],

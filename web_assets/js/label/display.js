@@ -1,7 +1,8 @@
 /** Shows Label mode's state in all its panels: image, views, list, bar, hint and 3D view. */
 
-import { hintFor, viewsMessage } from "./hints.js";
-import { plainBox } from "./items.js";
+import { filledBoxes } from "./draft.js";
+import { hintFor } from "./hints.js";
+import { plainBox, secondAxes } from "./items.js";
 import { openGuesses } from "./work.js";
 
 /** @type {Record<string, string>} */
@@ -34,7 +35,7 @@ export function createDisplay(app, work, parts) {
       showNothing();
       return;
     }
-    const { draft, items, step, label } = work;
+    const { draft, items, label } = work;
     const isReadonly = work.isReadonly;
     image.setReadonly(isReadonly);
     views.setReadonly(isReadonly);
@@ -54,14 +55,13 @@ export function createDisplay(app, work, parts) {
     bar.show(state);
     hint.textContent = hintFor({
       draft,
-      step,
       isReadonly,
       label,
       hasItems: items.length > 0,
       guesses: guesses.length,
       notSaved: work.notSaved.length,
     });
-    views.show(draft, step, viewsMessage(draft, step));
+    views.show(draft);
     showScene(state);
   }
 
@@ -70,7 +70,7 @@ export function createDisplay(app, work, parts) {
     void image.setPicture(null);
     image.setBoxes([]);
     image.setOverlays([]);
-    views.show(null, 0, "");
+    views.show(null);
     picker.show(work.label);
     list.clear();
     bar.clear();
@@ -120,14 +120,16 @@ export function createDisplay(app, work, parts) {
       strong: uid === draft?.item.uid,
     }));
     if (draft?.outline && !isFinished(draft.item))
-      lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true });
+      lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
     return lines.filter(({ segments }) => segments?.length);
   }
 
   function sceneDraft() {
     if (!work.draft || work.isReadonly) return null;
-    const { image_box, boxes } = work.draft.item;
-    return { image_box: plainBox(image_box), boxes: boxes.map((box) => box && plainBox(box)) };
+    const { item, steps } = work.draft;
+    const boxes = filledBoxes(work.draft).map((box) => box && plainBox(box));
+    const axes = steps[1] ? secondAxes(item) : null;
+    return { image_box: plainBox(item.image_box), boxes, axes, box_kind: work.kind };
   }
 
   return show;

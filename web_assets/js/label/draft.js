@@ -2,7 +2,7 @@
 
 import { isAborted } from "../errors.js";
 import { carryBox } from "./carry.js";
-import { plainBox, sameBox, VIEWS } from "./items.js";
+import { plainBox, sameBox, secondAxes, VIEWS } from "./items.js";
 
 /**
  * @param {Item} item
@@ -15,45 +15,57 @@ export function makeDraft(item, frame) {
     frame,
     steps: [],
     suggestions: Array(VIEWS).fill(null),
-    edits: Array(VIEWS).fill(0),
+    kept: Array(VIEWS).fill(false),
     outline: null,
     stop: null,
     isLoading: false,
+    changes: 0,
     detector: "none",
+    measuredBy: null,
     problem: null,
+    note: null,
   };
 }
 
 /**
- * The boxes of complete steps: the server needs these to draw the next views.
+ * An object as the server needs it to draw its views. Once a box is drawn on the second step, its views keep their axes.
  *
- * @param {ViewBox[]} boxes
+ * @param {Draft} draft
  */
-export function wholeSteps(boxes) {
-  const [a, b, c, d] = boxes;
-  if (!a || !b) return [];
-  return c && d ? [a, b, c, d].map(plainBox) : [a, b].map(plainBox);
+export function drawnObject({ item, kept }) {
+  const boxes = item.boxes.map((box) => box && plainBox(box));
+  while (boxes.length && !boxes.at(-1)) boxes.pop();
+  const isDrawn = [2, 3].some((index) => item.boxes[index] || kept[index]);
+  return { image_box: plainBox(item.image_box), boxes, axes: isDrawn ? secondAxes(item) : null };
 }
 
 /**
- * Requests the views that follow from an object's boxes; with `suggest`, the server also runs the view detector.
+ * The drawn box on each view, or else the suggested one.
+ *
+ * @param {Draft} draft
+ * @returns {ViewBox[]}
+ */
+export const filledBoxes = ({ item, suggestions }) => item.boxes.map((box, index) => box ?? suggestions[index]);
+
+/**
+ * Requests the views that follow from an object's boxes; with `suggest`, the server also suggests boxes on them.
  *
  * @param {App} app
  * @param {() => Api.BoxKind} kind what the boxes enclose.
  * @returns {AskSteps}
  */
 export function createAsk(app, kind) {
-  return ({ item, frame }, boxes, suggest, signal) =>
+  return (draft, suggest, signal) =>
     app.api.post(
-      app.path("frames", frame, "label", "steps"),
-      { image_box: plainBox(item.image_box), boxes, box_kind: kind(), suggest },
+      app.path("frames", draft.frame, "label", "steps"),
+      { ...drawnObject(draft), box_kind: kind(), suggest },
       { signal },
     );
 }
 
 /**
- * `load(draft)` loads the views that follow from a draft's boxes, and transfers the boxes of views that have changed.
- * It resolves to false if a newer call for the same object has replaced it, or `stop(item)` has cancelled it.
+ * `load(draft, suggest)` loads the views that follow from a draft's boxes, and transfers the boxes of views that have
+ * changed. It resolves to false if a newer call for the same object has replaced it, or `stop(item)` has cancelled it.
  *
  * @param {AskSteps} ask
  */
@@ -65,8 +77,11 @@ export function createStepLoader(ask) {
    */
   const requests = new Map();
 
-  /** @param {Draft} draft */
-  async function load(draft) {
+  /**
+   * @param {Draft} draft
+   * @param {boolean} suggest
+   */
+  async function load(draft, suggest) {
     const { item } = draft;
     requests.get(item)?.abort();
     const own = new AbortController();
@@ -76,12 +91,11 @@ export function createStepLoader(ask) {
       // repeated until the views match the present boxes
       /** @type {ViewBox[] | null} */
       let sent = null;
-      let next = wholeSteps(item.boxes);
-      while (!isSame(sent, next)) {
-        sent = next;
-        const answer = await ask(draft, sent, false, own.signal);
+      while (!isSame(sent, item.boxes)) {
+        sent = item.boxes.slice();
+        const answer = await ask(draft, suggest, own.signal);
         if (own.signal.aborted) return false;
-        next = wholeSteps(item.boxes.slice(0, takeSteps(draft, answer)));
+        takeSteps(draft, answer);
       }
       return true;
     } catch (error) {
@@ -103,45 +117,44 @@ export function createStepLoader(ask) {
 
 /**
  * @param {ViewBox[] | null} sent
- * @param {ViewBox[]} next
+ * @param {ViewBox[]} now
  */
-function isSame(sent, next) {
-  return sent !== null && sent.length === next.length && next.every((box, i) => sameBox(box, sent[i]));
+function isSame(sent, now) {
+  return sent?.every((box, i) => sameBox(box, now[i]) || (!box && !now[i])) ?? false;
 }
 
 /**
- * Takes the server's views. If boxes of the first step had to be transferred, the answer's second step followed from
- * their old positions and is ignored.
+ * Takes the server's views and suggestions. If boxes of the first step had to be transferred, the answer's second step
+ * followed from their old positions and is ignored.
  *
  * @param {Draft} draft
  * @param {Api.StepsOut} answer
- * @returns {number} the number of views taken.
  */
-function takeSteps(draft, answer) {
+export function takeSteps(draft, answer) {
   const { item } = draft;
+  const suggested = answer.steps.flatMap((step) => step.suggested);
   let taken = 0;
   let isCarried = false;
   for (const [index, view] of answer.steps.flatMap(({ views }) => views).entries()) {
     if (isCarried && index % 2 === 0) break;
     const old = item.views[index];
-    if (old && old.id !== view.id) {
+    if (old && old.id !== view.id && (item.boxes[index] || draft.kept[index])) {
       isCarried = true;
       carryOver(draft, index, old, view);
     }
     item.views[index] = view;
-    if (item.loose?.[0].id === view.id) {
-      item.boxes[index] ??= item.loose[1] && plainBox(item.loose[1]);
-      item.loose = null;
-    }
+    if (!draft.kept[index]) draft.suggestions[index] = item.boxes[index] ? null : suggested[index];
     taken = index + 1;
   }
-  if (!item.boxes[0] || !item.boxes[1]) demoteSecondStep(draft);
+  for (let index = taken; index < VIEWS; index++) if (!draft.kept[index]) draft.suggestions[index] = null;
+  if (taken <= 2 && (!item.boxes[0] || !item.boxes[1])) demoteSecondStep(draft);
   draft.steps = answer.steps.slice(0, taken / 2);
   draft.outline = answer.outline;
   draft.stop = answer.stop;
   draft.detector = answer.detector;
+  draft.measuredBy = answer.measured_by;
   draft.problem = answer.problem;
-  return taken;
+  draft.note = answer.note;
 }
 
 /**
@@ -155,9 +168,10 @@ function carryOver(draft, index, old, view) {
   const box = item.boxes[index] ?? draft.suggestions[index];
   const moved = box && carryBox(box, old, view);
   // on a view with other axes, the box is a guess that the operator must confirm
-  const isKept = Boolean(item.boxes[index] && moved?.isExact);
-  item.boxes[index] = moved && isKept ? plainBox(moved.box) : null;
-  draft.suggestions[index] = isKept ? null : (moved?.box ?? null);
+  const isExact = Boolean(item.boxes[index] && moved?.isExact);
+  item.boxes[index] = moved && isExact ? plainBox(moved.box) : null;
+  draft.kept[index] = Boolean(moved && !isExact);
+  draft.suggestions[index] = isExact ? null : (moved?.box ?? null);
 }
 
 /**
@@ -166,10 +180,12 @@ function carryOver(draft, index, old, view) {
  * @param {Draft} draft
  */
 export function demoteSecondStep(draft) {
-  const { item, suggestions } = draft;
+  const { item, suggestions, kept } = draft;
   draft.steps = draft.steps.slice(0, 1);
   for (const index of [2, 3]) {
-    if (item.boxes[index]) suggestions[index] = item.boxes[index];
+    if (!item.boxes[index]) continue;
+    suggestions[index] = item.boxes[index];
+    kept[index] = true;
     item.boxes[index] = null;
   }
 }

@@ -46,17 +46,40 @@ export function itemsOf(state) {
  * @returns {Item}
  */
 export function makeItem(imageBox, views = [], uid = null) {
-  const whole = views.slice(0, views.length - (views.length % 2));
-  const padded = Array.from({ length: VIEWS }, (_, i) => whole[i] ?? [null, null]);
-  const boxes = padded.map(([, box]) => box && plainBox(box));
-  return {
+  /** @type {Item} */
+  const item = {
     image_box: imageBox,
     uid,
-    views: padded.map(([view]) => view),
-    boxes,
-    loose: views[whole.length] ?? null,
+    views: Array(VIEWS).fill(null),
+    boxes: Array(VIEWS).fill(null),
     stored: null,
   };
+  views.forEach(([view, box], index) => {
+    const isAlone = index === views.length - 1 && index % 2 === 0;
+    const place = isAlone && looksAside(view) ? index + 1 : index;
+    item.views[place] = view;
+    item.boxes[place] = box && plainBox(box);
+  });
+  return item;
+}
+
+/**
+ * True for the side view of a step, whose front view looks along the camera's axis rather than across it.
+ *
+ * @param {Api.ViewJson} view
+ */
+const looksAside = ({ axes }) => Math.abs(axes[0][2]) > Math.abs(axes[2][2]);
+
+/**
+ * The axes of the second step's front view; null if none of its views is known.
+ *
+ * @param {Item} item
+ */
+export function secondAxes({ views: [, , front, side] }) {
+  if (front) return front.axes;
+  if (!side) return null;
+  const [a3, a2, away] = side.axes;
+  return [away.map((value) => -value), a2, a3];
 }
 
 /**
@@ -65,16 +88,7 @@ export function makeItem(imageBox, views = [], uid = null) {
  * @param {Item} item
  */
 export function progressOf(item) {
-  return 1 + item.boxes.filter(Boolean).length + (item.loose?.[1] ? 1 : 0);
-}
-
-/**
- * The first step (0 or 1) that lacks a box, or else the last one.
- *
- * @param {Item} item
- */
-export function openStep(item) {
-  return item.boxes[0] && item.boxes[1] ? 1 : 0;
+  return 1 + item.boxes.filter(Boolean).length;
 }
 
 /**

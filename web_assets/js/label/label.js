@@ -1,7 +1,9 @@
 /**
- * Label: a new object in five drags (the paper's Fig. 6). A box on the image gives the front and side view of its
- * frustum; a box on each gives the views of the next step; a box on each of these finishes the object. Every drag is
- * saved.
+ * Label: a new object from a box on the image. A detector finds its 3D box and suggests a box on each of its four views
+ * (dashed); Enter accepts all, or the operator corrects one and the others follow. Without a detector, the operator draws
+ * them: a box on the image gives the front and side view of its frustum, a box on each gives the views of the next step,
+ * and a box on each of these finishes the object (the paper's Fig. 6). Every drag is saved, and the answer to that
+ * contains the views and suggestions that follow.
  *
  * This file assembles the page and registers its keys. work.js holds the state, objects.js handles drags, frames.js
  * opens frames, display.js shows the state, the editor (../editor2d) draws boxes, draft.js loads views, suggestions.js
@@ -67,7 +69,7 @@ export function mount(root, app) {
   const views = createViewsPane(app, {
     onBox: (...change) => objects.setViewBox(...change),
     onClear: (...change) => objects.clearViewBox(...change),
-    onStep: (step) => objects.showStep(step),
+    onAcceptAll: acceptNext,
     newLabel: () => work.draft?.item.image_box.label ?? work.label,
   });
   const list = createObjectList(app, {
@@ -110,6 +112,7 @@ export function mount(root, app) {
     newLabel: () => work.label,
     onChange: (...change) => objects.onImageChange(...change),
     onSelect: (index) => objects.onImageSelect(index),
+    onEnter: acceptNext,
     onOverlay: (uid) => objects.openLabel(uid),
   });
   const editors = [image, ...views.editors];
@@ -169,6 +172,7 @@ export function mount(root, app) {
     problem.replaceChildren();
     if (!isSaving && !error) void frames.refresh();
     if (!error) return;
+    objects.onFailed();
     problem.append(
       `Not saved: ${error.message} `,
       h("button", { type: "button", onclick: () => saver.retry() }, "Try again"),
@@ -206,10 +210,9 @@ export function mount(root, app) {
     if (app.state.frame) saver.save(finality(!work.isReadonly));
   }
 
+  /** Accepts the current object's suggestions, or else the next one on the image; false if there is none. */
   function acceptNext() {
-    // first the current object, whatever has the focus; then the next one on the image
-    const turn = [...views.editors.filter((editor) => editor === focused()), ...views.editors, image];
-    return turn.some((editor) => editor.acceptSuggestion());
+    return objects.acceptAll() || image.acceptSuggestion();
   }
 
   function cancel() {

@@ -22,9 +22,10 @@ export function createMoves(loader) {
    * Loads a draft's views with the loader.
    *
    * @param {Draft} draft
+   * @param {boolean} suggest
    */
-  function load(draft) {
-    const views = loader.load(draft);
+  function load(draft, suggest) {
+    const views = loader.load(draft, suggest);
     const move = moves.get(draft.item);
     if (move) move.views = views;
     return views;

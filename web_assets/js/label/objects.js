@@ -4,12 +4,12 @@ import { messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { objectChange, removal } from "./changes.js";
 import { isFinished } from "./display.js";
-import { demoteSecondStep, makeDraft } from "./draft.js";
-import { makeItem, openStep, plainBox, sameBox } from "./items.js";
+import { demoteSecondStep, makeDraft, takeSteps } from "./draft.js";
+import { makeItem, plainBox, sameBox } from "./items.js";
 import { createMoves } from "./moves.js";
 import { openGuesses } from "./work.js";
 
-/** Maximum time that saving and suggestions wait for a picture. */
+/** Maximum time that the 3D view waits for the pictures of views. */
 const PICTURES_WAIT_MS = 400;
 
 /** Resolves after the page was painted: a task queued by an animation callback runs after the painting. */
@@ -39,12 +39,16 @@ export function createObjects(app, work, parts) {
     show();
   }
 
-  /** @param {Item} item */
+  /**
+   * @param {Item} item
+   * @returns {Draft}
+   */
   function begin(item) {
     moves.leave(work.draft);
-    work.draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
-    work.step = openStep(item);
+    const draft = moves.draftOf(item) ?? makeDraft(item, currentFrame(app).frame.id);
+    work.draft = draft;
     work.label = item.image_box.label;
+    return draft;
   }
 
   /** @param {string} uid */
@@ -60,39 +64,42 @@ export function createObjects(app, work, parts) {
     work.draft = null;
   }
 
-  /** Loads the current object's views; then saving, the 3D view, suggestions and prefetching may begin. */
+  /** Loads the current object's views. */
   async function loadSteps() {
     const loading = work.draft;
     if (!loading) return;
     const { item } = loading;
-    const own = {};
-    work.coming = own;
     suggester.stop();
     prefetch.stop();
     try {
-      const isNewest = await moves.load(loading);
+      // a moved object is saved afterwards, and the answer to that contains suggestions
+      const isNewest = await moves.load(loading, !moves.isWaiting(item));
       if (!isNewest || work.draft !== loading) return;
-      if (item.boxes.every(Boolean)) loading.outline = null;
     } catch (error) {
       loading.stop = messageOf(error);
       // the views of the old box must not be drawn on
       if (moves.isWaiting(item)) loading.steps = [];
       if (work.draft !== loading) return;
     }
-    work.step = openStep(item);
-    show();
-    await Promise.race([views.shown().then(painted), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
-    if (work.coming !== own || work.draft !== loading) return;
-    work.coming = null;
-    show();
-    void suggester.suggest(loading);
-    prefetch.start();
+    await showViews(loading);
   }
 
-  /** @param {number} wanted */
-  function showStep(wanted) {
-    work.step = wanted;
+  /**
+   * Shows new views; once they are on the screen, the 3D view and prefetching may begin.
+   *
+   * @param {Draft} draft
+   */
+  async function showViews(draft) {
+    if (draft.item.boxes.every(Boolean)) draft.outline = null;
+    const own = {};
+    work.coming = own;
     show();
+    await Promise.race([views.shown().then(painted), new Promise((resolve) => setTimeout(resolve, PICTURES_WAIT_MS))]);
+    if (work.coming !== own || work.draft !== draft) return;
+    work.coming = null;
+    show();
+    void suggester.follow(draft);
+    prefetch.start();
   }
 
   // -- boxes on the image
@@ -128,8 +135,8 @@ export function createObjects(app, work, parts) {
       changeImageBox(item, item.image_box);
       return;
     }
-    open(item);
-    save(item);
+    save(begin(item));
+    show();
   }
 
   /**
@@ -147,15 +154,25 @@ export function createObjects(app, work, parts) {
    */
   function changeImageBox(item, box) {
     item.image_box = box;
-    if (work.draft?.item !== item) begin(item);
+    const draft = work.draft?.item === item ? work.draft : begin(item);
+    if (item.boxes.some(Boolean) || item.uid) followMove(draft);
+    else save(draft);
+    show();
+  }
+
+  /**
+   * Saves an object whose views have changed, after its boxes were transferred to the new views.
+   *
+   * @param {Draft} draft
+   */
+  function followMove(draft) {
+    const { item } = draft;
     const isWaiting = moves.isWaiting(item);
-    const isDrawn = item.boxes.some(Boolean) || item.uid;
-    if (isDrawn && !isWaiting && work.draft) moves.start(work.draft);
+    if (!isWaiting) moves.start(draft);
+    draft.changes += 1;
     work.loaded = loadSteps();
     if (isWaiting) void saver.retry();
-    else if (isDrawn) saver.save({ item, make: () => followed(item) });
-    else save(item);
-    show();
+    else saver.save({ item, make: () => followed(item) });
   }
 
   /**
@@ -166,9 +183,10 @@ export function createObjects(app, work, parts) {
   async function followed(item) {
     const isThere = await moves.settle(item, (draft) => {
       if (work.draft === draft) work.loaded = loadSteps();
-      else void moves.load(draft);
+      else void moves.load(draft, false);
     });
-    return isThere ? changeOf(item) : null;
+    const draft = moves.draftOf(item);
+    return isThere && draft ? changeOf(draft) : null;
   }
 
   // -- boxes on the views
@@ -183,18 +201,41 @@ export function createObjects(app, work, parts) {
     const { draft } = work;
     if (!draft) return;
     const { item } = draft;
+    // a box on the second step confirms the first one, from which its views follow
+    if (index >= 2) accept(draft, [0, 1]);
     item.boxes[index] = { ...plainBox(box), label: item.image_box.label, score: 1 };
     draft.suggestions[index] = null;
-    draft.edits[index] += 1;
-    const isWholeStep = item.boxes[index - (index % 2)] && item.boxes[index - (index % 2) + 1];
-    if (index < 2 && isWholeStep) {
-      // the views of the second step follow from these; boxes on the old ones become guesses on the new ones
-      demoteSecondStep(draft);
-      work.loaded = loadSteps();
-    }
-    save(item);
-    if (index >= 2 && isWholeStep) image.select(-1);
+    draft.kept[index] = false;
+    const isMove = index < 2 && [2, 3].some((later) => item.boxes[later]);
+    if (isMove) followMove(draft);
+    else save(draft);
+    if (item.boxes.every(Boolean)) image.select(-1);
     show();
+  }
+
+  /** Accepts all suggested boxes of the current object; false if there is none. */
+  function acceptAll() {
+    const { draft } = work;
+    if (!draft || work.isReadonly || draft.isLoading || !draft.suggestions.some(Boolean)) return false;
+    app.effort.action();
+    accept(draft, [0, 1, 2, 3]);
+    save(draft);
+    if (draft.item.boxes.every(Boolean)) image.select(-1);
+    show();
+    return true;
+  }
+
+  /**
+   * @param {Draft} draft
+   * @param {number[]} indices
+   */
+  function accept({ item, suggestions, kept }, indices) {
+    for (const index of indices) {
+      const box = item.boxes[index] ?? suggestions[index];
+      item.boxes[index] = box && { ...plainBox(box), score: 1 };
+      suggestions[index] = null;
+      kept[index] = false;
+    }
   }
 
   /**
@@ -206,10 +247,8 @@ export function createObjects(app, work, parts) {
     const { draft } = work;
     if (!draft) return;
     draft.item.boxes[index] = null;
-    draft.edits[index] += 1;
     if (index < 2) demoteSecondStep(draft);
-    save(draft.item);
-    work.step = openStep(draft.item);
+    save(draft);
     show();
   }
 
@@ -223,9 +262,7 @@ export function createObjects(app, work, parts) {
       app.effort.action();
       item.image_box = { ...item.image_box, label: name };
       item.boxes = item.boxes.map((box) => box && { ...box, label: name });
-      save(item);
-      // suggestions that have been requested are of the former class
-      if (!work.coming && work.draft) void suggester.suggest(work.draft);
+      if (work.draft) save(work.draft);
     }
     show();
   }
@@ -248,16 +285,37 @@ export function createObjects(app, work, parts) {
   /**
    * Saves an object as it is now; while it waits for its views, it is saved when they are loaded.
    *
-   * @param {Item} item
+   * @param {Draft} draft
    */
-  function save(item) {
-    if (!moves.isWaiting(item)) saver.save(changeOf(item));
+  function save(draft) {
+    draft.changes += 1;
+    suggester.stop();
+    prefetch.stop();
+    if (moves.isWaiting(draft.item)) return;
+    draft.isLoading = true;
+    saver.save(changeOf(draft));
   }
 
-  /** @param {Item} item */
-  function changeOf(item) {
-    const outline = work.draft?.item === item ? work.draft.outline : null;
-    return objectChange(item, { after: work.loaded, outline, kind });
+  /** @param {Draft} draft */
+  function changeOf(draft) {
+    const { changes } = draft;
+    return objectChange(draft, {
+      after: work.loaded,
+      kind,
+      onDrawn(drawn) {
+        // after a newer change, its answer counts
+        if (draft.changes !== changes) return;
+        draft.isLoading = false;
+        takeSteps(draft, drawn);
+        if (work.draft === draft) void showViews(draft);
+      },
+    });
+  }
+
+  /** A change could not be saved, so there is no answer with its views. */
+  function onFailed() {
+    if (work.draft) work.draft.isLoading = false;
+    show();
   }
 
   /**
@@ -273,9 +331,11 @@ export function createObjects(app, work, parts) {
     const theirs = work.items.find((known) => sameBox(known.image_box, item.image_box));
     if (theirs) {
       if (work.draft?.item !== theirs) open(theirs);
-      const { draft } = work;
-      if (draft)
-        draft.suggestions = draft.suggestions.map((guess, i) => (theirs.boxes[i] ? null : (boxes[i] ?? guess)));
+      boxes.forEach((box, i) => {
+        if (!work.draft || !box || theirs.boxes[i]) return;
+        work.draft.suggestions[i] = box;
+        work.draft.kept[i] = true;
+      });
     } else {
       work.notSaved = [...work.notSaved.filter((known) => !sameBox(known.image_box, item.image_box)), item];
     }
@@ -295,7 +355,8 @@ export function createObjects(app, work, parts) {
     open,
     openLabel,
     close,
-    showStep,
+    acceptAll,
+    onFailed,
     onImageSelect,
     onImageChange,
     setViewBox,

@@ -1,9 +1,6 @@
-/**
- * The detectors' suggestions, shown as dashed boxes. They arrive after the views. A view uses them only if
- * it has not changed and the operator has not drawn on it in the meantime.
- */
+/** The detectors' suggestions: problems with them, waiting for a detector that is being loaded, boxes on the image. */
 
-import { wholeSteps } from "./draft.js";
+import { takeSteps } from "./draft.js";
 
 const LOADING_WAIT_MS = 1500;
 /**
@@ -40,30 +37,27 @@ export function createSuggester(app, { ask, onSuggested }) {
   }
 
   /**
-   * Repeats the request until the detector is loaded; the next call, or `stop`, cancels it.
+   * While the detector is being loaded, asks again for the suggestions of a draft. Any change of the draft, another
+   * call, or `stop` ends that.
    *
    * @param {Draft} draft
    */
-  async function suggest(draft) {
+  async function follow(draft) {
     stop();
     report("view", draft.problem);
     const own = new AbortController();
     request = own;
     const { signal } = own;
+    const { changes } = draft;
     try {
-      while (
-        !signal.aborted &&
-        (draft.detector === "loading" || draft.detector === "ready") &&
-        openViews(draft).length
-      ) {
-        const before = openViews(draft);
-        const answer = await ask(draft, wholeSteps(draft.item.boxes), true, signal);
-        if (signal.aborted) return;
-        draft.detector = answer.detector;
-        report("view", answer.problem);
-        if (take(draft, before, answer)) onSuggested(draft);
-        if (answer.detector !== "loading") return;
+      while (draft.detector === "loading") {
         await new Promise((resolve) => setTimeout(resolve, LOADING_WAIT_MS));
+        if (signal.aborted || draft.changes !== changes) return;
+        const answer = await ask(draft, true, signal);
+        if (signal.aborted || draft.changes !== changes) return;
+        takeSteps(draft, answer);
+        report("view", answer.problem);
+        onSuggested(draft);
       }
     } catch (error) {
       // the object can be drawn without suggestions
@@ -85,40 +79,5 @@ export function createSuggester(app, { ask, onSuggested }) {
     return boxes;
   }
 
-  return { suggest, onImage, stop };
-}
-
-/**
- * The views without a box or suggestion, as they are now.
- *
- * @param {Draft} draft
- */
-function openViews({ item, steps, suggestions, edits }) {
-  const views = steps.flatMap(({ views }) => views);
-  const all = views.map(({ id }, index) => ({ index, id, label: item.image_box.label, edits: edits[index] }));
-  return all.filter(({ index }) => !item.boxes[index] && !suggestions[index]);
-}
-
-/**
- * Takes suggestions for views that have not changed since the request; true if there was one.
- *
- * @param {Draft} draft
- * @param {ReturnType<typeof openViews>} before
- * @param {Api.StepsOut} answer
- */
-function take(draft, before, answer) {
-  const now = openViews(draft);
-  const asked = answer.steps.flatMap(({ views, suggested }) =>
-    views.map(({ id }, side) => ({ id, box: suggested[side] })),
-  );
-  let isFilled = false;
-  for (const { index, id, label, edits } of before) {
-    const isSame = now.some(
-      (view) => view.index === index && view.id === id && view.label === label && view.edits === edits,
-    );
-    if (!isSame || asked[index]?.id !== id || !asked[index].box) continue;
-    draft.suggestions[index] = asked[index].box;
-    isFilled = true;
-  }
-  return isFilled;
+  return { follow, onImage, stop };
 }

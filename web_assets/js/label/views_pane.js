@@ -1,9 +1,20 @@
-/** The pseudo-views of the current object: front and side of one step, side by side, with tabs for the two steps. */
+/**
+ * The pseudo-views of the current object: front and side of all points in its image box, and below them front and side
+ * of the object alone.
+ */
 
 import { createEditor } from "../editor2d/editor.js";
 import { h } from "../dom.js";
+import { filledBoxes } from "./draft.js";
+import { sourceOf, viewsMessage } from "./hints.js";
 
-const NAMES = ["Front", "Side"];
+/** Name and test id of each view. */
+const VIEWS = [
+  ["Front", "view-front"],
+  ["Side", "view-side"],
+  ["Object, front", "view-front-2"],
+  ["Object, side", "view-side-2"],
+];
 
 /**
  * @typedef {object} Pane
@@ -21,91 +32,75 @@ const NAMES = ["Front", "Side"];
  * @param {(index: number, box: Box2D, actions: number) => void} listeners.onBox called when a
  *     box was set on view `index` (0 to 3).
  * @param {(index: number, actions: number) => void} listeners.onClear called when a view's box was deleted.
- * @param {(step: number) => void} listeners.onStep
+ * @param {() => boolean} listeners.onAcceptAll accepts all suggested boxes.
  * @param {() => string} listeners.newLabel
  */
-export function createViewsPane(app, { onBox, onClear, onStep, newLabel }) {
-  const tabs = [0, 1].map((step) =>
-    h(
-      "button",
-      { type: "button", role: "tab", class: "quiet", "data-testid": `step-${step + 1}`, onclick: () => onStep(step) },
-      `Step ${step + 1}`,
-    ),
+export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) {
+  const panes = VIEWS.map(([name, testid], index) => makePane(name, testid, index));
+  const messages = [0, 1].map((step) =>
+    h("p", { class: "views-message", role: "status", "data-testid": step ? "views-message-2" : "views-message" }),
   );
-  const panes = NAMES.map((name, side) => makePane(name, side));
-  const message = h("p", { class: "views-message", role: "status", "data-testid": "views-message" });
+  const accept = h(
+    "button",
+    { type: "button", class: "primary", hidden: true, "data-testid": "accept-all", onclick: () => onAcceptAll() },
+    "Accept ",
+    h("kbd", {}, "Enter"),
+  );
+  const source = h("p", { class: "muted views-source", role: "status", "data-testid": "views-source" });
+  const pairs = [0, 1].map((step) =>
+    h("div", { class: "pair" }, panes[2 * step].element, panes[2 * step + 1].element, messages[step]),
+  );
   const root = h(
     "section",
     { class: "panel views", "aria-label": "Pseudo-views" },
-    h(
-      "header",
-      {},
-      h("h2", { class: "grow" }, "Views"),
-      h("div", { role: "tablist", class: "row", "aria-label": "Steps" }, tabs),
-    ),
-    h(
-      "div",
-      { class: "pair" },
-      panes.map(({ element }) => element),
-    ),
-    message,
+    h("header", {}, h("h2", { class: "grow" }, "Views"), accept),
+    h("div", { class: "pairs" }, pairs),
+    source,
   );
-  let shownStep = 0;
 
   /**
    * @param {string} name
-   * @param {number} side
+   * @param {string} testid
+   * @param {number} index
    * @returns {Pane}
    */
-  function makePane(name, side) {
+  function makePane(name, testid, index) {
     const caption = h("span", { class: "view-name" }, name);
-    const host = h("div", { class: "view", "data-testid": `view-${name.toLowerCase()}` });
+    const host = h("div", { class: "view", "data-testid": testid });
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,
       classes: app.state.project.classes,
       newLabel,
-      onChange(boxes, why, index, actions) {
-        const view = 2 * shownStep + side;
-        if (why === "delete") onClear(view, actions);
-        else onBox(view, boxes[index], actions);
+      onEnter: onAcceptAll,
+      onChange(boxes, why, changed, actions) {
+        if (why === "delete") onClear(index, actions);
+        else onBox(index, boxes[changed], actions);
       },
     });
     host.append(caption);
     return { editor, element: host, caption, name, url: null, shown: Promise.resolve(true) };
   }
 
-  /**
-   * @param {Draft | null} draft the current object.
-   * @param {number} step
-   * @param {string | null} text shown in place of views.
-   */
-  function show(draft, step, text) {
-    shownStep = step;
-    const views = draft?.steps[step]?.views ?? null;
-    tabs.forEach((tab, i) => {
-      tab.setAttribute("aria-selected", String(i === step && Boolean(views)));
-      tab.disabled = !draft?.steps[i];
-      tab.textContent = `Step ${i + 1}${draft?.item.boxes[2 * i] && draft.item.boxes[2 * i + 1] ? " ✓" : ""}`;
+  /** @param {Draft | null} draft the current object. */
+  function show(draft) {
+    const views = draft?.steps.flatMap((step) => step.views) ?? [];
+    const canAccept = draft && !draft.isLoading && draft.suggestions.some(Boolean);
+    accept.hidden = !(canAccept && filledBoxes(draft).every(Boolean));
+    source.textContent = sourceOf(draft);
+    pairs.forEach((pair, step) => {
+      const text = viewsMessage(draft, step);
+      messages[step].textContent = text ?? "";
+      pair.classList.toggle("has-views", text === null);
+      pair.hidden = text === "";
     });
-    message.textContent = text ?? "";
-    message.hidden = !text;
-    root.classList.toggle("has-views", Boolean(views));
-    /** @param {number} side */
-    const isOpen = (side) => !draft?.item.boxes[2 * step + side] && Boolean(draft?.suggestions[2 * step + side]);
-    const firstOpen = [0, 1].find(isOpen);
-    panes.forEach((pane, side) => {
+    panes.forEach((pane, index) => {
       const { editor, caption, name } = pane;
-      const index = 2 * step + side;
-      const view = views?.[side] ?? null;
+      const view = views[index] ?? null;
       showPicture(pane, view);
       const box = draft?.item.boxes[index] ?? null;
       const suggested = box ? null : (draft?.suggestions[index] ?? null);
-      const list = box
-        ? [{ ...box, caption: "" }]
-        : suggested
-          ? [{ ...suggested, suggested: true, caption: side === firstOpen ? "Enter" : "" }]
-          : [];
+      const list = box ? [{ ...box, caption: "" }] : suggested ? [{ ...suggested, suggested: true, caption: "" }] : [];
       if (!editor.isDragging) editor.setBoxes(view ? list : [], 0);
       caption.textContent = box ? `${name} ✓` : name;
     });

@@ -14,7 +14,6 @@ export function createWork(app) {
   return {
     items: [],
     draft: null,
-    step: 0,
     label: app.state.project.classes[0],
     selected: null,
     notSaved: [],

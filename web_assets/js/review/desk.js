@@ -303,7 +303,8 @@ export function createDesk(app) {
     /**
      * Adds a new box: the object found in the box that was drawn on the image.
      *
-     * @param {Pick<PageLabel, "label" | "box" | "outline" | "points" | "score" | "quality"> &
+     * @param {Pick<PageLabel, "label" | "box" | "outline" | "points" | "score" | "quality" |
+     *     "measured_by"> &
      *     Pick<NewLabel, "image_box">} fit
      */
     add({ image_box, ...fit }) {

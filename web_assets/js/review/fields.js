@@ -283,9 +283,11 @@ function describe(label) {
     }
     rows.push(["Last step", percent(label.quality.last_change), "how much the last step changed the box"]);
   }
-  return rows.map(([name, value, help]) =>
+  const facts = rows.map(([name, value, help]) =>
     h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
   );
+  if (!label.measured_by) return facts;
+  return [h("div", { class: "wide" }, h("dt", {}, "Measured by"), h("dd", {}, label.measured_by)), ...facts];
 }
 
 /**

@@ -336,7 +336,7 @@ export function mount(root, app) {
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.RefitOut} */
-      const { box, note } = await app.api.post(app.path("frames", id, "refit"), {
+      const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
         box: label.box,
         label: label.label,
       });
@@ -347,6 +347,7 @@ export function mount(root, app) {
       }
       await desk.edit({ box });
       if (note) app.toast(note, "info");
+      else app.toast(`Fitted again. Measured by: ${measured_by}`, "info");
     } catch (error) {
       app.toast(error);
     }
@@ -376,7 +377,8 @@ export function mount(root, app) {
         desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
       } else {
         const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
-        app.toast(`${why}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
+        const who = facts.measured_by ? ` (${facts.measured_by})` : "";
+        app.toast(`${why}${who}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
         app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
       }
     } catch (error) {

@@ -49,7 +49,7 @@ export function mount(root, app) {
       tables,
     ),
   );
-  /** @type {Api.Statistics | null} */
+  /** @type {Api.ReportedStatistics | null} */
   let known = null;
   let ended = false;
   const charts = [
@@ -59,7 +59,7 @@ export function mount(root, app) {
   ];
 
   async function load() {
-    /** @type {Api.Statistics} */
+    /** @type {Api.ReportedStatistics} */
     let fresh;
     try {
       fresh = await app.api.get(app.path("statistics"));
@@ -101,7 +101,7 @@ const percent = (value) => (value === null || value === undefined ? "–" : `${n
 /** @param {string} name */
 const originName = (name) => ORIGINS[name] ?? name;
 
-/** @param {Api.Statistics} options */
+/** @param {Api.ReportedStatistics} options */
 function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels }) {
   const done = (labels.by_state.accepted ?? 0) + (labels.by_state.edited ?? 0);
   return [
@@ -161,7 +161,7 @@ function table(heads, rows, testid) {
   );
 }
 
-/** @param {Api.Statistics} options */
+/** @param {Api.ReportedStatistics} options */
 function effortTable({ effort }) {
   const shown = Object.entries(effort.by_origin).filter(([name, entry]) => entry.boxes > 0 || ALWAYS.includes(name));
   const rows = shown.map(([name, entry]) => [
@@ -177,7 +177,7 @@ function effortTable({ effort }) {
   );
 }
 
-/** @param {Api.Statistics} options */
+/** @param {Api.ReportedStatistics} options */
 function countTable({ labels }) {
   const classes = labels.by_class_and_state ?? null;
   if (!classes) {
@@ -196,7 +196,7 @@ function countTable({ labels }) {
   return section("Boxes by class and state", table(["Class", ...STATES, "All"], rows, "stats-states"));
 }
 
-/** @param {Api.Statistics} known */
+/** @param {Api.ReportedStatistics} known */
 function projectTable(known) {
   /** @type {[string, number][]} */
   const rows = [
@@ -210,18 +210,15 @@ function projectTable(known) {
     ["2D boxes on views", known.view_boxes.boxes],
     ["Models", known.models],
   ];
+  const counted = rows.map(([name, value]) => [name, number(value, 0)]);
   return section(
     "The project",
-    table(
-      ["", "Number"],
-      rows.map(([name, value]) => [name, number(value, 0)]),
-      "stats-project",
-    ),
+    table(["", "Number"], [...counted, ["View detector in use", known.view_detector ?? "none"]], "stats-project"),
   );
 }
 
 /**
- * @param {Api.Statistics | null} known
+ * @param {Api.ReportedStatistics | null} known
  * @param {"seconds_a_box" | "actions_a_box"} key
  * @param {string} color
  */
@@ -235,7 +232,7 @@ function effortChart(known, key, color) {
 }
 
 /**
- * @param {Api.Statistics | null} known
+ * @param {Api.ReportedStatistics | null} known
  * @param {Record<string, string>} colors
  */
 function stateChart(known, colors) {

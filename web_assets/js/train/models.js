@@ -58,7 +58,7 @@ export function createModelList(host, app, reload) {
       h(
         "td",
         { colspan: COLUMNS.length + 4, class: "muted" },
-        "Base detector: measures objects of any class, trained on generated scenes",
+        "Base detector: trained on generated scenes, not on this project's classes",
       ),
       h(
         "td",

@@ -1,4 +1,4 @@
-/** Proposes boxes on the chosen recordings, then links to their review. */
+/** Proposes boxes on the chosen recordings, or from 2D boxes on the images, then links to their review. */
 
 import { count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
@@ -11,6 +11,7 @@ import { makeHash } from "../router.js";
  */
 export function createPropose(host, app) {
   const line = createJobLine(app, "propose");
+  const liftLine = createJobLine(app, "lift");
   const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
   const limit = h("input", {
     type: "number",
@@ -38,10 +39,18 @@ export function createPropose(host, app) {
     ),
     problem,
   );
+  const liftText = h("span", { class: "grow" });
+  const liftStart = h(
+    "button",
+    { type: "button", class: "primary", "data-testid": "lift-start", onclick: () => void startLift() },
+    "Propose 3D boxes from these",
+  );
+  const lift = h("div", { class: "row", hidden: true, "data-testid": "lift" }, liftText, liftStart);
   host.append(
     h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), review),
-    h("div", { class: "body stack" }, form, line.root),
+    h("div", { class: "body stack" }, lift, liftLine.root, form, line.root),
   );
+  let toLift = 0;
   const boxes = new Map();
 
   form.addEventListener("submit", async (event) => {
@@ -61,6 +70,30 @@ export function createPropose(host, app) {
     }
   });
 
+  async function startLift() {
+    liftStart.disabled = true;
+    try {
+      await startJob(app, { kind: "lift" });
+    } catch (error) {
+      app.toast(error);
+    } finally {
+      show();
+    }
+  }
+
+  /** @param {Api.ProjectInfo} project */
+  function showLift({ detectors }) {
+    liftLine.show();
+    const running = latestJob(app, "lift");
+    const isRunning = Boolean(running && isActive(running));
+    const view = detectors.view ? "this project's view detector" : detectors.stand_in;
+    lift.hidden = toLift === 0 || isRunning;
+    liftStart.disabled = !view;
+    const have = toLift === 1 ? "has" : "have";
+    const how = view ? `Measured by: ${view}.` : "This needs a view detector: train one first.";
+    liftText.textContent = `${count(toLift, "frame")} ${have} 2D boxes on the image, but no 3D boxes. ${how}`;
+  }
+
   function show() {
     const { project } = app.state;
     if (!project) return;
@@ -79,15 +112,30 @@ export function createPropose(host, app) {
       );
     }
     line.show();
+    showLift(project);
     const job = latestJob(app, "propose");
-    const ready = project.detectors.image !== null && project.detectors.view !== null;
+    const { image, view, stand_in } = project.detectors;
+    const ready = image !== null && (view !== null || stand_in !== null);
     start.disabled = !ready || project.recordings.length === 0 || Boolean(job && isActive(job));
-    note.textContent = ready ? "Reviewed boxes and finalised frames are not changed." : "Train both detectors first.";
+    const kept = "Reviewed boxes and finalised frames are not changed.";
+    const missing = stand_in ? "Train an image detector first." : "Train both detectors first.";
+    note.textContent = [ready ? kept : missing, stand_in ? `View detector: ${stand_in}.` : ""].join(" ").trim();
     const waiting = project.labels_by_state.proposed ?? 0;
     review.hidden = waiting === 0;
     review.textContent = `Review ${count(waiting, "proposal")}`;
     review.href = makeHash(project.name, "review");
   }
 
-  return { show };
+  return {
+    show,
+    /**
+     * Sets the number of frames with 2D boxes on the image, but no 3D box.
+     *
+     * @param {number} frames
+     */
+    setToLift(frames) {
+      toLift = frames;
+      show();
+    },
+  };
 }

@@ -76,6 +76,7 @@ export function mount(root, app) {
     material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
     models.show(known);
     learning.show(known.learn_every);
+    propose.setToLift(known.material.to_lift);
     const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
     if (nothing) material.append(nothingYet(app));
