@@ -156,17 +156,30 @@ class BaseDetector:
             ConfigError: both orientations.
             DetectionError, FormatError: there are no weights, or they cannot be loaded.
         """
-        if upright and free:
-            raise ConfigError("--upright and --free contradict each other; give at most one")
+        check_orientation(upright, free)
         path = weights or base_weights()
         return cls(load_detector(path, backend), read_trained(path.parent).image_size_px, upright, free)
 
     def settings(self, frame: Frame) -> RcvConfig:
         """The recursion's settings for a frame."""
-        upright = self.upright or (frame.up is not None and not self.free)
-        orientation = Orientation.UPRIGHT if upright else Orientation.FREE
+        orientation = orientation_of(frame, self.upright, self.free)
         config = RcvConfig(orientation=orientation, view=ViewConfig(size_px=self.size_px))
         return config.for_detector(BoxKind.BOX, class_agnostic=True)
+
+
+def orientation_of(frame: Frame, upright: bool, free: bool) -> Orientation:
+    """The orientation of a frame's boxes; `upright`, `free` as in `Arguments`."""
+    is_upright = upright or (frame.up is not None and not free)
+    return Orientation.UPRIGHT if is_upright else Orientation.FREE
+
+
+def check_orientation(upright: bool, free: bool) -> None:
+    """
+    Raises:
+        ConfigError: both.
+    """
+    if upright and free:
+        raise ConfigError("--upright and --free contradict each other; give at most one")
 
 
 def with_up(frame: Frame, truths: Sequence[Truth], upright: bool) -> Frame:
@@ -209,9 +222,9 @@ def guessed(recording: Recording, indices: Sequence[int], args: Arguments) -> di
     """The IoU of each object's guess from geometry alone, by class."""
     ious: dict[str, list[float]] = defaultdict(list)
     for shot in shots(recording, indices, args):
-        upright = args.upright or (shot.frame.up is not None and not args.free)
+        is_upright = orientation_of(shot.frame, args.upright, args.free) is Orientation.UPRIGHT
         for item in shot.objects:
-            guess = cluster_box(shot.frame, item.image_box, shot.frame.up if upright else None)
+            guess = cluster_box(shot.frame, item.image_box, shot.frame.up if is_upright else None)
             label = f"{item.truth.label} (clusters)"
             ious[label].append(0.0 if guess is None else iou_3d(guess, item.truth.box))
     return ious
@@ -299,8 +312,7 @@ def run(args: Arguments) -> dict[str, object]:
         DetectionError: there is no base detector.
         RecordingError: the folder is not a recording.
     """
-    if args.upright and args.free:
-        raise ConfigError("--upright and --free contradict each other; give at most one")
+    check_orientation(args.upright, args.free)
     if not args.taught or min(args.taught) < 0:
         raise ConfigError(f"--taught takes numbers of objects from 0 on, not {args.taught}")
     recording: Recording = open_recording(args.folder)

@@ -1,4 +1,4 @@
-"""One true box followed through a recording, with no other label and no image detector.
+"""One true box followed through a recording, with no other label and no detector.
 
     python -m benchmarks.follow DIR [--upright | --free] [--seed N] [--json]
 
@@ -10,7 +10,6 @@ The first true box of each track is followed to the track's end. A frame for whi
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -18,20 +17,16 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.detection.base_detector import base_weights
-from annotator.detection.config import Backend
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
-from annotator.rcv.follow_object import FollowStop
+from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
-from annotator.types import BoxKind, Detector, Frame, OrientedBox, Truth
+from annotator.types import Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
-from annotator.workflows.detectors import load_detector
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.follow_frames import Moment, follow_frames
+from annotator.workflows.tracks.follow_frames import Follower, Moment
 from annotator.workflows.workbench.review_priority import doubt
-from benchmarks.cold_start import with_up
+from benchmarks.cold_start import check_orientation, orientation_of, with_up
 from benchmarks.report import Table, finish, guarded
 
 # A box with at least this doubt is marked for the operator.
@@ -49,12 +44,8 @@ class Arguments:
     """Upright boxes (default if the recording has a gravity direction)."""
     free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Freely rotated boxes (default for other recordings)."""
-    base: Path | None = None
-    """Weights of a base detector; None = the one of the package."""
     min_points: int = 20
     """A track begins with its first box of at least so many points."""
-    backend: Backend = "auto"
-    """Backend of the detector."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -68,7 +59,7 @@ class TrackScore:
     doubts: list[float]
     missing: int
     stopped_at: str | None = None
-    stopped_because: str = FollowStop.END.value
+    stopped_because: str = "end of the recording"
 
 
 def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]:
@@ -88,7 +79,10 @@ def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]
 
 
 def follow_track(
-    recording: Recording, label: str, boxes: dict[int, Truth], view: Detector, args: Arguments
+    recording: Recording,
+    label: str,
+    boxes: dict[int, Truth],
+    args: Arguments,
 ) -> TrackScore | None:
     """Follows one track; None if no box has enough points, or only its last one."""
     indices = sorted(boxes)
@@ -96,32 +90,27 @@ def follow_track(
     first = next(firsts, None)
     if first is None:
         return None
-    later = range(first + 1, indices[-1] + 1)
 
     def moment(index: int) -> Moment:
         truth = boxes.get(index, boxes[first])
         return Moment(index, with_up(recording.frame(index), [truth], args.upright), float(index))
 
-    def moments() -> Iterator[Moment]:
-        return (moment(index) for index in later)
-
     def settings(frame: Frame) -> RcvConfig:
-        upright = args.upright or (frame.up is not None and not args.free)
-        orientation = Orientation.UPRIGHT if upright else Orientation.FREE
-        config = RcvConfig(orientation=orientation, view=ViewConfig(size_px=64))
-        return config.for_detector(BoxKind.BOX, class_agnostic=True)
+        return RcvConfig(orientation=orientation_of(frame, args.upright, args.free))
 
     score = TrackScore(label, [], [], 0)
     done: set[int] = set()
-    for at, followed in follow_frames(moment(first), boxes[first].box, label, moments(), view, settings):
+    follower = Follower(moment(first), boxes[first].box, label, None, settings)
+    for index in range(first + 1, indices[-1] + 1):
+        followed = follower.step(moment(index))
         if followed.proposal is None:
-            score.stopped_at = recording.keys[at.index]
+            score.stopped_at = recording.keys[index]
             score.stopped_because = followed.stop.value if followed.stop is not None else ""
             score.stopped_because += f" ({followed.detail})" if followed.detail else ""
             break
-        done.add(at.index)
-        if at.index in boxes:
-            score.ious.append(iou_3d(followed.proposal.box, boxes[at.index].box))
+        done.add(index)
+        if index in boxes:
+            score.ious.append(iou_3d(followed.proposal.box, boxes[index].box))
             score.doubts.append(doubt(followed.proposal.quality, followed.proposal.score) or 0.0)
     score.missing = len([index for index in indices if index > first and index not in done])
     return score
@@ -136,16 +125,13 @@ def run(args: Arguments) -> dict[str, object]:
 
     Raises:
         ConfigError: invalid arguments, or the recording has no tracks.
-        DetectionError: there is no base detector.
         RecordingError: the folder is not a recording.
     """
-    if args.upright and args.free:
-        raise ConfigError("--upright and --free contradict each other; give at most one")
+    check_orientation(args.upright, args.free)
     recording = open_recording(args.folder)
-    view = load_detector(args.base or base_weights(), args.backend)
     scores = []
     for (label, _), boxes in sorted(true_tracks(recording).items()):
-        score = follow_track(recording, label, boxes, view, args)
+        score = follow_track(recording, label, boxes, args)
         if score is not None:
             scores.append(score)
     ious = np.array([iou for score in scores for iou in [*score.ious, *[0.0] * score.missing]])

@@ -9,7 +9,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.workflows.tracks.follow_recording import follow_recording
-from annotator.workflows.workbench.loaded_detectors import require_view
+from annotator.workflows.workbench.loaded_detectors import own_view
 
 AUTHOR = "annotator follow"
 
@@ -23,11 +23,12 @@ def run(
     direction: Literal["forward", "backward", "both"] = "forward",
     projects: Projects = None,
 ) -> None:
-    """Follow reviewed boxes through a recording; no image detector is needed.
+    """Follow reviewed boxes through a recording; no detector is needed.
 
-    An object is followed frame by frame until it is lost, leaves the image, or the recording ends. With the base
-    detector, its boxes keep the size of the reviewed one. Between two reviewed boxes it is followed from both ends, and
-    frames in which the results differ are left out. The new boxes are proposals, to be reviewed.
+    An object is followed by its points, frame by frame, until too little of it is left in the box, it leaves the image,
+    or the recording ends. Its boxes keep the reviewed size, unless the project's view detector knows its class and
+    measures it. Between two reviewed boxes it is followed from both ends, and frames in which the results differ are
+    left out. The new boxes are proposals, to be reviewed.
 
     Args:
         tracks: ids of the tracks to follow; default: all tracks with a reviewed box.
@@ -37,7 +38,7 @@ def run(
         done = follow_recording(
             opened,
             opened.recordings.find(recording).id,
-            require_view(opened),
+            own_view(opened),
             AUTHOR,
             tracks=tracks or None,
             forward=direction != "backward",
@@ -45,7 +46,8 @@ def run(
             progress=progress,
         )
     for item in done.tracks:
+        name = item.label if item.track_id is None else f"track {item.track_id} ({item.label})"
         doubtful = f", {item.doubtful} doubtful frames left out" if item.doubtful else ""
-        print_line(f"track {item.track_id} ({item.label}): {item.boxes} boxes proposed{doubtful}")
-        for key, why in item.stops:
-            print_line(f"  stopped at frame {key}: {why}")
+        print_line(f"{name}: {item.boxes} boxes proposed{doubtful}")
+        for stop in item.stops:
+            print_line(f"  stopped at frame {stop.key}: {stop.reason}")

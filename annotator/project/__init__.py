@@ -20,7 +20,7 @@ from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
 from annotator.project.records import ViewGeometry
 from annotator.project.statistics import Statistics
-from annotator.project.writing import FramePart, Receipt, WriteContext
+from annotator.project.writing import FramePart, Receipt, WriteContext, new_action
 
 __all__ = [
     "REVIEWED",
@@ -57,6 +57,7 @@ __all__ = [
     "WriteContext",
     "create_project",
     "list_projects",
+    "new_action",
     "open_project",
     "run_key",
 ]

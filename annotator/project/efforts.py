@@ -6,7 +6,6 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -175,8 +174,11 @@ def _read_log(connection: Connection) -> _EffortLog:
         .order_by(events.c.id)
     )
     log = _EffortLog()
-    for _, rows in groupby(connection.execute(query), key=lambda row: row.action):
-        log.add_action(list(rows))
+    by_action: dict[str, list[AnyRow]] = defaultdict(list)
+    for row in connection.execute(query):
+        by_action[row.action].append(row)
+    for rows in by_action.values():
+        log.add_action(rows)
     return log
 
 

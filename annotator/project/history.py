@@ -62,20 +62,27 @@ class Reverted:
         frame_id: the frame; for several frames, the first one of the action.
         receipt: of that frame.
         words: description of the action, such as "accept person (frame 000012)".
+        original: the operator's original action.
         others: the other changed frames, each with its receipt.
     """
 
     frame_id: int
     receipt: Receipt
     words: str
+    original: str
     others: tuple[tuple[int, Receipt], ...] = ()
 
 
 @dataclass
 class _Stacks:
-    """An operator's stacks after the event `last`."""
+    """An operator's stacks after the event `last`.
+
+    Attributes:
+        known: all actions so far.
+    """
 
     last: int = 0
+    known: set[str] = field(default_factory=set)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
 
@@ -160,7 +167,8 @@ class History:
                 effort = None
             receipts = self._writer.to_frames_in(connection, parts)
             others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
-            return Reverted(parts[0].frame_id, receipts[0], self._description(connection, step), others)
+            words = self._description(connection, step)
+            return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
 
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
         """Both stacks as of the transaction; only events since the last call are read."""
@@ -171,12 +179,14 @@ class History:
                 .where(events.c.author == author, events.c.action.is_not(None), events.c.id > stacks.last)
                 .order_by(events.c.id)
             )
-            before: str | None = None
             for row in connection.execute(query):
-                # the events of one action are consecutive
-                if row.action != before:
+                stacks.last = row.id
+                if row.action not in stacks.known:
+                    stacks.known.add(row.action)
                     stacks.add(row.action, row.undoes)
-                before, stacks.last = row.action, row.id
+                else:
+                    # an action that is written in several calls has its place since the first
+                    self._words.pop(row.action, None)
             return list(stacks.undo), list(stacks.redo)
 
     def _description(self, connection: Connection, step: Step) -> str:

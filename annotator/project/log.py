@@ -37,13 +37,16 @@ class Log:
         """
         return self.writer.to_frame(frame_id, payloads, context)
 
-    def append_to_frames(self, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
+    def append_to_frames(self, parts: Sequence[FramePart], action: str | None = None) -> tuple[Receipt, ...]:
         """Appends events to several frames, all or none, as one action that a single undo reverts.
+
+        Args:
+            action: id of an action that is written in several calls (`new_action`); None = a new one.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.
         """
-        return self.writer.to_frames(parts)
+        return self.writer.to_frames(parts, action)
 
     def of_frame(self, frame_id: int) -> tuple[Event, ...]:
         """All events of a frame, in order."""

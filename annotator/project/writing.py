@@ -100,18 +100,23 @@ class Writer:
         where = require_writable(connection, frame_id, context)
         return self._append(connection, frame_id, where, payloads, context)
 
-    def to_frames(self, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
+    def to_frames(self, parts: Sequence[FramePart], action: str | None = None) -> tuple[Receipt, ...]:
         """Appends events to several frames as one action, all or none; the first part's effort is that of the action.
+
+        Args:
+            action: id of an action that is written in several calls (`new_action`); None = a new one.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `to_frame`, of any of the frames.
         """
         with self.store.write() as connection:
-            return self.to_frames_in(connection, parts)
+            return self.to_frames_in(connection, parts, action)
 
-    def to_frames_in(self, connection: Connection, parts: Sequence[FramePart]) -> tuple[Receipt, ...]:
+    def to_frames_in(
+        self, connection: Connection, parts: Sequence[FramePart], action: str | None = None
+    ) -> tuple[Receipt, ...]:
         """As `to_frames`, within the caller's write transaction."""
-        action, receipts = uuid.uuid4().hex, list[Receipt]()
+        action, receipts = action or new_action(), list[Receipt]()
         for part in parts:
             where = require_writable(connection, part.frame_id, part.context)
             receipts.append(self._append(connection, part.frame_id, where, part.payloads, part.context, action))
@@ -144,7 +149,7 @@ class Writer:
         """`shared_action`: id of the action over several frames that the events belong to; None = a new action."""
         self._require_classes(where, payloads)
         time_ns = self.store.clock()
-        action = (shared_action or uuid.uuid4().hex) if _is_action(frame_id, payloads, context) else None
+        action = (shared_action or new_action()) if _is_action(frame_id, payloads, context) else None
         appended: list[Event] = []
         for revision, payload in enumerate(payloads, context.revision + 1):
             content, stored = _encoded(where, payload)
@@ -178,6 +183,11 @@ class Writer:
                 f"{where}: {', '.join(map(repr, unknown))} {is_not} of the project ({', '.join(known)}); "
                 "use one of these, or add the missing ones to the project first"
             )
+
+
+def new_action() -> str:
+    """Returns an id for an action."""
+    return uuid.uuid4().hex
 
 
 def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:

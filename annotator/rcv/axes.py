@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from annotator.rcv.config import RcvConfig, Strategy
-from annotator.types import PointCloud
+from annotator.types import OrientedBox, PointCloud
 
 # K-means usually converges in a few rounds; this bounds the time if it oscillates.
 KMEANS_ROUNDS = 20
@@ -70,6 +70,13 @@ def match_all_axes(
     candidates = symmetries @ axes[:, None]
     best = np.argmax(np.einsum("nkij,ij->nk", candidates, reference), axis=1)
     return candidates[np.arange(len(axes)), best]
+
+
+def with_axes_like(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
+    """Returns the same box with its axes permuted and flipped to be as near as possible to those of another box."""
+    rows = match_axes(box.rotation.T, reference.rotation.T)
+    permutation = np.abs(np.rint(rows @ box.rotation))
+    return OrientedBox.from_parts(box.center_m, rows.T, permutation @ box.size_m)
 
 
 def axes_angle_rad(a: Float64[np.ndarray, "3 3"], b: Float64[np.ndarray, "3 3"]) -> float:

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import Intervals
-from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
+from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView, StepTrace
 
 # The expected error of an edge is divided by the square root of its detection's score, or of this if it is larger.
 LEAST_SCORE = 0.05
@@ -186,6 +186,19 @@ def measured_intervals(views: Sequence[PseudoView], boxes: Sequence[Box2D], conf
         sigma_m = np.where(is_cut | np.isnan(told_px), sigma_m, told_px * metres_per_px)
     directions = np.concatenate([view.axes[:2] for view in views])
     return Intervals(directions, (origins_m + edges_px * metres_per_px).reshape(-1, 2), sigma_m.reshape(-1, 2))
+
+
+def traced_intervals(trace: Sequence[StepTrace], config: RcvConfig) -> Intervals | None:
+    """The intervals that the used detections of a trace measured; None without any."""
+    views, boxes = [], []
+    for step in trace:
+        for view in step.views:
+            if view.used is not None:
+                blank = np.zeros((view.height_px, view.width_px, 3), np.uint8)
+                none = np.zeros((0, 3), np.float32)
+                views.append(PseudoView(blank, np.array(view.axes), view.metres_per_px, np.array(view.origin_m), none))
+                boxes.append(view.boxes[view.used])
+    return measured_intervals(views, boxes, config) if views else None
 
 
 def cut_edges(view: PseudoView, box: Box2D, config: RcvConfig) -> tuple[bool, bool, bool, bool]:

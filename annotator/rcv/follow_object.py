@@ -1,53 +1,94 @@
-"""Follows one object from frame to frame: its last box is the start of the next recursion; no image detector is needed.
+"""Follows one object from frame to frame by the points in its box; no detector is needed.
 
-The image box of a frame is the outline of the predicted box. The recursion starts warm from that box with the size of
-the reviewed box. It stops rather than drifts: every result is compared with the prediction, with the reviewed size, and
-with the number of points seen before. A class-agnostic detector measures sizes less well than the operator did, so with
-it the boxes keep the reviewed size (`known_size_fit`).
+The points that the reviewed box and the last box enclose are registered with the next frame's cloud
+(`geometry/registration.py`), which places and turns a box of the reviewed size. A view detector that was trained on the
+class then measures the box anew, starting from there, since articulated objects change their size; its box is taken if
+it agrees. A class-agnostic detector measures less well than the points are registered, so it is of no use here.
+
+It stops rather than drifts. What counts is how much of the reviewed object is still there (`kept`): the share of its
+points that are found again, or, for an object that turns, the product over all frames of the share of the last frame's
+points that are found. Where a box touches something that it did not touch in the reviewed frame, that product falls
+with each frame, so a box that slides slowly onto something else is marked and then lost, and an object that turns
+freely is not. An object of which most points are hidden is lost, too (docs/base_detector.md).
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import KDTree
 
+from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
+from annotator.geometry.registration import register, share_found
+from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.known_size_fit import fit_known_size, traced_intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.warm_start import WarmStart, is_warm
-from annotator.types import Box2D, Camera, Detector, Frame, OrientedBox, Proposal
+from annotator.types import Box2D, Camera, Detector, Frame, OrientedBox, Proposal, Quality
+
+# Points of an object that are registered, and of the cloud around it.
+OBJECT_POINTS, CLOUD_POINTS = 250, 5000
+# Directions in which an object is looked for: along the axes and the diagonals of the camera frame.
+SHIFTS = np.array([p for p in itertools.product((-1, 0, 1), repeat=3) if np.abs(p).sum() in (1, 3)], np.float64)
+SHIFTS /= np.linalg.norm(SHIFTS, axis=1)[:, None]
+# Margin of a box around its points, share of its mean side: a tight box has points on its faces.
+MARGIN = 0.03
+# Thickness of the slabs at a box's faces, share of its side or its mean side, whichever is less.
+SLAB = 0.15
+MIN_CONTACT_POINTS, MOST_CONTACT = 10, 2.0
 
 
 class FollowConfig(BaseModel):
-    """When an object counts as lost, and how much its reviewed size is trusted."""
+    """How an object is looked for, and when it counts as lost."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    grow: float = Field(0.06, ge=0, le=1, description="margin around the predicted outline, share of its size")
-    size_doubt: float = Field(
-        0.01, gt=0, description="with keep_size: expected error of the start box's faces, share of its mean side"
+    room: float = Field(
+        0.6, gt=0, description="margin around the predicted box within which it is looked for, share of its mean side"
     )
-    loose_size_ratio: float = Field(
-        3.0, ge=1, description="with keep_size: maximum ratio between a measured side and the reviewed one"
+    reach: float = Field(
+        0.35, gt=0, description="distance at which registration looks for counterparts at first, share of the mean side"
     )
-    loose_iou: float = Field(
-        0.15,
-        ge=0,
-        le=1,
-        description="with keep_size: minimum IoU of the measured and the reviewed box, centres aligned",
+    shift: float = Field(
+        0.4, gt=0, description="distance around the predicted position at which it is looked for, too, as above"
     )
-    keep_size: bool | None = Field(
-        None,
-        description="boxes keep the reviewed size; None: only with a class-agnostic detector",
+    well_found: float = Field(
+        0.8, ge=0, le=1, description="share of the points from which it need not be looked for elsewhere"
     )
-    max_size_ratio: float = Field(1.6, ge=1, description="maximum ratio between a side and the reviewed one")
+    tolerance: float = Field(
+        0.06, gt=0, description="a point is found again with another one so near, share of the mean side"
+    )
+    full_share: float = Field(
+        0.97, gt=0, le=1, description="share of the last frame's points that is found if nothing has changed"
+    )
+    full_points_share: float = Field(
+        0.4, gt=0, description="share of the points expected from the reviewed box that is left if nothing is missing"
+    )
+    free_contact: float = Field(
+        1.0, ge=0, description="new contact of the box's faces with other points that is no sign of drift"
+    )
+    full_contact: float = Field(2.5, gt=0, description="new contact from which the object is kept least")
+    contact_loss: float = Field(
+        0.2, ge=0, le=1, description="share of the object that is lost with each frame of full contact"
+    )
+    min_kept: float = Field(0.4, ge=0, le=1, description="minimum share of the reviewed object that is kept")
+    doubtful_kept: float = Field(
+        0.6, ge=0, le=1, description="share of the object up to which a box is marked as doubtful"
+    )
+    sure_kept: float = Field(0.9, ge=0, le=1, description="share of the object from which a box is sure")
+    max_size_ratio: float = Field(
+        1.6, ge=1, description="with a detector of the class: maximum ratio between a side and the reviewed one"
+    )
     min_points_share: float = Field(
         0.3, ge=0, le=1, description="minimum share of the expected points, from the last frame and the distances"
     )
@@ -55,107 +96,232 @@ class FollowConfig(BaseModel):
     max_jump: float = Field(
         0.7, gt=0, description="maximum distance from the predicted centre, share of the box's mean side"
     )
+    same_iou: float = Field(
+        0.5, ge=0, le=1, description="minimum IoU of a measured box with the registered one, which it replaces"
+    )
+    grow: float = Field(
+        0.06, ge=0, le=1, description="margin around the outline on the image for a detector, share of its size"
+    )
 
 
 class FollowStop(StrEnum):
     """Why an object is not followed further."""
 
-    LOST = "lost"
     SIZE = "the size differs from the reviewed box"
     JUMP = "the box is too far from its predicted position"
     POINTS = "too few points are left"
+    CHANGED = "too little of the object is left in the box"
     LEFT = "left the image"
-    END = "end of the recording"
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """The result of one frame: a proposal, or why there is none, with the trace's last note."""
+    """The result of one frame: a proposal and the share of the object that is kept, or why there is none."""
 
     proposal: Proposal | None
     stop: FollowStop | None = None
     detail: str = ""
+    kept: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """How an object looked in a frame.
+
+    Attributes:
+        box: around it, camera frame.
+        xyz_m: at most `OBJECT_POINTS` of the points inside, in the box's coordinates; inside = with the margin.
+        points: number of all points inside.
+        contact: how much each face touches other points: points just outside per point just inside.
+        kept: share of the reviewed object that is still there.
+    """
+
+    box: OrientedBox
+    xyz_m: Float64[np.ndarray, "n 3"]
+    points: int
+    contact: Float64[np.ndarray, "6"]
+    kept: float = 1.0
+
+    @cached_property
+    def spacing_m(self) -> float:
+        """Median distance of the points inside to their nearest neighbours."""
+        if len(self.xyz_m) < 2:
+            return 0.0
+        # the points lie on surfaces, so the distance falls with the root of their number
+        density = len(self.xyz_m) / self.points
+        return float(np.median(KDTree(self.xyz_m).query(self.xyz_m, k=2)[0][:, 1]) * np.sqrt(density))
+
+    @classmethod
+    def of(cls, xyz_m: Float[np.ndarray, "m 3"], box: OrientedBox, kept: float = 1.0) -> Look:
+        """The look of an object in a cloud, which may be cropped to the surroundings of the box."""
+        margin_m = MARGIN * float(box.size_m.mean())
+        near = xyz_m[contains(box, xyz_m, margin_m + SLAB * float(box.size_m.mean()))]
+        local = (near.astype(np.float64) - box.center_m) @ box.rotation
+        outer_m = box.size_m + 2 * margin_m
+        inside = (np.abs(local) <= outer_m / 2).all(axis=1)
+        own = local[inside]
+        return cls(box, _thinned(own, OBJECT_POINTS), len(own), _contact(local, outer_m), kept)
 
 
 def follow_object(
     frame: Frame,
     predicted: OrientedBox,
-    reviewed_size_m: Float[np.ndarray, "3"],
-    expected_points: float,
+    reviewed: Look,
+    last: Look,
     label: str,
-    view: Detector,
+    view: Detector | None,
     config: RcvConfig,
     limits: FollowConfig,
 ) -> Followed:
-    """Measures an object near its predicted box.
+    """Looks for an object near its predicted box.
 
     Args:
         frame: with cloud.
         predicted: the box at the frame's time, camera frame.
-        reviewed_size_m: sides of the reviewed box.
-        expected_points: number of points that the object should have.
-        view: view detector.
+        reviewed, last: the object in the frame of the reviewed box, and in the last frame.
+        view: view detector that was trained on the class, or None.
         config: the recursion's settings for this detector and the frame's orientation.
         limits: when the object counts as lost.
     """
-    start = OrientedBox(predicted.T_camera_box, np.asarray(reviewed_size_m, np.float64))
-    image_box = _grown(frame.camera, start, label, limits.grow)
-    if image_box is None:
+    start = OrientedBox(predicted.T_camera_box, reviewed.box.size_m)
+    outline = _grown(frame.camera, start, label, limits.grow)
+    if outline is None:
         return Followed(None, FollowStop.LEFT)
-    keep_size = config.class_agnostic if limits.keep_size is None else limits.keep_size
-    if keep_size:
-        # the size is known, so the views need not measure it well; what they give is checked below
-        known = {
-            "seed_doubt": limits.size_doubt,
-            "max_size_ratio": limits.loose_size_ratio,
-            "min_iou": limits.loose_iou,
-        }
-        config = config.model_copy(update={"warm": config.warm.model_copy(update=known)})
-    (result,) = propose_from_boxes([frame], [[image_box]], view, config, [[WarmStart(label, start)]])
-    warm_ones = [proposal for proposal in result.proposals if is_warm(proposal)]
-    if not warm_ones:
-        traces = [p.trace for p in result.proposals] + [lost.trace for lost in result.lost]
-        notes = [note for trace in traces for note in trace[0].fallback]
-        return Followed(None, FollowStop.LOST, notes[0] if notes else "")
-    proposal = warm_ones[0]
-    if keep_size:
-        proposal = _with_known_size(frame, proposal, start, config)
-    stop = _why_stop(frame, proposal.box, start, expected_points, limits)
-    return Followed(None, stop) if stop is not None else Followed(proposal)
+    scale = float(start.size_m.mean())
+    around = frame.cloud.xyz_m[contains(start, frame.cloud.xyz_m, limits.room * scale)]
+    if len(around) < limits.min_points:
+        return Followed(None, FollowStop.POINTS)
+    cloud = KDTree(_thinned(around.astype(np.float64), CLOUD_POINTS))
+    found = _registration(around, cloud, start, reviewed, last, held_direction(frame.up, config), limits)
+    if found is None:
+        return Followed(None, FollowStop.POINTS)
+    box = found.box
+    present = found.points / max(limits.full_points_share * expected_points(reviewed, box), 1.0)
+    kept = min(found.kept(last, limits), present)
+    if kept < limits.min_kept:
+        return Followed(None, FollowStop.CHANGED, f"{kept:.0%}")
+    proposal = _registered(box, outline, label, kept, limits)
+    if view is not None:
+        proposal = _measured(frame, proposal, view, config, limits)
+    stop = _why_stop(frame, proposal.box, start, last, limits)
+    return Followed(None, stop) if stop is not None else Followed(proposal, kept=kept)
 
 
-def _with_known_size(frame: Frame, proposal: Proposal, start: OrientedBox, config: RcvConfig) -> Proposal:
-    """The proposal with the size of the start box, placed by the same measurements."""
-    intervals = traced_intervals(proposal.trace, config)
-    if intervals is None:
-        return proposal
-    near = OrientedBox.from_parts(proposal.box.center_m, start.rotation, start.size_m)
-    return replace(proposal, box=fit_known_size(intervals, near, held_direction(frame.up, config), config.fit))
+@dataclass(frozen=True, eq=False)
+class _Registered:
+    """A registered box: the shares of the points of the reviewed and the last look that are found, the number of points
+    inside, and its contact with other points beyond that in the reviewed frame.
+    """
+
+    box: OrientedBox
+    reviewed: float
+    last: float
+    points: int
+    new_contact: float
+
+    def kept(self, last: Look, limits: FollowConfig) -> float:
+        """The share of the reviewed object that is still there."""
+        touching = (self.new_contact - limits.free_contact) / max(limits.full_contact - limits.free_contact, 1e-9)
+        stays = 1 - limits.contact_loss * float(np.clip(touching, 0.0, 1.0))
+        return max(self.reviewed, last.kept * min(1.0, self.last / limits.full_share) * stays)
+
+
+def _registration(
+    around: Float[np.ndarray, "m 3"],
+    cloud: KDTree,
+    start: OrientedBox,
+    reviewed: Look,
+    last: Look,
+    up: Float64[np.ndarray, "3"] | None,
+    limits: FollowConfig,
+) -> _Registered | None:
+    """The box that agrees best with both looks; None if too few points lie nearby.
+
+    The reviewed look alone does not drift, but no longer fits an object that turns or moves its limbs; with the last
+    look, small errors add up. So both are tried. Where neither is found well, the object may have moved further than
+    registration reaches, so it is looked for around the predicted position, too.
+    """
+    scale, tolerance_m = float(start.size_m.mean()), _tolerance_m(reviewed, limits)
+    looks = (reviewed.xyz_m, np.concatenate([last.xyz_m, reviewed.xyz_m]))
+    tried: list[_Registered] = []
+    for shift in (np.zeros(3), *limits.shift * scale * SHIFTS):
+        if any(max(one.reviewed, one.last) >= limits.well_found for one in tried):
+            break
+        for points in looks:
+            pose = register(points, cloud, (start.rotation, start.center_m + shift), limits.reach * scale, up)
+            if pose is not None:
+                box = OrientedBox.from_parts(pose[1], pose[0], start.size_m)
+                shares = [share_found(look.xyz_m, cloud, pose, tolerance_m) for look in (reviewed, last)]
+                now = Look.of(around, box)
+                new_contact = float(np.maximum(now.contact - reviewed.contact, 0.0).sum())
+                tried.append(_Registered(box, shares[0], shares[1], now.points, new_contact))
+    return max(tried, key=lambda one: one.reviewed + one.last) if tried else None
+
+
+def _tolerance_m(reviewed: Look, limits: FollowConfig) -> float:
+    """The distance within which a point is found again: not less than that of a sparse cloud's points."""
+    return max(limits.tolerance * float(reviewed.box.size_m.mean()), reviewed.spacing_m)
+
+
+def _contact(local: Float64[np.ndarray, "n 3"], size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "6"]:
+    """Points outside per point inside in thin slabs at each face, at most 2; 0 with few points."""
+    half, thick = size_m / 2, SLAB * np.minimum(size_m, size_m.mean())
+    ratios = []
+    for axis in range(3):
+        across = [other for other in range(3) if other != axis]
+        before = local[(np.abs(local[:, across]) <= half[across]).all(axis=1), axis]
+        for side in (-before, before):
+            inside = int(((side <= half[axis]) & (side > half[axis] - thick[axis])).sum())
+            outside = int(((side > half[axis]) & (side <= half[axis] + thick[axis])).sum())
+            is_known = inside + outside >= MIN_CONTACT_POINTS
+            ratios.append(min(outside / max(inside, 1), MOST_CONTACT) if is_known else 0.0)
+    return np.array(ratios)
+
+
+def _registered(box: OrientedBox, outline: Box2D, label: str, kept: float, limits: FollowConfig) -> Proposal:
+    """The proposal of a registered box; its signals are the share that is kept, and a score from it."""
+    sure = (kept - limits.doubtful_kept) / max(limits.sure_kept - limits.doubtful_kept, 1e-9)
+    quality = Quality(view_disagreement=math.nan, kept_share=kept, last_change=math.nan)
+    return Proposal(label, float(np.clip(sure, 0.0, 1.0)), box, outline, (), quality)
+
+
+def _measured(frame: Frame, registered: Proposal, view: Detector, config: RcvConfig, limits: FollowConfig) -> Proposal:
+    """The box that a detector measures from the registered one on, if they agree; else the registered one."""
+    box, label = registered.box, registered.label
+    outline = _grown(frame.camera, box, label, limits.grow)
+    if outline is None:
+        return registered
+    (result,) = propose_from_boxes([frame], [[outline]], view, config, [[WarmStart(label, box)]])
+    for proposal in result.proposals:
+        if is_warm(proposal) and iou_3d(proposal.box, box) >= limits.same_iou:
+            score = min(proposal.score, registered.score)
+            return replace(proposal, box=with_axes_like(proposal.box, box), score=score)
+    return registered
 
 
 def _why_stop(
-    frame: Frame, box: OrientedBox, start: OrientedBox, expected_points: float, limits: FollowConfig
+    frame: Frame, box: OrientedBox, start: OrientedBox, last: Look, limits: FollowConfig
 ) -> FollowStop | None:
     ratio = np.sort(box.size_m) / np.sort(start.size_m)
     if max(ratio.max(), 1 / ratio.min()) > limits.max_size_ratio:
         return FollowStop.SIZE
     if np.linalg.norm(box.center_m - start.center_m) > limits.max_jump * start.size_m.mean():
         return FollowStop.JUMP
-    points = points_in(frame, box)
-    if points < max(limits.min_points, limits.min_points_share * expected_points):
+    points = Look.of(frame.cloud.xyz_m, box).points
+    if points < max(limits.min_points, limits.min_points_share * expected_points(last, box)):
         return FollowStop.POINTS
     return None
 
 
-def points_in(frame: Frame, box: OrientedBox) -> int:
-    """Number of the frame's points in a box."""
-    return int(contains(box, frame.cloud.xyz_m).sum())
-
-
-def expected_points(last_points: int, last: OrientedBox, now: OrientedBox) -> float:
+def expected_points(look: Look, now: OrientedBox) -> float:
     """The number of points at the new distance, if the object is seen as before."""
-    before, after = (max(float(np.linalg.norm(box.center_m)), 0.1) for box in (last, now))
-    return last_points * (before / after) ** 2
+    before, after = (max(float(np.linalg.norm(box.center_m)), 0.1) for box in (look.box, now))
+    return look.points * (before / after) ** 2
+
+
+def _thinned(xyz_m: Float64[np.ndarray, "n 3"], most: int) -> Float64[np.ndarray, "k 3"]:
+    """At most so many points, spread evenly over their order."""
+    return xyz_m if len(xyz_m) <= most else xyz_m[np.linspace(0, len(xyz_m) - 1, most).astype(np.intp)]
 
 
 def _grown(camera: Camera, box: OrientedBox, label: str, margin: float) -> Box2D | None:

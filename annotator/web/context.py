@@ -19,6 +19,7 @@ from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError
 from annotator.web.caches import Caches
 from annotator.web.errors import NotSignedInError, hide_paths
 from annotator.web.folders import Folders
+from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
@@ -37,6 +38,7 @@ class Context:
         folders: folders that recordings may be added from.
         hub: sends events to the open pages.
         jobs: runs the jobs.
+        follow_runs: follow objects through recordings.
         caches: open frames, images of pseudo-views, detectors.
     """
 
@@ -45,6 +47,7 @@ class Context:
         self.folders = Folders(settings.folders)
         self.hub = Hub()
         self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._send_job, self.public_message)
+        self.follow_runs = FollowRuns(self.hub, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
@@ -101,6 +104,7 @@ class Context:
     def close(self) -> None:
         """Ends all threads and processes of the application, and closes its projects."""
         self.jobs.close()
+        self.follow_runs.close()
         self.hub.close()
         self.caches.close()
         with self._lock:

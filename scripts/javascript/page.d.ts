@@ -61,6 +61,7 @@ interface Messages {
   frame: { frame: number; revision: number };
   presence: { frames: Record<string, string[]> };
   job: { job: Api.Job };
+  follow: { run: Api.FollowRunJson };
   viewport: ViewportMessage;
   /** Whether the socket is open. */
   connection: boolean;

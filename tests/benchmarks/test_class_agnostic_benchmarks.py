@@ -8,29 +8,36 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.project import REVIEWED, Project
+from annotator.rcv.config import ViewConfig
+from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.types import Box2D, BoxKind, DetectorKind, Image, OrientedBox, Proposal, Quality
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.tracks.follow_frames import Follower
 from annotator.workflows.training.train import TrainPlan
 from benchmarks import cold_start, follow, uncertainty
+
+SIZE_PX = 96
 
 
 class AnyClass:
     """The boxes of a perfect detector without their classes."""
 
     labels, fingerprint = ("whole", "seen"), "any class"
+    sides_px: ClassVar[set[int]] = set()
 
     def __init__(self, detector: PerfectDetector) -> None:
         self._detector = detector
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        self.sides_px.update(max(image.rgb.shape[:2]) for image in images)
         return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
 
 
@@ -42,10 +49,10 @@ def run(
 
     def program(module: ModuleType, *words: object) -> Any:
         detector = AnyClass(knowing("people").view)
-        monkeypatch.setattr(follow, "load_detector", lambda *_: detector)
         monkeypatch.setattr(cold_start, "load_detector", lambda *_: detector)
-        monkeypatch.setattr(cold_start, "read_trained", lambda _: SimpleNamespace(image_size_px=64))
-        monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, words), "--base", "unused", "--json"])
+        monkeypatch.setattr(cold_start, "read_trained", lambda _: SimpleNamespace(image_size_px=SIZE_PX))
+        weights = [] if module is follow else ["--base", "unused"]
+        monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, words), *weights, "--json"])
         module.main()
         return json.loads(capsys.readouterr().out.splitlines()[-1])
 
@@ -107,26 +114,40 @@ def test_follow_scores_each_track(run: Callable[..., Any], generated: Path) -> N
     assert result["silent_errors"] == 0
 
 
+def test_views_have_the_size_that_the_detector_was_trained_on(
+    run: Callable[..., Any], generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(AnyClass, "sides_px", set())
+    run(cold_start, generated / "people", "--every", 4)
+    # a deep frustum is drawn larger
+    assert AnyClass.sides_px <= {SIZE_PX, ViewConfig().deep_size_px}
+    assert SIZE_PX in AnyClass.sides_px
+
+
 def test_a_lost_track_counts_as_zero(run: Callable[..., Any], generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(AnyClass, "detect", lambda self, images: [[] for _ in images])
+    monkeypatch.setattr(Follower, "step", lambda *_: Followed(None, FollowStop.POINTS))
     result = run(follow, generated / "people")
     assert {row["mean_iou"] for row in result["tracks"]} == {0.0}
-    assert {row["stopped_at"] for row in result["tracks"]} == {"000001"}
-    assert all(row["stopped_because"].startswith("lost") for row in result["tracks"])
+    assert {(row["stopped_at"], row["stopped_because"]) for row in result["tracks"]} == {
+        ("000001", "too few points are left")
+    }
     assert (result["mean_iou"], result["silent_errors"], result["marked"]) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("module", [cold_start, follow])
-def test_unusable_arguments_are_refused(
-    module: ModuleType, generated: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_unusable_arguments_are_refused(module: ModuleType, generated: Path) -> None:
     with pytest.raises(ConfigError, match="--upright and --free contradict each other"):
         module.run(module.Arguments(generated / "people", upright=True, free=True))
     with pytest.raises(ConfigError, match="--taught takes numbers of objects from 0 on"):
         cold_start.run(cold_start.Arguments(generated / "people", taught=(0, -1)))
+
+
+def test_without_weights_there_is_no_cold_start(
+    generated: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr("annotator.detection.base_detector.FOLDER", tmp_path)
     with pytest.raises(DetectionError, match="the base detector is missing"):
-        module.run(module.Arguments(generated / "people"))
+        cold_start.run(cold_start.Arguments(generated / "people"))
 
 
 def test_uncertainty_compares_boxes_and_orders_without_and_with_edge_errors(

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from live_server import PATIENCE_S, wait_until
 from room_api import BOX, ROOM, change, propose, state
 
-from annotator.project import Project
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.recordings import open_recording
+from annotator.types import BoxKind
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -18,17 +28,16 @@ def project(live: Live) -> Project:
     return live.context.project("room")
 
 
-def test_tracks_are_followed_interpolated_and_undone(live: Live, project: Project) -> None:
+def test_boxes_are_copied_interpolated_and_undone(live: Live, project: Project) -> None:
     created = {"kind": "create", "label": "person", "box": BOX, "track_id": 5}
     first = change(live.client, 0, created).json()
-    answer = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 0, "how": "detect"})
+    uid = first["labels"][0]["uid"]
+    answer = live.client.post(f"{ROOM}/frames/1/copy-next", json={"revision": 0, "uid": uid})
     assert answer.status_code == 409
     assert answer.json()["state"]["frame"]["revision"] == first["frame"]["revision"]
     effort = {"actions": 1, "seconds": 2.0}
-    body = {"revision": first["frame"]["revision"], "how": "detect", "effort": effort}
-    followed = live.client.post(f"{ROOM}/frames/1/follow", json=body).json()
-    # the project has no detectors
-    assert followed == {"frame": 2, "proposed": 1, "lost": 0, "how": "copy"}
+    body = {"revision": first["frame"]["revision"], "uid": uid, "effort": effort}
+    assert live.client.post(f"{ROOM}/frames/1/copy-next", json=body).json() == {"frame": 2}
     (copied,) = state(live.client, 2)["labels"]
     assert (copied["state"], copied["source"], copied["track_id"]) == ("proposed", "auto", 5)
     last = change(live.client, 0, created, frame=4).json()
@@ -63,3 +72,152 @@ def test_tracks_are_followed_interpolated_and_undone(live: Live, project: Projec
         "only reviewed boxes are key frames; accept the box first",
     )
     assert live.client.get(f"{ROOM}/recordings/9/tracks/5").status_code == 404
+
+
+@pytest.fixture
+def view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A perfect view detector for all projects."""
+    ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
+    monkeypatch.setattr("annotator.web.routes.tracks.has_own_view", lambda _: True)
+    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
+    """Following waits here before each frame."""
+    passes, step = threading.Semaphore(0), Follower.step
+
+    def wait(follower: Follower, moment: Any) -> Any:
+        assert passes.acquire(timeout=PATIENCE_S)
+        return step(follower, moment)
+
+    monkeypatch.setattr(Follower, "step", wait)
+    return passes
+
+
+def accept_truth(project: Project, generated: Path, frame: int = 1, objects: int = 1) -> list[str]:
+    """Accepts the true boxes of a frame, without tracks; returns their labels."""
+    recording = open_recording(generated / "people")
+    truths = load_truth(recording, frame - 1, recording.frame(frame - 1))
+    context = WriteContext(project.frames.get(frame).revision, "Ada")
+    return list(project.labels.create(frame, [NewLabel(t.label, t.box) for t in truths[:objects]], context).uids)
+
+
+def follow(live: Live, frame: int = 1, **body: Any) -> dict[str, Any]:
+    body = {"revision": state(live.client, frame)["frame"]["revision"], **body}
+    answer = live.client.post(f"{ROOM}/frames/{frame}/follow", json=body)
+    assert answer.status_code == 200, answer.text
+    run: dict[str, Any] = answer.json()
+    return run
+
+
+def latest(live: Live) -> dict[str, Any]:
+    run: dict[str, Any] = live.client.get(f"{ROOM}/follow").json()["run"]
+    return run
+
+
+def boxes(live: Live) -> list[int]:
+    return [len(state(live.client, frame)["labels"]) for frame in range(1, 6)]
+
+
+@pytest.mark.usefixtures("view")
+def test_a_box_is_followed_through_the_recording_as_one_action(live: Live, project: Project, generated: Path) -> None:
+    (uid,) = accept_truth(project, generated)
+    begun = follow(live, uid=uid, effort={"actions": 1, "seconds": 2.0})
+    assert (begun["state"], begun["total"], begun["has_detector"]) == ("running", 4, True)
+    wait_until(lambda: latest(live)["state"] != "running")
+    run = latest(live)
+    assert (run["state"], run["done"], run["message"]) == ("done", 4, None)
+    assert [(track["boxes"], track["track_id"], track["stops"]) for track in run["tracks"]] == [(4, 1, [])]
+    assert run["first"][0] == 2
+    assert boxes(live) == [1] * 5
+    assert live.client.post(f"{ROOM}/undo", json={}).json()["done"] == "propose 4 labels (frames 000000 to 000004)"
+    assert boxes(live) == [1, 0, 0, 0, 0]
+    assert project.labels.get(uid).label.track_id is None
+
+
+@pytest.mark.usefixtures("view")
+def test_boxes_appear_one_by_one_and_a_run_can_be_stopped(
+    live: Live, project: Project, generated: Path, gate: threading.Semaphore
+) -> None:
+    accept_truth(project, generated, objects=2)
+    follow(live)
+    gate.release(2)
+    wait_until(lambda: latest(live)["done"] == 2)
+    # the server answers, and has the first boxes
+    assert boxes(live) == [2, 2, 0, 0, 0]
+    assert latest(live)["state"] == "running"
+    stopper = threading.Thread(target=lambda: live.client.post(f"{ROOM}/follow/stop"))
+    stopper.start()
+    gate.release(2)
+    stopper.join(PATIENCE_S)
+    assert latest(live)["state"] == "stopped"
+    assert boxes(live)[1] == 2
+
+
+@pytest.mark.usefixtures("view")
+def test_undo_stops_a_run_and_takes_back_all_of_it(
+    live: Live, project: Project, generated: Path, gate: threading.Semaphore
+) -> None:
+    accept_truth(project, generated)
+    follow(live)
+    gate.release(2)
+    wait_until(lambda: latest(live)["done"] == 2)
+    # the run is asked to stop while it waits for a frame, and ends after that frame
+    running = live.context.follow_runs._runs["room", "Ada"]
+    threading.Thread(target=lambda: running.stop.wait(PATIENCE_S) and gate.release(2)).start()
+    assert live.client.post(f"{ROOM}/undo", json={}).status_code == 200
+    assert latest(live) is None
+    assert boxes(live) == [1, 0, 0, 0, 0]
+
+
+@pytest.mark.usefixtures("view")
+def test_a_lost_object_and_a_failed_run_are_reported(
+    live: Live, project: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change(live.client, 0, {"kind": "create", "label": "person", "box": BOX, "track_id": 5})
+    follow(live)
+    wait_until(lambda: latest(live)["state"] != "running")
+    (track,) = latest(live)["tracks"]
+    ((frame, reason),) = [(at["frame"], at["reason"]) for at in track["stops"]]
+    assert (track["boxes"], frame, latest(live)["first"]) == (0, 2, None)
+    assert reason
+
+    def fail(*_: object) -> None:
+        raise OSError("broken")
+
+    monkeypatch.setattr(Follower, "step", fail)
+    follow(live)
+    wait_until(lambda: latest(live)["state"] != "running")
+    assert (latest(live)["state"], latest(live)["message"]) == ("failed", "internal error, see the server's log")
+
+
+def test_what_cannot_be_followed_is_refused(
+    live: Live, project: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (uid,) = accept_truth(project, generated)
+    assert latest(live) is None
+    assert live.client.post(f"{ROOM}/follow/stop").json() == {"run": None}
+    refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid, "direction": "backward"})
+    assert refused.status_code == 400
+    assert "is the first of its recording; there is no previous frame" in refused.json()["error"]["message"]
+    monkeypatch.setattr("annotator.web.routes.tracks.has_own_view", lambda _: True)
+    readiness = Readiness("failed", problem="the weights are damaged")
+    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: readiness)
+    refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid})
+    assert refused.json()["error"]["message"] == "the view detector cannot be used: the weights are damaged"
+
+
+def test_no_detector_is_needed(live: Live, project: Project, generated: Path) -> None:
+    accept_truth(project, generated)
+    assert follow(live)["has_detector"] is False
+    wait_until(lambda: latest(live)["state"] != "running")
+    assert latest(live)["tracks"][0]["boxes"] == 4
+
+
+@pytest.mark.usefixtures("view")
+def test_a_stale_revision_returns_both_versions(live: Live, project: Project, generated: Path) -> None:
+    (uid,) = accept_truth(project, generated)
+    stale = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 0, "uid": uid})
+    assert (stale.status_code, stale.json()["state"]["frame"]["revision"]) == (409, 1)
+    assert latest(live) is None

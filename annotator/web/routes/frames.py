@@ -77,13 +77,13 @@ def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Chan
 
 @router.post("/api/projects/{name}/undo", response_model=StepOut, responses=STALE)
 def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
-    """Undo the operator's last action, on whichever frame."""
+    """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first."""
     return _step(ctx, operator, name, body, lambda project: project.history.undo)
 
 
 @router.post("/api/projects/{name}/redo", response_model=StepOut, responses=STALE)
 def redo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
-    """Redo the action that was undone last."""
+    """Redo the action that was undone last; otherwise as `undo`."""
     return _step(ctx, operator, name, body, lambda project: project.history.redo)
 
 
@@ -91,6 +91,7 @@ def _step(
     ctx: Context, operator: str, name: str, body: StepIn, method: Callable[[Project], Callable[..., Reverted]]
 ) -> StepOut | JSONResponse:
     effort = None if body.effort is None else body.effort.stored()
+    ctx.follow_runs.stop(name, operator)
     try:
         reverted = method(ctx.project(name))(operator, skip=body.skip, effort=effort)
     except HistoryError as error:
@@ -98,6 +99,7 @@ def _step(
             raise
         present = frame_state(ctx, name, error.frame_id, operator).model_dump(mode="json")
         return error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
+    ctx.follow_runs.forget(name, operator, reverted.original)
     for frame_id, receipt in ((reverted.frame_id, reverted.receipt), *reverted.others):
         ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
     state = frame_state(ctx, name, reverted.frame_id, operator)

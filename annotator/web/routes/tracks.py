@@ -1,25 +1,27 @@
-"""Tracks: the boxes of one object, following objects into the next frame, and interpolation between key frames."""
+"""Tracks: the boxes of one object, following objects through a recording, and interpolation between key frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter, Path
 from fastapi.responses import JSONResponse
 
 from annotator.project import Project, StoredFrame
 from annotator.types import DetectorKind, ReviewState
-from annotator.types.errors import StaleRevisionError
+from annotator.types.errors import DetectionError, StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
+from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
 from annotator.web.frame_json import frame_state, stale_response
 from annotator.web.routes.frames import STALE
 from annotator.web.schemas import Effort, FrameStateJson, RowId, Schema, Uid
-from annotator.workflows.detectors import Detectors
+from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
-from annotator.workflows.tracks.follow import copy_next, propose_next
+from annotator.workflows.tracks.follow_recording import follow_from_frame
 from annotator.workflows.tracks.interpolate import interpolate_back
 from annotator.workflows.tracks.previous_boxes import boxes_of
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_own_view
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 router = APIRouter(tags=["tracks"])
@@ -43,25 +45,33 @@ class TrackOut(Schema):
     boxes: list[TrackBox]
 
 
-class FollowIn(Schema):
-    """Proposes this frame's objects in the next frame: `detect` searches for them, `copy` copies their boxes.
-
-    Without detectors, boxes are always copied. `uid`: copy this label only.
-    """
+class CopyNextIn(Schema):
+    """A label, reviewed or not."""
 
     revision: RowId
-    how: Literal["detect", "copy"]
+    uid: Uid
+    effort: Effort | None = None
+
+
+class CopyNextOut(Schema):
+    """The next frame."""
+
+    frame: int
+
+
+class FollowIn(Schema):
+    """A reviewed label to follow; null = all reviewed labels of the frame."""
+
+    revision: RowId
     uid: Uid | None = None
+    direction: Direction = "forward"
     effort: Effort | None = None
 
 
 class FollowOut(Schema):
-    """The next frame, the number of proposals, the method used, and the number of objects not found (`lost`)."""
+    """The operator's latest run, or null."""
 
-    frame: int
-    proposed: int
-    lost: int
-    how: Literal["detect", "copy"]
+    run: FollowRunJson | None
 
 
 class InterpolateIn(Schema):
@@ -94,25 +104,59 @@ def track(ctx: Ctx, name: str, recording_id: RowId, track_id: TrackId) -> TrackO
     )
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/follow", response_model=FollowOut, responses=STALE)
-def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FollowIn) -> FollowOut | JSONResponse:
-    """Propose boxes in the next frame from the reviewed boxes of this one; one undo step."""
+@router.post("/api/projects/{name}/frames/{frame_id}/copy-next", response_model=CopyNextOut, responses=STALE)
+def copy_to_next(
+    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyNextIn
+) -> CopyNextOut | JSONResponse:
+    """Propose a box in the next frame, moved along its track; one undo step."""
     project = ctx.project(name)
     effort = None if body.effort is None else body.effort.stored()
-    open_frame = _opener(ctx, project, operator)
-    detectors = _detectors(ctx, project) if body.how == "detect" else None
+    fit = _box_fitter(ctx, project, _opener(ctx, project, operator))
     try:
-        if detectors is None:
-            fit = _box_fitter(ctx, project, open_frame)
-            done = copy_next(project, frame_id, body.revision, operator, uid=body.uid, fit=fit, effort=effort)
-        else:
-            done = propose_next(project, frame_id, body.revision, operator, detectors, open_frame, effort=effort)
+        done = copy_next(project, frame_id, body.uid, body.revision, operator, fit=fit, effort=effort)
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done.changed:
         ctx.hub.frame_changed(name, changed, receipt.revision, operator)
-    how: Literal["detect", "copy"] = "copy" if detectors is None else "detect"
-    return FollowOut(frame=done.frame_id, proposed=done.proposed, lost=done.lost, how=how)
+    return CopyNextOut(frame=done.frame_id)
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/follow", response_model=FollowRunJson, responses=STALE)
+def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FollowIn) -> FollowRunJson | JSONResponse:
+    """Follow reviewed boxes through the recording; one undo step. The operator's last run is stopped first."""
+    project = ctx.project(name)
+    effort = None if body.effort is None else body.effort.stored()
+    view = _own_view(ctx, project)
+    ctx.follow_runs.stop(name, operator)
+    try:
+        run = follow_from_frame(
+            project,
+            frame_id,
+            body.revision,
+            view,
+            operator,
+            uid=body.uid,
+            forward=body.direction == "forward",
+            effort=effort,
+        )
+    except StaleRevisionError as error:
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
+    request = FollowRequest(run, frame_id, body.direction, view is not None)
+    return ctx.follow_runs.start(name, operator, request)
+
+
+@router.get("/api/projects/{name}/follow")
+def follow_run(ctx: Ctx, operator: Operator, name: str) -> FollowOut:
+    """The operator's latest run in this project."""
+    ctx.project(name)
+    return FollowOut(run=ctx.follow_runs.latest(name, operator))
+
+
+@router.post("/api/projects/{name}/follow/stop")
+def stop_following(ctx: Ctx, operator: Operator, name: str) -> FollowOut:
+    """Stop the operator's run; the boxes found so far stay."""
+    ctx.project(name)
+    return FollowOut(run=ctx.follow_runs.stop(name, operator))
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/interpolate", response_model=InterpolateOut, responses=STALE)
@@ -139,10 +183,18 @@ def _opener(ctx: Context, project: Project, operator: str) -> Callable[[StoredFr
     return lambda frame: ctx.caches.frames.open(project, frame.id, operator)
 
 
-def _detectors(ctx: Context, project: Project) -> Detectors | None:
-    """Both detectors, or None if the project lacks one."""
-    image, view = (ctx.caches.detectors.get(project, role) for role in (DetectorKind.IMAGE, DetectorKind.VIEW))
-    return None if image is None or view is None else Detectors(image, view, view.box_kind, view.class_agnostic)
+def _own_view(ctx: Context, project: Project) -> ReadyDetector | None:
+    """The project's own view detector, or None.
+
+    Raises:
+        DetectionError: it cannot be loaded.
+    """
+    if not has_own_view(project):
+        return None
+    ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
+    if ready.problem is not None:
+        raise DetectionError(f"the view detector cannot be used: {ready.problem}")
+    return ready.detector
 
 
 def _box_fitter(ctx: Context, project: Project, open_frame: Callable[[StoredFrame], OpenFrame]) -> FitBox:

@@ -1,12 +1,12 @@
-"""Follows a reviewed box through a recording, forward or backward, until the object is lost."""
+"""Follows a reviewed box from frame to frame, forward or backward."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.follow_object import FollowConfig, Followed, expected_points, follow_object, points_in
+from annotator.rcv.follow_object import FollowConfig, Followed, Look, follow_object
 from annotator.tracking.motion import predicted
 from annotator.types import Detector, Frame, OrientedBox
 
@@ -24,32 +24,38 @@ class Moment:
     time: float
 
 
-def follow_frames(
-    first: Moment,
-    start: OrientedBox,
-    label: str,
-    later: Iterable[Moment],
-    view: Detector,
-    settings: Callable[[Frame], RcvConfig],
-    limits: FollowConfig = DEFAULTS,
-) -> Iterator[tuple[Moment, Followed]]:
-    """Yields the result of each frame, up to the first one in which the object is not found.
+class Follower:
+    """Follows one object, one frame at a time, until it is not found."""
 
-    Args:
-        first: the frame of the reviewed box.
-        start: the reviewed box, camera frame.
-        later: the next frames, in the direction of following.
-        settings: the recursion's settings for a frame and the view detector.
-    """
-    boxes, times, points = [start], [first.time], points_in(first.frame, start)
-    for moment in later:
-        guess = predicted(boxes[-MOTION_BOXES:], times[-MOTION_BOXES:], moment.time)
-        expected = expected_points(points, boxes[-1], guess)
-        config = settings(moment.frame)
-        followed = follow_object(moment.frame, guess, start.size_m, expected, label, view, config, limits)
-        yield moment, followed
-        if followed.proposal is None:
-            return
-        boxes.append(followed.proposal.box)
-        times.append(moment.time)
-        points = points_in(moment.frame, followed.proposal.box)
+    def __init__(
+        self,
+        first: Moment,
+        start: OrientedBox,
+        label: str,
+        view: Detector | None,
+        settings: Callable[[Frame], RcvConfig],
+        limits: FollowConfig = DEFAULTS,
+    ) -> None:
+        """
+        Args:
+            first: the frame of the reviewed box.
+            start: the reviewed box, camera frame.
+            view: view detector that was trained on the class, or None.
+            settings: the recursion's settings for a frame and this detector.
+        """
+        self._label, self._view, self._settings, self._limits = label, view, settings, limits
+        self._reviewed = self._last = Look.of(first.frame.cloud.xyz_m, start)
+        self._boxes, self._times = [start], [first.time]
+
+    def step(self, moment: Moment) -> Followed:
+        """Looks for the object in the next frame; after a frame in which it is not found, there is no next step."""
+        guess = predicted(self._boxes[-MOTION_BOXES:], self._times[-MOTION_BOXES:], moment.time)
+        config = self._settings(moment.frame)
+        followed = follow_object(
+            moment.frame, guess, self._reviewed, self._last, self._label, self._view, config, self._limits
+        )
+        if followed.proposal is not None:
+            self._boxes.append(followed.proposal.box)
+            self._times.append(moment.time)
+            self._last = Look.of(moment.frame.cloud.xyz_m, followed.proposal.box, followed.kept)
+        return followed

@@ -90,6 +90,21 @@ def ready_view(project: Project) -> ReadyDetector | None:
     return None if model is None else _ready(model, threading.Lock())
 
 
+def has_own_view(project: Project) -> bool:
+    """True if the project uses a view detector of its own."""
+    model = used_model(project, DetectorKind.VIEW)
+    return model is not None and not model.class_agnostic
+
+
+def own_view(project: Project) -> ReadyDetector | None:
+    """Loads the project's own view detector; None if it has none.
+
+    Raises:
+        DetectionError, FormatError: it cannot be loaded.
+    """
+    return ready_view(project) if has_own_view(project) else None
+
+
 def require_view(project: Project) -> ReadyDetector:
     """As `ready_view`, but an error if there is none.
 

@@ -26,11 +26,11 @@ from annotator.geometry.edges import visible_edges
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import aligned_box, canonical_box
 from annotator.geometry.outline import NEAR_M, box_on_image
-from annotator.rcv.axes import match_axes
+from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.cross_view import traced_intervals
 from annotator.rcv.first_look import image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
-from annotator.rcv.known_size_fit import traced_intervals
 from annotator.rcv.operator import Span, cut_out
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
@@ -213,13 +213,6 @@ def _why_no_detector(detector: Detector | None, label: str, config: RcvConfig, p
         if config.class_agnostic or label in detector.labels
         else f"the pseudo-view detector was not trained on {label}"
     )
-
-
-def with_axes_like(box: OrientedBox, reference: OrientedBox) -> OrientedBox:
-    """Returns the same box with its axes permuted and flipped to be as near as possible to those of another box."""
-    rows = match_axes(box.rotation.T, reference.rotation.T)
-    permutation = np.abs(np.rint(rows @ box.rotation))
-    return OrientedBox.from_parts(box.center_m, rows.T, permutation @ box.size_m)
 
 
 def _recurse(

@@ -1,4 +1,4 @@
-"""Review in a real browser: tracks are continued into the next frame, filled between key frames, and followed."""
+"""Review in a real browser: tracks are continued into the next frame, filled between key frames, stepped through."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def of_track(desk: Desk, frame: int, track_id: int = 7) -> list[Label]:
     return [label for label in desk.project.labels.of_frame(frame) if label.track_id == track_id]
 
 
-def test_a_track_is_continued_filled_and_followed(desk: Desk, wait_for) -> None:
+def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -> None:
     page, project = desk.page, desk.project
     frames = [stored.id for stored in project.frames.of()]
     page.goto(f"/#/{desk.name}/review/{frames[0]}")
@@ -63,8 +63,8 @@ def test_a_track_is_continued_filled_and_followed(desk: Desk, wait_for) -> None:
     assert desk.label.state is ReviewState.ACCEPTED
     page.locator("body").click(position={"x": 2, "y": 2})
 
-    # without detectors the reviewed box is copied, and the page opens that frame
-    desk.press("v")
+    # the reviewed box is copied, and the page opens that frame
+    desk.press("Shift+C")
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     (copied,) = of_track(desk, frames[1])
     assert copied.state is ReviewState.PROPOSED
@@ -113,7 +113,7 @@ def test_continuing_without_a_reviewed_box_or_track_gives_a_message(desk: Desk) 
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.settled()
     desk.press("v")
-    expect(desk.page.get_by_text("has no reviewed box to start from")).to_be_visible()
+    expect(desk.page.get_by_text("Select a reviewed box to follow, or accept this one first")).to_be_visible()
     expect(desk.page.get_by_test_id("act-fill")).to_be_hidden()
     desk.press("Shift+N")
     expect(desk.page.get_by_text("This box has no track")).to_be_visible()

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from threading import Lock
 
+import numpy as np
 import pytest
 
 from annotator.cli.main import main
 from annotator.geometry.iou import iou_3d
-from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.event_types import FrameFinalised
-from annotator.types import Box2D, BoxKind, Detector, Image, Label, ReviewState, Source, Truth
-from annotator.types.errors import ConfigError
+from annotator.project.writing import Writer
+from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Truth
+from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.tracks.follow_recording import follow_recording
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
+from annotator.workflows.tracks.follow_run import KEY_CHANGED, Following, FollowRun
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 ANN = "ann"
@@ -23,20 +28,6 @@ ANN = "ann"
 @pytest.fixture
 def view(knowing: Callable[..., Detectors]) -> ReadyDetector:
     return ReadyDetector(knowing("people").view, BoxKind.BOX, Lock())
-
-
-class Blind:
-    """A view detector that finds nothing."""
-
-    labels, fingerprint = ("person",), "blind"
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        return [[] for _ in images]
-
-
-def blind() -> ReadyDetector:
-    detector: Detector = Blind()
-    return ReadyDetector(detector, BoxKind.BOX, Lock())
 
 
 def accept_truth(project: Project, frame: StoredFrame, truths: Sequence[Truth]) -> None:
@@ -61,7 +52,9 @@ def test_reviewed_boxes_are_followed_to_the_end(
     seen: list[tuple[int, int]] = []
     done = follow_recording(people, recording_of(people), view, ANN, progress=lambda k, n: seen.append((k, n)))
     assert len(done.tracks) == len(truths[0])
-    assert seen == [(k, len(truths[0])) for k in range(1, len(truths[0]) + 1)]
+    total = len(truths[0]) * (len(frames) - 1)
+    assert [at for at, _ in seen] == sorted({at for at, _ in seen})
+    assert seen[-1] == (total, total)
     for index in range(1, len(frames)):
         labels = labels_of(people, index)
         assert {label.state for label in labels} <= {ReviewState.PROPOSED}
@@ -93,15 +86,38 @@ def test_a_track_is_followed_backward_and_between_its_reviewed_boxes(
     assert (done.tracks[0].track_id, done.tracks[0].boxes, done.tracks[0].stops) == (track, 1, ())
 
 
-def test_a_lost_object_is_reported_and_stores_nothing(people: Project, truths: list[list[Truth]]) -> None:
+def accept_nothing(project: Project, frame: StoredFrame, truth: Truth) -> None:
+    """Creates an accepted label of track 1 where there is no object: a box in the air above one."""
+    box = OrientedBox.from_parts(truth.box.center_m - [0.0, 0.9 * truth.box.size_m[2], 0.0], np.eye(3), np.full(3, 0.3))
+    context = WriteContext(project.frames.get(frame.id).revision, ANN)
+    project.labels.create(frame.id, [NewLabel("person", box, track_id=1)], context)
+
+
+def test_no_detector_is_needed(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0])
+    done = follow_recording(people, recording_of(people), None, ANN)
+    assert sum(track.boxes for track in done.tracks) >= 0.8 * sum(map(len, truths[1:]))
+    size_of = {truth.track_id: truth.box.size_m for truth in truths[0]}
+    for index in range(1, len(frames)):
+        for label in labels_of(people, index):
+            truth = next(t for t in truths[index] if t.track_id == label.track_id)
+            np.testing.assert_allclose(label.box.size_m, size_of[truth.track_id])
+            assert iou_3d(label.box, truth.box) > 0.5
+
+
+def test_a_lost_object_is_reported_and_stores_nothing(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
     frames = people.frames.of()
     with pytest.raises(ConfigError, match="there is no reviewed box to follow"):
-        follow_recording(people, recording_of(people), blind(), ANN)
-    accept_truth(people, frames[0], truths[0][:1])
-    with pytest.raises(ConfigError, match=f"nothing was proposed; frame {frames[1].key}: lost"):
-        follow_recording(people, recording_of(people), blind(), ANN)
+        follow_recording(people, recording_of(people), view, ANN)
+    accept_nothing(people, frames[0], truths[0][0])
+    (track,) = follow_recording(people, recording_of(people), view, ANN).tracks
+    (stop,) = track.stops
+    assert (track.boxes, stop.frame_id, stop.reason) == (0, frames[1].id, "too few points are left")
     with pytest.raises(ConfigError, match="track 99 has no reviewed box to follow"):
-        follow_recording(people, recording_of(people), blind(), ANN, tracks=[99])
+        follow_recording(people, recording_of(people), view, ANN, tracks=[99])
     assert labels_of(people, 1) == []
 
 
@@ -123,8 +139,191 @@ def test_the_command_says_what_it_did(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("annotator.cli.follow.require_view", lambda _: view)
+    monkeypatch.setattr("annotator.cli.follow.own_view", lambda _: view)
     accept_truth(people, people.frames.of()[0], truths[0][:1])
     name = people.recordings.all()[0].name
     assert main(["follow", people.path.name, name, "--projects", str(people.path.parent)]) == 0
     assert f"track {truths[0][0].track_id} (person): 4 boxes proposed" in capsys.readouterr().out
+
+
+def follow_one(
+    project: Project, view: ReadyDetector, uid: str | None, index: int = 0, forward: bool = True
+) -> FollowRun:
+    frame = project.frames.of()[index]
+    return follow_from_frame(project, frame.id, frame.revision, view, ANN, uid=uid, forward=forward)
+
+
+def untracked(project: Project, truths: list[list[Truth]], index: int = 0) -> list[str]:
+    """Accepts the true boxes of a frame without their tracks; returns their labels."""
+    frame = project.frames.of()[index]
+    new = [NewLabel(truth.label, truth.box) for truth in truths[index]]
+    return list(project.labels.create(frame.id, new, WriteContext(frame.revision, ANN)).uids)
+
+
+def test_boxes_of_a_frame_are_followed_together_and_each_appears_at_once(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    accept_truth(people, people.frames.of()[2], truths[2])
+    states: list[tuple[Following, int]] = []
+    ends = follow_one(people, view, None, 2).run(lambda state: states.append((state, len(labels_of(people, 3)))))
+    first, stored = states[0]
+    assert {frame for frame, _ in first.proposed} == {people.frames.of()[3].id}
+    assert len(first.proposed) == stored == 3
+    assert [state.done for state, _ in states] == [3, 6]
+    assert [track.boxes for track in ends.tracks] == [2, 2, 2]
+    assert labels_of(people, 1) == []
+    people.history.undo(ANN)
+    assert labels_of(people, 3) == labels_of(people, 4) == []
+    people.history.redo(ANN)
+    assert len(labels_of(people, 3)) == len(labels_of(people, 4)) == 3
+
+
+def test_a_followed_label_without_a_track_gets_the_new_one_with_one_undo(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    first, *_ = untracked(people, truths)
+    run = follow_one(people, view, first)
+    run.run()
+    (track,) = run.state.tracks
+    assert track.track_id == people.labels.get(first).label.track_id == 1
+    assert [label.track_id for index in range(1, 5) for label in labels_of(people, index)] == [1] * 4
+    assert people.history.next(ANN)[0] == "propose 4 labels (frames 000000 to 000004)"
+    people.history.undo(ANN)
+    assert people.labels.get(first).label.track_id is None
+    assert [labels_of(people, index) for index in range(1, 5)] == [[]] * 4
+
+
+def test_boxes_without_tracks_get_different_ones(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    uids = untracked(people, truths)
+    follow_recording(people, recording_of(people), view, ANN)
+    assert {people.labels.get(uid).label.track_id for uid in uids} == {1, 2, 3}
+
+
+def test_undo_takes_the_actions_during_a_run_first(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1])
+
+    def accept_the_first(state: Following) -> None:
+        if state.done == 1:
+            ((frame_id, uid),) = state.proposed
+            people.labels.accept(frame_id, uid, WriteContext(people.frames.get(frame_id).revision, ANN))
+
+    follow_one(people, view, None).run(accept_the_first)
+    assert [len(labels_of(people, index)) for index in range(5)] == [1] * 5
+    assert people.history.undo(ANN).words.startswith("accept")
+    assert people.history.undo(ANN).words == "propose 4 labels (frames 000001 to 000004)"
+    assert [len(labels_of(people, index)) for index in range(5)] == [1, 0, 0, 0, 0]
+
+
+def test_a_run_can_be_stopped_and_keeps_its_boxes(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    accept_truth(people, people.frames.of()[0], truths[0][:1])
+    run = follow_one(people, view, None)
+    done = run.run(stopped=lambda: run.state.done == 2)
+    assert (done.done, done.total) == (2, 4)
+    assert [len(labels_of(people, index)) for index in range(5)] == [1, 1, 1, 0, 0]
+
+
+def test_a_changed_reviewed_box_ends_its_run(people: Project, truths: list[list[Truth]], view: ReadyDetector) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:2])
+    (uid, _) = [label.uid for label in labels_of(people, 0)]
+
+    def reject(state: Following) -> None:
+        if state.done == 4:
+            people.labels.reject(frames[0].id, uid, WriteContext(people.frames.get(frames[0].id).revision, "bob"))
+
+    done = follow_one(people, view, None).run(reject)
+    changed, other = done.tracks
+    assert (changed.boxes, other.boxes) == (2, 4)
+    assert [(stop.key, stop.reason) for stop in changed.stops] == [(frames[0].key, KEY_CHANGED)]
+
+
+def test_changes_of_other_frames_do_not_stop_a_run(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1])
+    real, others = people.log.writer.to_frames, iter([True, True])
+
+    def interrupted(parts: Sequence[FramePart], action: str | None = None) -> object:
+        """Another operator is faster, twice."""
+        if next(others, False):
+            part = parts[0]
+            context = WriteContext(people.frames.get(part.frame_id).revision, "bob")
+            people.labels.create(part.frame_id, [NewLabel("person", truths[1][1].box)], context)
+        return real(parts, action)
+
+    monkeypatch.setattr(Writer, "to_frames", lambda _, parts, action=None: interrupted(parts, action))
+    (track,) = follow_one(people, view, None).run().tracks
+    assert (track.boxes, track.stops) == (4, ())
+    assert len(labels_of(people, 1)) == 3
+
+
+@pytest.mark.parametrize("broken", [0, 2])
+def test_an_unreadable_frame_is_named_where_it_stops(
+    people: Project,
+    truths: list[list[Truth]],
+    view: ReadyDetector,
+    monkeypatch: pytest.MonkeyPatch,
+    broken: int,
+) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1])
+    read = FrameSource.read
+
+    def fail(source: FrameSource, frame: StoredFrame) -> object:
+        if frame.id == frames[broken].id:
+            raise FrameError(Path("depth.png"), "broken")
+        return read(source, frame)
+
+    monkeypatch.setattr(FrameSource, "read", fail)
+    (track,) = follow_one(people, view, None).run().tracks
+    assert [(stop.key, stop.reason) for stop in track.stops] == [(frames[broken].key, "depth.png: broken")]
+    assert track.boxes == max(broken - 1, 0)
+
+
+def test_a_stretch_ends_at_the_next_reviewed_box(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    frames = people.frames.of()
+    for index in (0, 3):
+        accept_truth(people, frames[index], truths[index][:1])
+    uid = labels_of(people, 3)[0].uid
+    (track,) = follow_one(people, view, uid, 3, forward=False).run().tracks
+    assert track.boxes == 2
+    assert [len(labels_of(people, index)) for index in range(5)] == [1, 1, 1, 1, 0]
+
+
+def test_what_cannot_be_followed_is_refused(people: Project, truths: list[list[Truth]], view: ReadyDetector) -> None:
+    frames = people.frames.of()
+    with pytest.raises(ConfigError, match="frame 000000 has no reviewed box to follow; accept one first"):
+        follow_one(people, view, None)
+    for index in (0, 1, 4):
+        accept_truth(people, frames[index], truths[index][:1])
+    with pytest.raises(StaleRevisionError):
+        follow_from_frame(people, frames[0].id, 0, view, ANN)
+    with pytest.raises(NotFoundError, match="frame 000000 has no label nobody"):
+        follow_one(people, view, "nobody")
+    with pytest.raises(ConfigError, match="frame 000000 is the first of its recording"):
+        follow_one(people, view, None, 0, forward=False)
+    with pytest.raises(ConfigError, match="frame 000004 is the last of its recording"):
+        follow_one(people, view, None, 4)
+    with pytest.raises(ConfigError, match="the next frame of frame 000000 has a reviewed box of this track already"):
+        follow_one(people, view, None, 0)
+    accept_truth(people, frames[1], truths[1][:1])
+    with pytest.raises(ConfigError, match="frame 000001 has two reviewed boxes of track"):
+        follow_recording(people, recording_of(people), view, ANN)
+
+
+def test_only_reviewed_boxes_are_followed(people: Project, truths: list[list[Truth]], view: ReadyDetector) -> None:
+    (uid, *_) = untracked(people, truths)
+    frame = people.frames.of()[0]
+    people.labels.reject(frame.id, uid, WriteContext(frame.revision, ANN))
+    with pytest.raises(ConfigError, match="this box is not reviewed; accept it first"):
+        follow_one(people, view, uid)

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
-from annotator.project.event_types import LabelProposed
 from annotator.project.schema import recordings
 from annotator.rcv.config import RcvConfig
 from annotator.tracking.relabel import relabelled
@@ -22,8 +21,8 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.fit_boxes import box_fitter
-from annotator.workflows.tracks.follow import copy_next, propose_next
 from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
 from annotator.workflows.tracks.previous_boxes import seeds_of
@@ -191,34 +190,6 @@ def test_frames_between_key_frames_are_filled_as_one_action(people: Project, tru
         interpolate(people, recording, 3, ANN, first="000001")
 
 
-def test_proposals_for_the_next_frame_start_from_reviewed_boxes(
-    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
-) -> None:
-    frames = people.frames.of()
-    source = FrameSource(people)
-    opened: Callable[[StoredFrame], OpenFrame] = lambda frame: OpenFrame(source.read(frame))  # noqa: E731
-    with pytest.raises(ConfigError, match="no reviewed box"):
-        propose_next(people, frames[0].id, 0, ANN, knowing("people"), opened)
-    uids = accept_truth(people, frames[0], truths[0])
-    done = propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
-    assert (done.frame_id, done.proposed, done.lost) == (frames[1].id, 3, 0)
-    ids = [people.labels.get(uid).label.track_id for uid in uids]
-    assert ids[0] == 3 and len(set(ids)) == 3, "every tracked object has a track id"
-    payloads = [event.payload for event in people.log.of_frame(frames[1].id)]
-    proposals = {entry.uid: entry.proposal for entry in payloads if isinstance(entry, LabelProposed)}
-    for label in people.labels.of_frame(frames[1].id):
-        true = truths[1][ids.index(label.track_id)].box
-        assert iou_3d(label.box, true) > 0.8
-        proposal = proposals[label.uid]
-        assert proposal is not None and proposal.trace
-    assert [frame for frame, _ in done.changed] == [frames[1].id, frames[0].id]
-    people.history.undo(ANN)
-    assert people.labels.of_frame(frames[1].id) == ()
-    assert people.labels.get(uids[1]).label.track_id is None
-    with pytest.raises(StaleRevisionError):
-        propose_next(people, frames[0].id, 3, ANN, knowing("people"), opened)
-
-
 def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(
     people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
 ) -> None:
@@ -231,15 +202,14 @@ def test_a_batch_assigns_tracks_of_reviewed_boxes_to_proposals(
     assert people.labels.get(found[3].uid).track_linked
 
 
-def test_boxes_are_copied_to_their_predicted_positions(
+def test_a_box_is_copied_to_its_predicted_position(
     people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors]
 ) -> None:
     frames = people.frames.of()
-    for n in (0, 1):
-        accept_truth(people, frames[n], truths[n][:1])
-    done = copy_next(people, frames[1].id, 1, ANN)
+    _, (uid,) = [accept_truth(people, frames[n], truths[n][:1]) for n in (0, 1)]
+    done = copy_next(people, frames[1].id, uid, 1, ANN)
     (label,) = people.labels.of_frame(frames[2].id)
-    assert done.proposed == 1
+    assert (done.frame_id, [frame for frame, _ in done.changed]) == (frames[2].id, [frames[2].id])
     assert (label.track_id, label.state) == (3, ReviewState.PROPOSED)
     assert np.allclose(label.box.center_m, 2 * truths[1][0].box.center_m - truths[0][0].box.center_m)
     people.history.undo(ANN)
@@ -247,27 +217,46 @@ def test_boxes_are_copied_to_their_predicted_positions(
     detectors, source = knowing("people"), FrameSource(people)
     view = ReadyDetector(detectors.view, detectors.box_kind, Lock())
     fit = box_fitter(people, lambda frame: OpenFrame(source.read(frame)), view)
-    copy_next(people, frames[1].id, people.frames.get(frames[1].id).revision, ANN, fit=fit)
+    copy_next(people, frames[1].id, uid, people.frames.get(frames[1].id).revision, ANN, fit=fit)
     (label,) = people.labels.of_frame(frames[2].id)
     assert iou_3d(label.box, truths[2][0].box) > 0.9
+    with pytest.raises(ConfigError, match="it already has this box"):
+        accept_truth(people, frames[2], truths[2][:1])
+        copy_next(people, frames[1].id, uid, people.frames.get(frames[1].id).revision, ANN)
+    (last,) = accept_truth(people, frames[4], truths[4][:1])
     with pytest.raises(ConfigError, match="last of its recording"):
-        copy_next(people, frames[4].id, 0, ANN)
+        copy_next(people, frames[4].id, last, 1, ANN)
 
 
-def test_an_unknown_label_cannot_be_continued(people: Project, truths: list[list[Truth]]) -> None:
-    frame = people.frames.of()[0]
-    accept_truth(people, frame, truths[0][:1], track_id=None)
+def test_a_copied_box_without_a_track_gets_one_with_one_undo(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    (uid,) = accept_truth(people, frames[0], truths[0][:1], track_id=None)
+    copy_next(people, frames[0].id, uid, 1, ANN)
+    assert people.labels.get(uid).label.track_id == people.labels.of_frame(frames[1].id)[0].track_id == 1
+    people.history.undo(ANN)
+    assert people.labels.get(uid).label.track_id is None
+    assert people.labels.of_frame(frames[1].id) == ()
+
+
+def test_what_cannot_be_copied_is_refused(people: Project, truths: list[list[Truth]]) -> None:
+    frames = people.frames.of()
+    (uid,) = accept_truth(people, frames[0], truths[0][:1], track_id=None)
     with pytest.raises(NotFoundError, match="has no label gone; reload the frame"):
-        copy_next(people, frame.id, 1, ANN, uid="gone")
+        copy_next(people, frames[0].id, "gone", 1, ANN)
+    with pytest.raises(StaleRevisionError):
+        copy_next(people, frames[0].id, uid, 0, ANN)
+    people.frames.finalise(frames[1].id, by_hand(people, frames[1]))
+    with pytest.raises(ConfigError, match="frame 000001 is finalised; reopen it first"):
+        copy_next(people, frames[0].id, uid, 1, ANN)
 
 
 def test_recordings_without_a_time_order_have_no_next_frame(people: Project, truths: list[list[Truth]]) -> None:
     frames = people.frames.of()
-    accept_truth(people, frames[0], truths[0][:1], track_id=None)
+    (uid,) = accept_truth(people, frames[0], truths[0][:1], track_id=None)
     with people.store.write() as connection:
         connection.execute(recordings.update().values(is_sequence=False))
     with pytest.raises(ConfigError, match="the frames of people do not follow each other in time"):
-        copy_next(people, frames[0].id, 1, ANN)
+        copy_next(people, frames[0].id, uid, 1, ANN)
     assert people.labels.of_frame(frames[0].id)[0].track_id is None
     assert people.labels.of_frame(frames[1].id) == ()
     assert link_tracks(people).unordered == ("people",)

@@ -13,6 +13,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.project import NewLabel, Origin, Project, WriteContext
 from annotator.project.event_types import LabelRejected
+from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.drawing import BACKGROUND
 from annotator.recordings import open_recording
@@ -23,7 +24,7 @@ from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.copy_boxes import copy_boxes
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.ortho_views import ortho_views
-from annotator.workflows.workbench.refit import POINTS, RCV, refit, with_axes_like
+from annotator.workflows.workbench.refit import POINTS, RCV, refit
 
 
 @pytest.fixture(scope="module")

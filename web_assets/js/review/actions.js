@@ -3,7 +3,7 @@
 import { h, iconButton } from "../dom.js";
 
 /**
- * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "next" | "draw" | "finalise",
+ * @typedef {Record<"accept" | "reject" | "remove" | "refit" | "flip" | "copy" | "follow" | "draw" | "finalise",
  *     () => unknown> & { gizmo: (mode: Api.Gizmo) => void }} Act
  */
 
@@ -37,7 +37,7 @@ export function createActions(host, act) {
   const refit = button("refit", "Fit again", "G");
   const flip = button("flip", "Turn 90°", "F");
   const copy = button("copy", "Copy previous", "C");
-  const next = button("next", "Propose next", "V");
+  const follow = button("follow", "Follow", "V");
   const draw = button("draw", "New box", "B");
   const remove = iconButton("trash", "Delete the box (Del)", () => act.remove(), { "data-testid": "act-delete" });
   const finalise = h("button", { type: "button", "data-testid": "act-finalise", onclick: () => act.finalise() });
@@ -71,7 +71,7 @@ export function createActions(host, act) {
     h("span", { class: "grow" }),
     draw,
     copy,
-    next,
+    follow,
     finalise,
   );
 
@@ -85,8 +85,9 @@ export function createActions(host, act) {
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
       if (accept.firstChild) accept.firstChild.textContent = isReviewed ? "Next" : "Accept";
       copy.disabled = !frame || frame.frame.previous === null || busy;
-      next.disabled = !frame || frame.frame.next === null || busy;
-      next.title = "Propose boxes in the next frame from this frame's reviewed ones, and go there (V)";
+      follow.disabled = !frame || frame.frame.next === null || !isReviewed || busy;
+      follow.title =
+        "Follow this reviewed box through the recording (V), backward (Shift V), or all of this frame (L, Shift L)";
       draw.disabled = !frame || busy || frame.frame.finalised;
       draw.setAttribute("aria-pressed", String(isDrawing));
       finalise.disabled = !frame || busy;

@@ -15,6 +15,7 @@ import { makeHash } from "../router.js";
 import { createActions } from "./actions.js";
 import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
+import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
 import { createOrthoViews } from "./ortho_views.js";
 import { createQueue } from "./queue.js";
@@ -43,6 +44,10 @@ export function mount(root, app) {
   const queueList = createQueueList(parts.queue, app, queue, { open: (item) => go(item) });
   const boxList = createBoxList(parts.boxes, desk);
   const tracks = createTracks(parts.boxes, app, desk, { open: (item) => go(item) });
+  const follow = createFollow(parts.boxes, app, desk, {
+    open: (item) => go(item),
+    onProgress: () => tracks.refresh(),
+  });
   const image = createImagePanel(parts.image, app, desk, { onDrawn: fitDrawn, onMode: () => showActions() });
   const scene = createScene(parts.scene, app, desk);
   const ortho = createOrthoViews(parts.ortho, app, desk);
@@ -88,7 +93,7 @@ export function mount(root, app) {
       showActions();
     },
     copy,
-    next: () => whenCalm(() => tracks.follow("detect")),
+    follow: () => followOne("forward"),
     draw: () =>
       image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null),
     finalise,
@@ -360,6 +365,17 @@ export function mount(root, app) {
    */
   const whenCalm = (fn) => (loading ? undefined : void fn());
 
+  /** @param {"forward" | "backward"} direction */
+  const followOne = (direction) =>
+    whenCalm(() => {
+      const label = desk.shown;
+      if (label && !label.isNew && isReviewed(label)) void follow.start(direction, label.uid);
+      else app.toast("Select a reviewed box to follow, or accept this one first.", "warn");
+    });
+
+  /** @param {"forward" | "backward"} direction */
+  const followAll = (direction) => whenCalm(() => follow.start(direction, null));
+
   const canDraw = () => app.state.frame !== null && !loading && !app.state.frame.frame.finalised;
 
   /**
@@ -448,8 +464,11 @@ export function mount(root, app) {
       cancel,
       finalise: once(finalise),
       "copy-previous": once(copy),
-      "propose-next": once(act.next),
-      "copy-next": once(() => whenCalm(() => desk.shown && !desk.shown.isNew && tracks.follow("copy", desk.uid))),
+      follow: once(act.follow),
+      "follow-back": once(() => followOne("backward")),
+      "follow-all": once(() => followAll("forward")),
+      "follow-all-back": once(() => followAll("backward")),
+      "copy-next": once(() => whenCalm(() => tracks.copyToNext())),
       interpolate: once(() => whenCalm(() => tracks.interpolate())),
       "interpolate-refit": once(() => whenCalm(() => tracks.interpolate(true))),
       "next-of-track": once(() => whenCalm(() => tracks.step(1))),
@@ -521,6 +540,7 @@ export function mount(root, app) {
     unmount() {
       for (const end of stop) end();
       queue.end();
+      follow.destroy();
       scene.destroy();
       ortho.destroy();
       image.destroy();

@@ -1,6 +1,6 @@
 /**
- * The track of an object: a strip with its boxes, steps to the next and previous one, proposals in the next frame, and
- * proposals between two reviewed boxes. The server does the work (workflows/tracks).
+ * The track of an object: a strip with its boxes, steps to the next and previous one, its box copied to the next frame,
+ * and proposals between two reviewed boxes. The server does the work (workflows/tracks).
  */
 
 import { trackColor } from "../colors.js";
@@ -122,22 +122,22 @@ export function createTracks(host, app, desk, { open }) {
     }
   }
 
-  /**
-   * Proposes boxes in the next frame from this frame's reviewed ones, or copies the box `uid`, and goes there.
-   *
-   * @param {"detect" | "copy"} how
-   * @param {string | null} [uid]
-   */
-  async function follow(how, uid = null) {
-    if (!app.state.frame) return;
+  /** Copies the selected box to the next frame, and goes there. */
+  async function copyToNext() {
+    const label = desk.stored();
+    if (!label || label.isNew) return;
     await desk.flush();
     const { id } = currentFrame(app).frame;
     app.effort.action();
     try {
+      /** @type {Api.CopyNextOut} */
       const done = await desk.enqueue(() =>
-        app.api.change(app.path("frames", id, "follow"), { revision: currentFrame(app).frame.revision, how, uid }),
+        app.api.change(app.path("frames", id, "copy-next"), {
+          revision: currentFrame(app).frame.revision,
+          uid: label.uid,
+        }),
       );
-      app.toast(describe(done, how), done.lost > 0 ? "warn" : "good");
+      app.toast("The box was copied from the previous frame.", "good");
       app.go(makeHash(app.state.route.project, "review", done.frame));
     } catch (error) {
       await refused(error);
@@ -182,15 +182,12 @@ export function createTracks(host, app, desk, { open }) {
     app.toast(error, isStale(error) ? "warn" : undefined);
   }
 
-  return { show, step, follow, interpolate };
-}
+  /** Reads the track again, since other frames may have got boxes. */
+  function refresh() {
+    if (known.key === "") return;
+    known.key = "";
+    void show();
+  }
 
-/**
- * @param {Api.FollowOut} options
- * @param {"detect" | "copy"} asked
- */
-function describe({ proposed, lost, how }, asked) {
-  const text = `${count(proposed, "box", "boxes")} ${how === "copy" ? "copied" : "proposed"} from the previous frame`;
-  if (how !== asked) return `${text}, because no detectors are trained yet.`;
-  return lost > 0 ? `${text}; ${count(lost, "object")} not found.` : `${text}.`;
+  return { show, refresh, step, copyToNext, interpolate };
 }

@@ -1,0 +1,198 @@
+"""Runs that follow objects, each in a thread of the server, at most one per project and operator.
+
+A job would wait behind a training, and would have to start a process first. Here the first box appears at once. Each
+new box is stored at once, and all pages are told.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from annotator.project import Receipt
+from annotator.types.errors import AnnotatorError
+from annotator.web.errors import INTERNAL
+from annotator.web.hub import Hub
+from annotator.web.schemas import Schema
+from annotator.workflows.tracks.follow_run import FollowedTrack, Following, FollowRun
+
+LOG = logging.getLogger("annotator.web")
+
+Direction = Literal["forward", "backward"]
+
+
+class StopJson(Schema):
+    """The frame in which an object was not found, and why."""
+
+    frame: int
+    key: str
+    reason: str
+
+
+class FollowedJson(Schema):
+    """One followed object: its reviewed box, its track (null while it has none), and the result so far."""
+
+    uid: str
+    track_id: int | None
+    label: str
+    boxes: int
+    doubtful: int
+    stops: list[StopJson]
+
+
+class FollowRunJson(Schema):
+    """A run.
+
+    Attributes:
+        number: of the run, counted from the server's start.
+        frame: id of the frame from which objects are followed.
+        has_detector: whether the project's view detector measures the boxes; otherwise they keep the reviewed size.
+        done, total: frames, counted for each object.
+        first: frame id and uid of the first new box, or null.
+        message: why it failed, or null.
+    """
+
+    number: int
+    operator: str
+    frame: int
+    direction: Direction
+    has_detector: bool
+    state: Literal["running", "done", "stopped", "failed", "undone"]
+    done: int
+    total: int
+    tracks: list[FollowedJson]
+    first: tuple[int, str] | None
+    message: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class FollowRequest:
+    """A run to start; `frame_id`, `direction` and `has_detector` as in `FollowRunJson`."""
+
+    run: FollowRun
+    frame_id: int
+    direction: Direction
+    has_detector: bool
+
+
+@dataclass(eq=False)
+class _Running:
+    shown: FollowRunJson
+    action: str
+    stop: threading.Event = field(default_factory=threading.Event)
+    thread: threading.Thread | None = None
+
+
+class FollowRuns:
+    """Starts, stops and remembers runs. Thread-safe."""
+
+    def __init__(self, hub: Hub, public_message: Callable[[str], str]) -> None:
+        self._hub, self._public_message = hub, public_message
+        self._lock, self._starting = threading.Lock(), threading.Lock()
+        self._numbers = 0
+        self._runs: dict[tuple[str, str], _Running] = {}
+
+    def start(self, project: str, operator: str, request: FollowRequest) -> FollowRunJson:
+        """Starts a run; an earlier one of the operator in this project is stopped first."""
+        with self._starting:
+            self.stop(project, operator)
+            with self._lock:
+                self._numbers += 1
+                state = request.run.state
+                shown = FollowRunJson(
+                    number=self._numbers,
+                    operator=operator,
+                    frame=request.frame_id,
+                    direction=request.direction,
+                    has_detector=request.has_detector,
+                    state="running",
+                    done=state.done,
+                    total=state.total,
+                    tracks=_tracks(state, self._public_message),
+                    first=None,
+                    message=None,
+                )
+                running = self._runs[project, operator] = _Running(shown, request.run.action)
+                running.thread = threading.Thread(
+                    target=self._follow, args=(project, running, request.run), name="follow", daemon=True
+                )
+                running.thread.start()
+            return shown
+
+    def latest(self, project: str, operator: str) -> FollowRunJson | None:
+        """The operator's latest run in a project, or None."""
+        with self._lock:
+            running = self._runs.get((project, operator))
+            return None if running is None else running.shown
+
+    def stop(self, project: str, operator: str) -> FollowRunJson | None:
+        """Stops the operator's run, and waits until its last box is stored; its boxes stay."""
+        with self._lock:
+            running = self._runs.get((project, operator))
+        if running is None:
+            return None
+        running.stop.set()
+        if running.thread is not None:
+            running.thread.join()
+        return running.shown
+
+    def forget(self, project: str, operator: str, action: str) -> None:
+        """Forgets the operator's run if it was this action, since its boxes were taken back."""
+        with self._lock:
+            running = self._runs.get((project, operator))
+            if running is not None and running.action == action:
+                del self._runs[project, operator]
+                shown = running.shown.model_copy(update={"state": "undone"})
+                self._hub.send({"type": "follow", "project": project, "run": shown.model_dump(mode="json")})
+
+    def close(self) -> None:
+        """Stops all runs."""
+        with self._lock:
+            keys = list(self._runs)
+        for project, operator in keys:
+            self.stop(project, operator)
+
+    def _follow(self, project: str, running: _Running, run: FollowRun) -> None:
+        def report(state: Following) -> None:
+            self._announce(project, running.shown.operator, state.changed)
+            first = running.shown.first or next(iter(state.proposed), None)
+            self._show(project, running, state, first=first)
+
+        try:
+            end = run.run(report, running.stop.is_set)
+            self._show(project, running, end, state="stopped" if end.done < end.total else "done")
+        except AnnotatorError as error:
+            self._show(project, running, run.state, state="failed", message=self._public_message(str(error)))
+        except Exception:
+            LOG.exception("following in project %s failed", project)
+            self._show(project, running, run.state, state="failed", message=INTERNAL)
+
+    def _announce(self, project: str, operator: str, changed: tuple[tuple[int, Receipt], ...]) -> None:
+        for frame_id, receipt in changed:
+            self._hub.frame_changed(project, frame_id, receipt.revision, operator)
+
+    def _show(self, project: str, running: _Running, now: Following, **changes: object) -> None:
+        """Updates a run, and sends it to the pages of its project."""
+        values = {"done": now.done, "total": now.total, "tracks": _tracks(now, self._public_message), **changes}
+        with self._lock:
+            running.shown = running.shown.model_copy(update=values)
+            self._hub.send({"type": "follow", "project": project, "run": running.shown.model_dump(mode="json")})
+
+
+def _tracks(state: Following, public_message: Callable[[str], str]) -> list[FollowedJson]:
+    return [_track(track, public_message) for track in state.tracks]
+
+
+def _track(track: FollowedTrack, public_message: Callable[[str], str]) -> FollowedJson:
+    stops = [StopJson(frame=at.frame_id, key=at.key, reason=public_message(at.reason)) for at in track.stops]
+    return FollowedJson(
+        uid=track.uid,
+        track_id=track.track_id,
+        label=track.label,
+        boxes=track.boxes,
+        doubtful=track.doubtful,
+        stops=stops,
+    )

@@ -1,0 +1,106 @@
+"""Copies a box to the next frame, moved along its track."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
+from annotator.project.event_types import LabelTracked
+from annotator.project.overview import neighbours, read_page
+from annotator.tracking.config import TrackingConfig
+from annotator.tracking.motion import predicted
+from annotator.types import OrientedBox
+from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks.fit_boxes import FitBox
+from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events
+from annotator.workflows.tracks.times import times_of
+
+
+@dataclass(frozen=True)
+class Copied:
+    """The result of copying a box.
+
+    Attributes:
+        frame_id: the next frame.
+        changed: the changed frames: (frame id, receipt) each.
+    """
+
+    frame_id: int
+    changed: tuple[tuple[int, Receipt], ...]
+
+
+def copy_next(
+    project: Project,
+    frame_id: int,
+    uid: str,
+    revision: int,
+    author: str,
+    *,
+    fit: FitBox | None = None,
+    effort: Effort | None = None,
+) -> Copied:
+    """Proposes a label's box in the next frame, moved along its track; a label without a track gets one.
+
+    Args:
+        uid: the label, reviewed or not.
+        revision: of the frame, as shown to the operator.
+        author: the operator, who can undo this as one action.
+        fit: fits the box to the next frame's points; None = no fit.
+
+    Raises:
+        ConfigError: the recording is not a sequence, there is no next frame, it is finalised, or it has this box.
+        StaleRevisionError: one of the frames was changed in the meantime.
+        NotFoundError, RecordingError, FrameError: no such frame or label, or the next frame cannot be read.
+    """
+    page = read_page(project, frame_id)
+    frame = page.frame
+    recording = project.recordings.get(frame.recording_id)
+    if not recording.is_sequence:
+        raise ConfigError(f"the frames of {recording.name} do not follow each other in time; there is no next one")
+    if frame.revision != revision:
+        raise StaleRevisionError(f"frame {frame.key}", revision, frame.revision)
+    stored = next((label for label in page.labels if label.label.uid == uid), None)
+    if stored is None:
+        raise NotFoundError(f"frame {frame.key} has no label {uid}; reload the frame")
+    next_id = neighbours(project, frame)[1]
+    if next_id is None:
+        raise ConfigError(f"frame {frame.key} is the last of its recording; there is no next frame")
+    next_frame = project.frames.get(next_id)
+    if next_frame.finalised:
+        raise ConfigError(f"frame {next_frame.key} is finalised; reopen it first")
+    label = stored.label
+    box = _moved(project, frame, stored)
+    if fit is not None:
+        box = fit(next_frame, box, label.label)
+    track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
+    payloads = proposal_events(project, next_frame, [NewProposal(label.label, box, track_id)])
+    if not payloads:
+        raise ConfigError(f"nothing was proposed in frame {next_frame.key}: it already has this box")
+    parts: list[FramePart] = [part_of(next_frame, payloads, author, effort)]
+    if label.track_id is None:
+        parts.append(part_of(frame, [LabelTracked(uid=uid, track_id=track_id)], author))
+    receipts = project.log.append_to_frames(parts)
+    changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
+    return Copied(next_frame.id, changed)
+
+
+def _moved(project: Project, frame: StoredFrame, stored: StoredLabel) -> OrientedBox:
+    """Returns a label's box moved to the next frame by the motion of its track's last reviewed boxes."""
+    label = stored.label
+    if label.track_id is None:
+        return label.box
+    frames = [each for each in project.frames.of([frame.recording_id]) if each.index is not None]
+    indices = {each.id: index for index, each in enumerate(frames)}
+    here, config = indices[frame.id], TrackingConfig()
+    earlier = {
+        indices[other.frame_id]: other.label.box
+        for other in project.labels.select(states=REVIEWED, recordings=[frame.recording_id], tracks=[label.track_id])
+        if here - config.max_gap <= indices.get(other.frame_id, here) < here
+    }
+    known = sorted(earlier)[1 - config.motion_boxes :]
+    times = times_of(FrameSource(project).recording(frame.recording_id), frames)
+    boxes = [*(earlier[index] for index in known), label.box]
+    return predicted(boxes, times[np.array([*known, here])].tolist(), float(times[here + 1]))

@@ -1,0 +1,147 @@
+"""Review in a real browser: reviewed boxes are followed through the recording."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from live_server import PATIENCE_S
+from review_desk import Desk
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import NewLabel, WriteContext
+from annotator.rcv.follow_object import Followed, FollowStop
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, ReviewState, Truth
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+@pytest.fixture
+def view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A perfect view detector for all projects."""
+    ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
+    monkeypatch.setattr("annotator.web.routes.tracks.has_own_view", lambda _: True)
+    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
+    """Following waits here before each frame."""
+    passes, step = threading.Semaphore(0), Follower.step
+
+    def wait(follower: Follower, moment: Any) -> Any:
+        assert passes.acquire(timeout=PATIENCE_S)
+        return step(follower, moment)
+
+    monkeypatch.setattr(Follower, "step", wait)
+    return passes
+
+
+def truths(desk: Desk, index: int) -> list[Truth]:
+    recording = open_recording(desk.project.recordings.all()[0].path)
+    return list(load_truth(recording, index, recording.frame(index)))
+
+
+def accept_truth(desk: Desk, index: int, objects: int = 1) -> list[str]:
+    """Accepts the true boxes of a frame with their tracks, in place of its proposals; returns their labels."""
+    frame = desk.project.frames.of()[index]
+    for label in desk.project.labels.of_frame(frame.id):
+        frame = desk.project.frames.get(frame.id)
+        desk.project.labels.delete(frame.id, label.uid, WriteContext(frame.revision, "bob"))
+    new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths(desk, index)[:objects]]
+    context = WriteContext(desk.project.frames.get(frame.id).revision, "bob")
+    return list(desk.project.labels.create(frame.id, new, context).uids)
+
+
+def show(desk: Desk, index: int, uid: str) -> None:
+    """Opens a frame of the project in Review, with a label selected."""
+    page, frame = desk.page, desk.project.frames.of()[index]
+    page.goto(f"/#/{desk.name}/review/{frame.id}?uid={uid}")
+    expect(page.get_by_test_id("frame-position")).to_have_text(f"{index + 1} / 5")
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+    desk.settled()
+
+
+@pytest.mark.usefixtures("view")
+def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
+    desk: Desk, wait_for, gate: threading.Semaphore
+) -> None:
+    page, project = desk.page, desk.project
+    (uid,) = accept_truth(desk, 0)
+    (truth,) = truths(desk, 0)[:1]
+    show(desk, 0, uid)
+    desk.press("v")
+    title = page.get_by_test_id("follow-title")
+    expect(title).to_have_text("Following forward with the project's detector")
+    gate.release()
+    # the first box is shown while following goes on
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    desk.settled()
+    assert desk.label.state is ReviewState.PROPOSED
+    assert desk.label.track_id == truth.track_id
+    assert iou_3d(desk.label.box, truths(desk, 1)[0].box) > 0.7
+    expect(page.get_by_test_id("follow-stop")).to_be_visible()
+    expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 1 box")
+    gate.release(3)
+    expect(title).to_have_text("Followed forward with the project's detector")
+    expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 4 boxes, to the end")
+    expect(page.get_by_test_id("track-tick")).to_have_count(5)
+    expect(page.get_by_test_id("follow-stop")).to_be_hidden()
+    # all of it is one action
+    desk.press("Control+z")
+    expect(page.get_by_test_id("follow")).to_be_hidden()
+    for frame in project.frames.of()[1:]:
+        assert [label for label in project.labels.of_frame(frame.id) if label.track_id == truth.track_id] == []
+
+
+@pytest.mark.usefixtures("view")
+def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, gate: threading.Semaphore) -> None:
+    page = desk.page
+    uid, *_ = accept_truth(desk, 4, 3)
+    show(desk, 4, uid)
+    desk.press("Shift+L")
+    expect(page.get_by_test_id("follow-title")).to_have_text("Following backward with the project's detector")
+    gate.release(3)
+    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
+    expect(page.get_by_test_id("followed")).to_have_count(3)
+    page.get_by_test_id("follow-stop").click()
+    gate.release(3)
+    expect(page.get_by_test_id("follow-title")).to_have_text("Stopped backward with the project's detector")
+    page.get_by_test_id("follow-close").click()
+    expect(page.get_by_test_id("follow")).to_be_hidden()
+    page.reload()
+    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
+
+
+@pytest.mark.usefixtures("view")
+def test_the_operator_goes_to_the_frame_where_an_object_was_lost(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, step, frames = desk.page, Follower.step, desk.project.frames.of()
+
+    def lose(follower: Follower, moment: Any) -> Any:
+        return step(follower, moment) if moment.index < 3 else Followed(None, FollowStop.POINTS)
+
+    monkeypatch.setattr(Follower, "step", lose)
+    (uid,) = accept_truth(desk, 0)
+    show(desk, 0, uid)
+    page.get_by_test_id("act-follow").click()
+    expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+    go = page.get_by_test_id("follow-go")
+    expect(go).to_contain_text(f"{frames[3].key} →")
+    expect(go).to_contain_text("too few points are left")
+    go.click()
+    expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
+
+
+def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> None:
+    (uid,) = accept_truth(desk, 0)
+    show(desk, 0, uid)
+    desk.press("v")
+    expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward by points")
+    expect(desk.page.get_by_test_id("followed")).to_contain_text("4 boxes, to the end")

@@ -1,0 +1,201 @@
+/**
+ * Following reviewed boxes through the recording: the server does it frame by frame, and this panel shows how far it
+ * is, what became of each object, and where the next reviewed box is needed.
+ */
+
+import { trackColor } from "../colors.js";
+import { count, h, iconButton } from "../dom.js";
+import { isStale } from "../errors.js";
+import { currentFrame } from "../frame_state.js";
+
+/** Numbers of the runs that the operator has closed. */
+const closed = new Set();
+
+/**
+ * `open` shows a box, or a frame (uid null). `onProgress` is called after each new box.
+ *
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {Desk} desk
+ * @param {{ open: (target: Target) => unknown, onProgress: () => unknown }} options
+ */
+export function createFollow(host, app, desk, { open, onProgress }) {
+  const title = h("span", { class: "grow", "data-testid": "follow-title" });
+  const bar = h("progress", { max: 1, "aria-label": "Progress" });
+  const stop = h(
+    "button",
+    { type: "button", class: "danger", "data-testid": "follow-stop", onclick: () => void end() },
+    "Stop",
+  );
+  const close = iconButton("close", "Close", () => hide(), { "data-testid": "follow-close" });
+  const list = h("ul", { class: "followed" });
+  const body = h(
+    "div",
+    { class: "follow", hidden: true, role: "status", "data-testid": "follow" },
+    h("div", { class: "row pad" }, title, stop, close),
+    bar,
+    list,
+  );
+  host.append(body);
+  /**
+   * The latest run.
+   *
+   * @type {Api.FollowRunJson | null}
+   */
+  let run = null;
+  /**
+   * The frame where the operator has just begun to follow, and the number of the run once it is known; the page goes to
+   * its first box.
+   *
+   * @type {{ frame: number, number: number | null } | null}
+   */
+  let begun = null;
+
+  const stopEvents = [app.events.on("follow", (message) => take(message.run)), app.events.on("reconnected", load)];
+
+  async function load() {
+    try {
+      /** @type {Api.FollowOut} */
+      const answer = await app.api.get(app.path("follow"));
+      if (answer.run) take(answer.run);
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  /** @param {Api.FollowRunJson} next */
+  function take(next) {
+    if (next.operator !== app.state.operator || closed.has(next.number)) return;
+    // the answer to a request may come after the first events of its run
+    if (run && (next.number < run.number || (next.number === run.number && next.done < run.done))) return;
+    run = next.state === "undone" ? null : next;
+    show();
+    onProgress();
+    visitFirst();
+  }
+
+  /** Goes to the first new box of the run that the operator has just begun, unless the operator has gone elsewhere. */
+  function visitFirst() {
+    if (begun === null || run === null || begun.number !== run.number) return;
+    if (run.first) {
+      const [frame, uid] = run.first;
+      const isStillThere = app.state.frame?.frame.id === begun.frame && !desk.hasDraft;
+      begun = null;
+      if (isStillThere) open({ frame, uid });
+    } else if (run.state !== "running") {
+      begun = null;
+      app.toast(run.message ?? "No box was found; the panel says why.", "warn");
+    }
+  }
+
+  function show() {
+    body.hidden = run === null;
+    if (!run) return;
+    const isRunning = run.state === "running";
+    body.dataset.state = run.state;
+    const how = `${run.direction} ${run.has_detector ? "with the project's detector" : "by points"}`;
+    title.textContent = { running: "Following", done: "Followed", stopped: "Stopped", failed: "Failed", undone: "" }[
+      run.state
+    ].concat(` ${how}`);
+    title.title = title.textContent;
+    stop.hidden = bar.hidden = !isRunning;
+    close.hidden = isRunning;
+    bar.value = run.total > 0 ? run.done / run.total : 1;
+    list.replaceChildren(
+      ...(run.message ? [h("li", { class: "bad" }, run.message)] : []),
+      ...run.tracks.map((track) => trackRow(track, isRunning, open)),
+    );
+  }
+
+  function hide() {
+    if (run) closed.add(run.number);
+    run = null;
+    show();
+  }
+
+  async function end() {
+    stop.disabled = true;
+    try {
+      await app.api.post(app.path("follow", "stop"));
+    } catch (error) {
+      app.toast(error);
+    } finally {
+      stop.disabled = false;
+    }
+  }
+
+  /**
+   * Follows a reviewed box, or all reviewed boxes of the frame (null).
+   *
+   * @param {"forward" | "backward"} direction
+   * @param {string | null} uid
+   */
+  async function start(direction, uid) {
+    if (!app.state.frame) return;
+    await desk.flush();
+    const { id } = currentFrame(app).frame;
+    app.effort.action();
+    const own = { frame: id, number: /** @type {number | null} */ (null) };
+    begun = own;
+    try {
+      /** @type {Api.FollowRunJson} */
+      const answer = await desk.enqueue(() =>
+        app.api.change(app.path("frames", id, "follow"), {
+          revision: currentFrame(app).frame.revision,
+          uid,
+          direction,
+        }),
+      );
+      own.number = answer.number;
+      take(answer);
+      // events of the run may have come before its number
+      visitFirst();
+    } catch (error) {
+      begun = null;
+      if (isStale(error)) app.frames.take(error.body.state);
+      app.toast(error, isStale(error) ? "warn" : undefined);
+    }
+  }
+
+  void load();
+
+  return {
+    start,
+    destroy() {
+      for (const off of stopEvents) off();
+    },
+  };
+}
+
+/**
+ * @param {Api.FollowedJson} track
+ * @param {boolean} isRunning
+ * @param {(target: Target) => unknown} open
+ */
+function trackRow(track, isRunning, open) {
+  const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
+  const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
+  const end = isRunning || track.stops.length > 0 ? "" : ", to the end";
+  const text = h("span", { class: "grow" }, `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
+  if (track.track_id !== null) text.style.color = trackColor(track.track_id);
+  return h(
+    "li",
+    { "data-testid": "followed" },
+    text,
+    ...track.stops.map((at) =>
+      h(
+        "button",
+        {
+          type: "button",
+          class: "stop",
+          title: "Go to this frame and correct or draw the box; then follow it from there",
+          "data-testid": "follow-go",
+          "data-frame": String(at.frame),
+          onclick: () => open({ frame: at.frame, uid: null }),
+        },
+        h("b", {}, `${at.key} →`),
+        ` ${at.reason}`,
+      ),
+    ),
+  );
+}
