@@ -1,6 +1,6 @@
 """One true box followed through a recording, with no other label and no detector.
 
-    python -m benchmarks.follow DIR [--upright | --free] [--seed N] [--json]
+    python -m benchmarks.follow DIR [--upright | --free] [--json]
 
 The first true box of each track is followed to the track's end. A frame for which no box was stored counts as 0.
 `silent_errors` is the share of the stored boxes with an IoU below 0.25 whose doubt (`review_priority`) is below

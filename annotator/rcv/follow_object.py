@@ -62,6 +62,12 @@ class FollowConfig(BaseModel):
     shift: float = Field(
         0.4, gt=0, description="distance around the predicted position at which it is looked for, too, as above"
     )
+    jump_weight: float = Field(
+        1.0,
+        ge=0,
+        description="weight of the distance from the predicted position, per mean side, against the found shares, "
+        "if an object is looked for elsewhere",
+    )
     well_found: float = Field(
         0.8, ge=0, le=1, description="share of the points from which it need not be looked for elsewhere"
     )
@@ -210,7 +216,8 @@ def follow_object(
 @dataclass(frozen=True, eq=False)
 class _Registered:
     """A registered box: the shares of the points of the reviewed and the last look that are found, the number of points
-    inside, and its contact with other points beyond that in the reviewed frame.
+    inside, its contact with other points beyond that in the reviewed frame, and the cost of its distance from the
+    predicted position.
     """
 
     box: OrientedBox
@@ -218,6 +225,12 @@ class _Registered:
     last: float
     points: int
     new_contact: float
+    cost: float
+
+    @property
+    def agreement(self) -> float:
+        """How well it agrees with both looks."""
+        return self.reviewed + self.last - self.cost
 
     def kept(self, last: Look, limits: FollowConfig) -> float:
         """The share of the reviewed object that is still there."""
@@ -254,8 +267,12 @@ def _registration(
                 shares = [share_found(look.xyz_m, cloud, pose, tolerance_m) for look in (reviewed, last)]
                 now = Look.of(around, box)
                 new_contact = float(np.maximum(now.contact - reviewed.contact, 0.0).sum())
-                tried.append(_Registered(box, shares[0], shares[1], now.points, new_contact))
-    return max(tried, key=lambda one: one.reviewed + one.last) if tried else None
+                # what looks alike elsewhere may be another object
+                cost = (
+                    limits.jump_weight * float(np.linalg.norm(pose[1] - start.center_m)) / scale if shift.any() else 0.0
+                )
+                tried.append(_Registered(box, shares[0], shares[1], now.points, new_contact, cost))
+    return max(tried, key=lambda one: one.agreement) if tried else None
 
 
 def _tolerance_m(reviewed: Look, limits: FollowConfig) -> float:
