@@ -16,6 +16,7 @@ from annotator.cli.generate import Preset
 from annotator.cli.options import Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
+from annotator.detection.base_detector import has_base
 from annotator.types.errors import ConfigError
 from annotator.workflows.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
 from annotator.workflows.demo.stages import PROJECT, Progress
@@ -36,9 +37,10 @@ def run(
 ) -> None:
     """Label a generated recording with one 2D box per object; or, with --train, train detectors first.
 
-    Without --train, a simulated operator draws one 2D box around each object of the first frame. The base detector turns
-    them into 3D boxes, which are followed through the recording, reviewed and exported. With --train, the operator
-    draws five 2D boxes per object in every second frame, and two detectors learn from them, which takes minutes.
+    Without --train, a simulated operator draws one 2D box around each object. The base detector turns them into 3D
+    boxes, which are followed through the recording, reviewed and exported. With --train, the operator draws five 2D
+    boxes per object in every second frame, and two detectors learn from them, which takes minutes. An installation
+    without the base detector always trains.
 
     At a terminal, the workbench opens: with the first 3D boxes, or with --train at the end.
 
@@ -60,6 +62,11 @@ def run(
     if not train and options.keys() - {"frames"}:
         raise ConfigError("--image-pictures and --view-pictures belong to the demo with training; add --train")
     root = out if out is not None else _new_folder()
+    if not train and not has_base():
+        print_line(
+            "this installation has no base detector, so the demo trains two detectors first, which takes minutes"
+        )
+        train = True
     opens = not no_serve and _is_interactive()
     if train:
         _with_training(root, TrainedPlan(preset=preset.value, seed=seed, **options), opens=opens)
@@ -79,9 +86,7 @@ def _without_training(root: Path, plan: FirstDragPlan, *, opens: bool) -> None:
         for line in _summary_without_training(root, result):
             print_line(line)
         if opens:
-            print_line("stop the workbench with Ctrl-C")
-            with suppress(KeyboardInterrupt):
-                threading.Event().wait()
+            _wait_for_interrupt()
 
 
 def _with_training(root: Path, plan: TrainedPlan, *, opens: bool) -> None:
@@ -90,9 +95,14 @@ def _with_training(root: Path, plan: TrainedPlan, *, opens: bool) -> None:
     for line in _summary_with_training(root, result):
         print_line(line)
     if opens:
-        with _workbench(root), suppress(KeyboardInterrupt):
-            print_line("stop the workbench with Ctrl-C")
-            threading.Event().wait()
+        with _workbench(root):
+            _wait_for_interrupt()
+
+
+def _wait_for_interrupt() -> None:
+    print_line("stop the workbench with Ctrl-C")
+    with suppress(KeyboardInterrupt):
+        threading.Event().wait()
 
 
 def _workbench(root: Path) -> AbstractContextManager[None]:

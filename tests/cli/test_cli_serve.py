@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -143,18 +143,13 @@ def test_the_demo_opens_the_workbench_only_at_a_terminal(
         on_proposals()
         events.append("follow")
 
-    def interrupted() -> SimpleNamespace:
-        def wait() -> None:
-            raise KeyboardInterrupt
-
-        return SimpleNamespace(wait=wait)
-
+    monkeypatch.setattr(demo_command, "has_base", lambda: True)
     monkeypatch.setattr(demo_command, "run_first_drag", first_drag)
     monkeypatch.setattr(demo_command, "run_trained", lambda *_: events.append("train"))
     monkeypatch.setattr(demo_command, "_summary_without_training", lambda *_: [])
     monkeypatch.setattr(demo_command, "_summary_with_training", lambda *_: [])
     monkeypatch.setattr(demo_command, "_workbench", workbench)
-    monkeypatch.setattr(demo_command.threading, "Event", interrupted)
+    monkeypatch.setattr(demo_command, "_wait_for_interrupt", lambda: events.append("wait"))
     work = "train" if training else "follow"
     monkeypatch.delenv("CI", raising=False)
     assert main(["demo", str(tmp_path / "a"), *training]) == 0
@@ -166,7 +161,7 @@ def test_the_demo_opens_the_workbench_only_at_a_terminal(
     monkeypatch.delenv("CI")
     assert main(["demo", str(tmp_path / "a"), *training]) == 0
     # without training, the first boxes are on the page while the rest is followed
-    assert events[3:] == (["train", "open a", "close"] if training else ["open a", "follow", "close"])
+    assert events[3:] == (["train", "open a", "wait", "close"] if training else ["open a", "follow", "wait", "close"])
 
 
 def test_the_demo_serves_its_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:

@@ -238,6 +238,7 @@ def test_demo_passes_its_options_on_and_checks_them(
 
     monkeypatch.setattr(demo_command, "run_trained", refuse)
     monkeypatch.setattr(demo_command, "run_first_drag", refuse)
+    monkeypatch.setattr(demo_command, "has_base", lambda: True)
     words = ["demo", "there", "--preset", "hands", "--frames", "6", "--seed", "3"]
     assert "not today" in run(capsys, *words, "--train", "--image-pictures", "7", code=2)
     assert "not today" in run(capsys, *words, code=2)
@@ -253,6 +254,10 @@ def test_demo_passes_its_options_on_and_checks_them(
     assert plans[2] == (plans[2][0], FirstDragPlan())
     assert plans[3] == (plans[3][0], TrainedPlan())
     assert plans[2][0].parent == Path("out")
+    monkeypatch.setattr(demo_command, "has_base", lambda: False)
+    main(["demo", "elsewhere"])
+    assert "trains two detectors first" in capsys.readouterr().out
+    assert plans[4] == (Path("elsewhere"), TrainedPlan())
 
 
 # --- errors ----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The demo without training: one 2D box per object, measured by the base detector and followed through the recording."""
+"""The demo without training: one 2D box per object, measured by the base detector and followed."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def run_first_drag(
                 operator.place(stored)
                 tracks += operator.track(stored)
             if tracks and number < len(frames):
-                follow_recording(project, recording, view, AUTHOR, tracks=tracks)
+                follow_recording(project, recording, None, AUTHOR, tracks=tracks)
             report(number, len(frames))
         watch.end("follow and review")
         dataset = export_project(
