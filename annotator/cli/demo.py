@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from tempfile import mkdtemp
 
+from rich.progress import Progress as Bar
 from rich.progress import TaskID
 
 from annotator.cli.generate import Preset
 from annotator.cli.options import Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
+from annotator.detection.base_detector import has_base
 from annotator.types.errors import ConfigError
-from annotator.workflows.demo import PROJECT, DemoPlan, DemoResult, run_demo
+from annotator.workflows.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
+from annotator.workflows.demo.stages import PROJECT, Progress
+from annotator.workflows.demo.trained import TrainedPlan, TrainedResult, run_trained
 
 
 def run(
@@ -22,45 +28,101 @@ def run(
     /,
     *,
     preset: Preset = Preset.PEOPLE,
-    frames: int = DemoPlan.frames,
+    frames: int | None = None,
     seed: Seed = 0,
-    image_pictures: int = DemoPlan.image_pictures,
-    view_pictures: int = DemoPlan.view_pictures,
+    train: bool = False,
+    image_pictures: int | None = None,
+    view_pictures: int | None = None,
     no_serve: bool = False,
 ) -> None:
-    """Run the whole loop on a generated recording: draw boxes, train, propose, score, export.
+    """Label a generated recording with one 2D box per object; or, with --train, train detectors first.
 
-    At a terminal, the workbench opens at the end, ready to review the proposals.
+    Without --train, a simulated operator draws one 2D box around each object. The base detector turns them into 3D
+    boxes, which are followed through the recording, reviewed and exported. With --train, the operator draws five 2D
+    boxes per object in every second frame, and two detectors learn from them, which takes minutes. An installation
+    without the base detector always trains.
+
+    At a terminal, the workbench opens: with the first 3D boxes, or with --train at the end.
 
     Args:
         out: new folder for everything; default: a folder in ./out.
         preset: scene to generate: people who walk, turn and gesture in a room, hands in front of the camera, or objects
             of many shapes on a table or on the floor.
-        frames: number of frames to generate; every second one is labelled.
-        image_pictures: number of training images of the image detector, repeats included.
-        view_pictures: number of training images of the pseudo-view detector, repeats included.
-        no_serve: do not open the workbench at the end.
+        frames: number of frames to generate; default: 24, or 48 with --train.
+        train: train an image detector and a pseudo-view detector.
+        image_pictures: with --train: number of training images of the image detector, repeats included.
+        view_pictures: with --train: number of training images of the pseudo-view detector, repeats included.
+        no_serve: do not open the workbench.
     """
     _require_counts(2, frames=frames)
     _require_counts(1, image_pictures=image_pictures, view_pictures=view_pictures)
     _require_counts(0, seed=seed)
+    given = {"frames": frames, "image_pictures": image_pictures, "view_pictures": view_pictures}
+    options = {name: number for name, number in given.items() if number is not None}
+    if not train and options.keys() - {"frames"}:
+        raise ConfigError("--image-pictures and --view-pictures belong to the demo with training; add --train")
     root = out if out is not None else _new_folder()
-    plan = DemoPlan(
-        preset=preset.value, frames=frames, seed=seed, image_pictures=image_pictures, view_pictures=view_pictures
-    )
+    if not train and not has_base():
+        print_line(
+            "this installation has no base detector, so the demo trains two detectors first, which takes minutes"
+        )
+        train = True
+    opens = not no_serve and _is_interactive()
+    if train:
+        _with_training(root, TrainedPlan(preset=preset.value, seed=seed, **options), opens=opens)
+    else:
+        _without_training(root, FirstDragPlan(preset=preset.value, seed=seed, **options), opens=opens)
+
+
+def _without_training(root: Path, plan: FirstDragPlan, *, opens: bool) -> None:
+    with ExitStack() as workbench:
+
+        def show() -> None:
+            if opens:
+                workbench.enter_context(_workbench(root))
+
+        with progress_bar() as bar:
+            result = run_first_drag(root, plan, _shown_on(bar), show)
+        for line in _summary_without_training(root, result):
+            print_line(line)
+        if opens:
+            _wait_for_interrupt()
+
+
+def _with_training(root: Path, plan: TrainedPlan, *, opens: bool) -> None:
     with progress_bar() as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def progress(stage: str, done: float, total: float) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total, note="")
-            bar.update(tasks[stage], completed=done, total=total)
-
-        result = run_demo(root, plan, progress)
-    for line in _summary(root, result):
+        result = run_trained(root, plan, _shown_on(bar))
+    for line in _summary_with_training(root, result):
         print_line(line)
-    if not no_serve and _is_interactive():
-        _review(root)
+    if opens:
+        with _workbench(root):
+            _wait_for_interrupt()
+
+
+def _wait_for_interrupt() -> None:
+    print_line("stop the workbench with Ctrl-C")
+    with suppress(KeyboardInterrupt):
+        threading.Event().wait()
+
+
+def _workbench(root: Path) -> AbstractContextManager[None]:
+    """The workbench on a free port, with the demo's project."""
+    from annotator.cli.serve import first_page
+    from annotator.web.serve import serving
+    from annotator.web.settings import ServerSettings
+
+    return serving(ServerSettings(root.resolve(), (root,), port=0), first_page(PROJECT, root))
+
+
+def _shown_on(bar: Bar) -> Progress:
+    tasks: dict[str, TaskID] = {}
+
+    def progress(stage: str, done: float, total: float) -> None:
+        if stage not in tasks:
+            tasks[stage] = bar.add_task(stage, total=total, note="")
+        bar.update(tasks[stage], completed=done, total=total)
+
+    return progress
 
 
 def _is_interactive() -> bool:
@@ -68,24 +130,14 @@ def _is_interactive() -> bool:
     return sys.stdin is not None and sys.stdin.isatty() and not os.environ.get("CI")
 
 
-def _review(root: Path) -> None:
-    """Opens the workbench on a free port, with the demo's proposals."""
-    from annotator.cli.serve import first_page
-    from annotator.web.serve import serve
-    from annotator.web.settings import ServerSettings
-
-    print_line("")
-    serve(ServerSettings(root.resolve(), (root,), port=0), first_page(PROJECT, root), open_browser=True, window=False)
-
-
-def _require_counts(least: int, **options: int) -> None:
+def _require_counts(least: int, **options: int | None) -> None:
     """Checks numbers before the work starts; otherwise the demo would fail after minutes.
 
     Raises:
         ConfigError: a number is too small.
     """
     for name, number in options.items():
-        if number < least:
+        if number is not None and number < least:
             raise ConfigError(f"--{name.replace('_', '-')} must be {least} or more, not {number}")
 
 
@@ -95,7 +147,19 @@ def _new_folder() -> Path:
     return Path(mkdtemp(prefix="demo-", dir=parent))
 
 
-def _summary(root: Path, result: DemoResult) -> list[str]:
+def _summary_without_training(root: Path, result: FirstDragResult) -> list[str]:
+    done = result.reviewed
+    return [
+        "",
+        f"drawn      {done.drawn} 2D boxes",
+        f"reviewed   {done.boxes} oriented 3D boxes: {done.accepted} accepted as proposed, {done.adjusted} adjusted, "
+        f"{done.placed} placed by hand; {done.rejected} proposals rejected",
+        f"scored     mean IoU of the proposals before the review: {result.mean_iou:.2f}",
+        *_ending(root, result),
+    ]
+
+
+def _summary_with_training(root: Path, result: TrainedResult) -> list[str]:
     drawn, done = result.drawn, result.annotated
     return [
         "",
@@ -110,6 +174,12 @@ def _summary(root: Path, result: DemoResult) -> list[str]:
             f"({s.objects} objects in {s.frames} frames without labels)"
             for s in result.scores
         ),
+        *_ending(root, result),
+    ]
+
+
+def _ending(root: Path, result: FirstDragResult | TrainedResult) -> list[str]:
+    return [
         f"written    {result.dataset.objects} boxes in {result.dataset.frames} frames",
         f"took       {sum(result.seconds.values()):.0f} s: "
         + ", ".join(f"{name} {seconds:.0f}" for name, seconds in result.seconds.items()),

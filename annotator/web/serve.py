@@ -8,7 +8,8 @@ import sys
 import threading
 import time
 import webbrowser
-from contextlib import closing, suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 
 import uvicorn
@@ -128,6 +129,32 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
             if open_browser:
                 threading.Thread(target=_open, args=(server, address), daemon=True).start()
             server.serve_until_stopped()
+
+
+@contextmanager
+def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None]:
+    """Serves in another thread within the `with` block; prints the URL and opens a browser.
+
+    Args:
+        settings: of an address that needs no token.
+        place: as for `serve`.
+
+    Raises:
+        ConfigError: as `serve`.
+    """
+    with hold_server_lock(settings.projects_root):
+        server = Running(settings)
+        address = link(server.address, settings.token, place)
+        sys.stdout.write(f"the workbench is at {address}\n")
+        sys.stdout.flush()
+        thread = threading.Thread(target=server.serve_until_stopped)
+        thread.start()
+        try:
+            _open(server, address)
+            yield
+        finally:
+            server.stop()
+            thread.join()
 
 
 def _open(server: Running, address: str) -> None:

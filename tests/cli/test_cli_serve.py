@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -123,29 +123,58 @@ def test_closing_the_window_stops_the_server(monkeypatch: pytest.MonkeyPatch) ->
     assert calls == ["http://h/", True, "ended"]
 
 
+@pytest.mark.parametrize("training", [[], ["--train"]])
 def test_the_demo_opens_the_workbench_only_at_a_terminal(
-    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch, training: list[str]
 ) -> None:
-    served: list[Path] = []
+    events: list[str] = []
 
     class Terminal:
         def isatty(self) -> bool:
             return True
 
-    monkeypatch.setattr(demo_command, "run_demo", lambda *_: None)
-    monkeypatch.setattr(demo_command, "_summary", lambda *_: [])
-    monkeypatch.setattr(demo_command, "_review", served.append)
+    @contextmanager
+    def workbench(root: Path) -> Iterator[None]:
+        events.append(f"open {root.name}")
+        yield
+        events.append("close")
+
+    def first_drag(root: Path, plan: object, progress: object, on_proposals: Callable[[], None]) -> None:
+        on_proposals()
+        events.append("follow")
+
+    monkeypatch.setattr(demo_command, "has_base", lambda: True)
+    monkeypatch.setattr(demo_command, "run_first_drag", first_drag)
+    monkeypatch.setattr(demo_command, "run_trained", lambda *_: events.append("train"))
+    monkeypatch.setattr(demo_command, "_summary_without_training", lambda *_: [])
+    monkeypatch.setattr(demo_command, "_summary_with_training", lambda *_: [])
+    monkeypatch.setattr(demo_command, "_workbench", workbench)
+    monkeypatch.setattr(demo_command, "_wait_for_interrupt", lambda: events.append("wait"))
+    work = "train" if training else "follow"
     monkeypatch.delenv("CI", raising=False)
-    assert main(["demo", str(tmp_path / "a")]) == 0
-    assert served == []
+    assert main(["demo", str(tmp_path / "a"), *training]) == 0
     monkeypatch.setattr(sys, "stdin", Terminal())
-    assert main(["demo", str(tmp_path / "a"), "--no-serve"]) == 0
-    assert served == []
-    assert main(["demo", str(tmp_path / "a")]) == 0
-    assert served == [tmp_path / "a"]
+    assert main(["demo", str(tmp_path / "a"), "--no-serve", *training]) == 0
     monkeypatch.setenv("CI", "true")
-    assert main(["demo", str(tmp_path / "a")]) == 0
-    assert len(served) == 1
+    assert main(["demo", str(tmp_path / "a"), *training]) == 0
+    assert events == [work] * 3
+    monkeypatch.delenv("CI")
+    assert main(["demo", str(tmp_path / "a"), *training]) == 0
+    # without training, the first boxes are on the page while the rest is followed
+    assert events[3:] == (["train", "open a", "wait", "close"] if training else ["open a", "follow", "wait", "close"])
+
+
+def test_the_demo_serves_its_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("annotator.web.serve._open", lambda server, address: opened.append(address))
+    create_project(tmp_path, "demo", ("person",)).close()
+    with demo_command._workbench(tmp_path):
+        (address,) = opened
+        assert "demo" in address
+        server = address.split("#")[0]
+        assert httpx.get(server, timeout=20).status_code == 200
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(server, timeout=20)
 
 
 def test_other_addresses_need_a_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:

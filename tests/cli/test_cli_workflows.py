@@ -18,6 +18,8 @@ from annotator.formats.rcv import read_rcv
 from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import ConfigError
+from annotator.workflows.demo.first_drag import FirstDragPlan
+from annotator.workflows.demo.trained import TrainedPlan
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.sources import GivenDetectors
 
@@ -229,20 +231,33 @@ def test_demo_passes_its_options_on_and_checks_them(
 ) -> None:
     plans = []
 
-    def refuse(folder: Path, plan: object, tell: Callable[[str, float, float], None]) -> None:
+    def refuse(folder: Path, plan: object, tell: Callable[[str, float, float], None], *_: object) -> None:
         plans.append((folder, plan))
         tell("train", 1.0, 2.0)
         raise ConfigError("not today")
 
-    monkeypatch.setattr(demo_command, "run_demo", refuse)
-    words = ["demo", "there", "--preset", "hands", "--frames", "6", "--seed", "3", "--image-pictures", "7"]
+    monkeypatch.setattr(demo_command, "run_trained", refuse)
+    monkeypatch.setattr(demo_command, "run_first_drag", refuse)
+    monkeypatch.setattr(demo_command, "has_base", lambda: True)
+    words = ["demo", "there", "--preset", "hands", "--frames", "6", "--seed", "3"]
+    assert "not today" in run(capsys, *words, "--train", "--image-pictures", "7", code=2)
     assert "not today" in run(capsys, *words, code=2)
-    ((folder, plan),) = plans
-    assert (folder, plan.preset, plan.frames, plan.seed, plan.image_pictures) == (Path("there"), "hands", 6, 3, 7)
+    common = {"preset": "hands", "frames": 6, "seed": 3}
+    assert plans == [
+        (Path("there"), TrainedPlan(image_pictures=7, **common)),
+        (Path("there"), FirstDragPlan(**common)),
+    ]
+    assert "add --train" in run(capsys, *words, "--image-pictures", "7", code=2)
     run(capsys, "demo", code=2)
-    run(capsys, "demo", code=2)
+    run(capsys, "demo", "--train", code=2)
     assert len({folder for folder, _ in plans}) == 3, "a new folder each time"
-    assert plans[1][0].parent == Path("out")
+    assert plans[2] == (plans[2][0], FirstDragPlan())
+    assert plans[3] == (plans[3][0], TrainedPlan())
+    assert plans[2][0].parent == Path("out")
+    monkeypatch.setattr(demo_command, "has_base", lambda: False)
+    main(["demo", "elsewhere"])
+    assert "trains two detectors first" in capsys.readouterr().out
+    assert plans[4] == (Path("elsewhere"), TrainedPlan())
 
 
 # --- errors ----------------------------------------------------------------------------------------------------------

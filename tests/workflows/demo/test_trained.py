@@ -1,4 +1,4 @@
-"""A small run of the demo, with a few frames and minimal trainings, produces all results."""
+"""A small run of the demo with training, with a few frames and minimal trainings, produces all results."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from annotator.recordings import open_recording
 from annotator.synthetic import writer
 from annotator.types import DetectorKind, Source
 from annotator.types.errors import ConfigError
-from annotator.workflows import demo
-from annotator.workflows.demo import DemoPlan, run_demo
+from annotator.workflows.demo import trained
+from annotator.workflows.demo.trained import TrainedPlan, run_trained
 from annotator.workflows.training.train import TrainPlan
 
 STAGES = ["generate", "label", "train", "propose", "score and export"]
 
 
-def tiny(plan: DemoPlan) -> TrainPlan:
+def tiny(plan: TrainedPlan) -> TrainPlan:
     """The demo's trainings with 64 pixels and one epoch."""
     full = TRAINING(plan)
     small = {"image_size_px": 64, "epochs": 1}
     return TrainPlan(full.image.model_copy(update=small), full.view.model_copy(update=small), full.samples)
 
 
-TRAINING = demo._training
+TRAINING = trained._training
 
 
 @pytest.mark.slow
@@ -35,15 +35,15 @@ TRAINING = demo._training
 def test_the_demo_runs_all_stages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str, label: str, rotation: BoxRotation
 ) -> None:
-    monkeypatch.setattr(demo, "_training", tiny)
+    monkeypatch.setattr(trained, "_training", tiny)
     told: dict[str, list[float]] = {}
-    plan = DemoPlan(preset=preset, frames=4, image_pictures=16, view_pictures=32)
-    result = run_demo(tmp_path, plan, lambda stage, done, of: told.setdefault(stage, []).append(done / of))
+    plan = TrainedPlan(preset=preset, frames=4, image_pictures=16, view_pictures=32)
+    result = run_trained(tmp_path, plan, lambda stage, done, of: told.setdefault(stage, []).append(done / of))
 
     assert list(result.seconds) == STAGES
     assert all(seconds > 0 for seconds in result.seconds.values())
     assert list(told) == [
-        "ray-cast a room",
+        "ray-cast the recording",
         "draw 2D boxes",
         "train the image detector",
         "train the view detector",
@@ -55,7 +55,7 @@ def test_the_demo_runs_all_stages(
         assert done[-1] == 1, stage
 
     assert (result.drawn.frames, result.drawn.boxes) == (2, 5 * result.drawn.objects)
-    assert [trained.role for trained in result.trained] == [DetectorKind.IMAGE, DetectorKind.VIEW]
+    assert [each.role for each in result.trained] == [DetectorKind.IMAGE, DetectorKind.VIEW]
     assert (result.annotated.done, result.annotated.failed) == (4, [])
     (scores,) = result.scores
     assert (scores.label, scores.frames) == (label, 2), "only unlabelled frames are scored"
@@ -77,7 +77,7 @@ def test_the_demo_runs_all_stages(
 
 
 def test_trainings_have_the_given_lengths() -> None:
-    plan = demo._training(DemoPlan(image_pictures=11, view_pictures=22))
+    plan = trained._training(TrainedPlan(image_pictures=11, view_pictures=22))
     assert (plan.image.pictures_seen, plan.view.pictures_seen) == (11, 22)
 
 
@@ -89,11 +89,11 @@ def test_existing_folders_are_not_overwritten(tmp_path: Path, monkeypatch: pytes
         writer, "_write", lambda *_: pytest.fail("the recording was generated before the folders were checked")
     )
     with pytest.raises(ConfigError, match="exists already; choose another folder"):
-        run_demo(tmp_path, DemoPlan(frames=4), lambda *_: None)
+        run_trained(tmp_path, TrainedPlan(frames=4), lambda *_: None)
     assert (tmp_path / there / "precious").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == [there]
 
 
 def test_an_unknown_preset_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="unknown preset 'cats'"):
-        run_demo(tmp_path, DemoPlan(preset="cats"), lambda *_: None)
+        run_trained(tmp_path, TrainedPlan(preset="cats"), lambda *_: None)
