@@ -59,7 +59,7 @@ class Decision(BaseModel):
         mean_iou: of the new detector; None with fewer than `MIN_OBJECTS` objects.
         compared: the other detectors.
         started_from: what the training started from.
-        outcome: which detector the project uses now, and why, in words.
+        outcome: which detector the project used from then on, and why, in words.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -20,6 +20,8 @@ from annotator.workflows.detectors import UsedModel, base_model, own_model
 from annotator.workflows.training.base_detector import BASE_TRAINING
 from annotator.workflows.training.held_out import MIN_OBJECTS, Decision, HeldOut, Rival, held_out_groups
 
+# View size of a detector that starts from published or random weights, unless another one is configured, pixels.
+DEFAULT_VIEW_PX = 64
 # Length of a training that starts from a detector, and of the first part of a longer one, seconds.
 FIRST_PART_S = 180.0
 # A shorter part is not begun. Drawing the views and measuring count, too.
@@ -41,6 +43,10 @@ class Start:
 
     model: UsedModel | None
     compared: tuple[Rival, ...] = ()
+
+    def view_px(self, config: TrainingConfig) -> int:
+        """Longer side of the views to train on: that of the detector at the start, or the configured one."""
+        return config.image_size_px if self.model is None else read_trained(self.model.path.parent).image_size_px
 
 
 def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig) -> Start:
@@ -126,16 +132,19 @@ class Choice:
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None
         is_better = iou is not None and (self.best_iou is None or iou > self.best_iou)
         if not self.decides:
-            used, reason = new, "used without a measurement, as asked for"
+            used, reason = new, "put into use without a measurement, as asked for"
         elif iou is None and has_base() and self.project.models.active(DetectorKind.VIEW) is None:
             used = base_model()
-            reason = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames: the base detector stays in use"
+            reason = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames: the base detector stayed in use"
         elif iou is None:
-            used, reason = new, f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames: the newest one is used"
+            used, reason = (
+                new,
+                f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames: put into use as the newest",
+            )
         elif is_better or self.best is None:
-            used, reason = new, "the best one on held-out frames, in use now"
+            used, reason = new, "the best one on held-out frames: put into use"
         else:
-            used, reason = self.best, f"no better on held-out frames: the {self.best.described} stays in use"
+            used, reason = self.best, f"no better on held-out frames: the {self.best.described} stayed in use"
         if is_better or self.best is None or iou is None:
             self.best, self.best_iou = new, iou
         self._use(used, model)
@@ -167,15 +176,13 @@ def _candidates(project: Project) -> list[UsedModel]:
 
 
 def _fits(model: UsedModel, config: TrainingConfig) -> bool:
-    """Whether its network is the configured one; an unreadable one does not fit."""
+    """Whether its network is the configured one; any view size fits the default size. An unreadable one never fits."""
     try:
         trained = read_trained(model.path.parent)
     except FormatError:
         return False
-    return model.path.is_file() and (trained.config.model, trained.image_size_px) == (
-        config.model,
-        config.image_size_px,
-    )
+    sizes = (DEFAULT_VIEW_PX, trained.image_size_px)
+    return model.path.is_file() and trained.config.model == config.model and config.image_size_px in sizes
 
 
 def _has_learned(project: Project, model: UsedModel) -> bool:

@@ -23,13 +23,20 @@ from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.agnostic_samples import agnostic_samples, with_generated
 from annotator.workflows.training.held_out import Decision, HeldOut
-from annotator.workflows.training.rounds import FIRST_PART_S, Choice, choose_start, part_seconds, starting_config
+from annotator.workflows.training.rounds import (
+    DEFAULT_VIEW_PX,
+    FIRST_PART_S,
+    Choice,
+    choose_start,
+    part_seconds,
+    starting_config,
+)
 from annotator.workflows.training.run import LeftOut, Ran, Report, Run, Stop, settings_hash
 from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
-VIEW_DEFAULTS = TrainingConfig(image_size_px=64, pictures_seen=48000)
+VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=48000)
 
 # Share of generated views among the training views of a class-agnostic detector (docs/detector_training.md).
 GENERATED_SHARE = 0.5
@@ -110,7 +117,7 @@ def train(
         ConfigError: invalid settings.
         DetectionError: there are no labels to learn from, or the training failed.
     """
-    rcv = plan.rcv or rcv_config(project, view_px=plan.view.image_size_px)
+    rcv_config(project)  # invalid settings are reported before the samples are made
     material = gather(project, roles)
     for role in roles:  # checked before the samples are made, which takes long
         _check_start(project, role, plan.image if role is DetectorKind.IMAGE else plan.view)
@@ -120,7 +127,7 @@ def train(
         if role is DetectorKind.IMAGE:
             results.append(_train_image(project, material, plan, report, stop))
         else:
-            results.append(_ViewTraining(project, material, plan, rcv, report, stop).run())
+            results.append(_ViewTraining(project, material, plan, report, stop).run())
     return results
 
 
@@ -161,10 +168,11 @@ class _ViewTraining:
     project: Project
     material: Material
     plan: TrainPlan
-    rcv: RcvConfig
     report: Report | None
     stop: Stop | None
     left_out: LeftOut = field(default_factory=LeftOut)
+    view_px: int = field(init=False)
+    rcv: RcvConfig = field(init=False)
 
     def run(self) -> Trained:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
@@ -175,7 +183,10 @@ class _ViewTraining:
                 f"{self.material.left_out} pseudo-views whose boxes are not of the majority kind, {self.material.kind}"
             )
         held_out = HeldOut(project, self.material.labels if plan.decides else {})
-        choice = Choice(project, held_out, choose_start(project, held_out, plan.view), plan.decides)
+        start = choose_start(project, held_out, plan.view)
+        self.view_px = start.view_px(plan.view)
+        self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)
+        choice = Choice(project, held_out, start, plan.decides)
         ends: list[float | None] = [None]
         if plan.view.epochs is None and (choice.best is not None or plan.minutes is not None):
             ends = [begin + end for end in accumulate(part_seconds(plan.minutes or FIRST_PART_S / 60))]
@@ -203,14 +214,15 @@ class _ViewTraining:
         samples = self._agnostic_samples(best, drawing) if agnostic and best else self._samples(drawing)
         classes = AGNOSTIC if agnostic else self.project.config.classes
         run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
-        written = run.write(tiled(samples, plan.view.image_size_px))
+        written = run.write(tiled(samples, self.view_px))
         seconds = None
         if end_s is not None:  # the rest of the time is for measuring the result
             seconds = max((end_s - time.perf_counter()) * TRAINING_SHARE, MIN_TRAINING_S)
         if best is None:
             config = plan.view.model_copy(update={"seconds": seconds})
         else:
-            config = starting_config(plan.view, best, seconds, drawing.seed)
+            sized = plan.view.model_copy(update={"image_size_px": self.view_px})
+            config = starting_config(sized, best, seconds, drawing.seed)
         ran = run.train(written, config, report, self.stop)
         return ran, choice.add(ran.model, ran.result.note if best is None else f"starts from the {best.described}")
 
@@ -220,7 +232,7 @@ class _ViewTraining:
     def _agnostic_samples(self, best: UsedModel, drawing: SampleConfig) -> Iterator[TrainingSample]:
         start = load_detector(best.path)
         own = agnostic_samples(self.project, self.material, self.rcv, drawing, start, self.left_out.skip)
-        return with_generated(own, self.plan.generated_share, self.plan.view.image_size_px, drawing.seed)
+        return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
 
 
 def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:

@@ -15,7 +15,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample
 from annotator.detection.manifest import read_manifest
 from annotator.detection.network_file import NetworkDescription, build, write_network
-from annotator.detection.progress import TrainingStoppedError
+from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.trained import TrainedModel, TrainingMetrics, read_trained
 from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig
@@ -73,14 +73,14 @@ def labelled(people: Project, monkeypatch: pytest.MonkeyPatch) -> Project:
     return people
 
 
-def write_model(folder: Path, classes: tuple[str, ...] = AGNOSTIC, weights: bytes = b"weights") -> Path:
+def write_model(folder: Path, size_px: int = 64) -> Path:
     """The files of a finished training."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "detector.safetensors"
-    path.write_bytes(weights)
+    path.write_bytes(b"weights")
     metrics = TrainingMetrics(map50=0.5, map50_95=0.4, precision=0.5, recall=0.5, measured_on="val")
     TrainedModel(
-        role=DetectorKind.VIEW, weights=path, classes=classes, kind=None, image_size_px=64, metrics=metrics, epochs=1,
+        role=DetectorKind.VIEW, weights=path, classes=AGNOSTIC, kind=None, image_size_px=size_px, metrics=metrics, epochs=1,
         seconds=1.0, pretrained=False, note="from random weights", dataset_sha256="", config=CONFIG,
     ).write(folder)  # fmt: skip
     return path
@@ -145,6 +145,16 @@ def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: P
     # weights or a network that the settings name come first
     for changes in ({"pretrained": "never"}, {"model": "yolov8n"}, {"image_size_px": 96}):
         assert choose_start(labelled, measured, CONFIG.model_copy(update=changes)).model is None
+
+
+def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
+    labelled: Project, ious: dict[str, float]
+) -> None:
+    write_model(base_detector.FOLDER, size_px=96)
+    ious["base detector"] = 0.5
+    start = choose_start(labelled, held(labelled), CONFIG)
+    assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)
+    assert choose_start(labelled, held(labelled), CONFIG.model_copy(update={"image_size_px": 128})).model is None
 
 
 def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
@@ -289,3 +299,12 @@ def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: 
     origins = read_manifest(trained.model.path.parent).images_by_origin["train"]
     assert origins["generated"] > 0
     assert own_model(labelled, trained.model).class_agnostic
+
+
+def test_progress_counts_the_parts_and_the_time_of_a_run_with_a_fixed_duration() -> None:
+    step = TrainingProgress(DetectorKind.VIEW, 2, 8, 0, 10, {}, None, None, 30.0, 90.0, "")
+    assert step.share_done == 0.25
+    assert replace(step, part=2, parts=2).share_done == 0.625
+    # the number of epochs is only an estimate
+    assert replace(step, epochs=100, is_timed=True).share_done == 0.25
+    assert replace(step, epoch=8, seconds_left=0.0, is_timed=True).share_done == 1.0

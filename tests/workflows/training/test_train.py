@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from annotator.detection import base_detector
 from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import read_manifest
+from annotator.detection.progress import TrainingProgress
 from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Project, WriteContext
 from annotator.rcv.config import RcvConfig, ViewConfig
@@ -49,7 +49,7 @@ def trainings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str
     def train_detector(dataset: Path, out: Path, config: TrainingConfig, progress, role, stop) -> TrainedModel:
         calls.append((role, dataset, out))
         if progress is not None:
-            progress(SimpleNamespace(role=role))
+            progress(TrainingProgress(role, 1, 1, 0, 1, {}, None, None, 1.0, 0.0, ""))
         out.mkdir(parents=True, exist_ok=True)
         manifest = read_manifest(dataset)
         (out / "detector.pt").write_text(manifest.sha256)
