@@ -80,8 +80,8 @@ def write_model(folder: Path, size_px: int = 64) -> Path:
     path.write_bytes(b"weights")
     metrics = TrainingMetrics(map50=0.5, map50_95=0.4, precision=0.5, recall=0.5, measured_on="val")
     TrainedModel(
-        role=DetectorKind.VIEW, weights=path, classes=AGNOSTIC, kind=None, image_size_px=size_px, metrics=metrics, epochs=1,
-        seconds=1.0, pretrained=False, note="from random weights", dataset_sha256="", config=CONFIG,
+        role=DetectorKind.VIEW, weights=path, classes=AGNOSTIC, kind=None, image_size_px=size_px, metrics=metrics,
+        epochs=1, seconds=1.0, pretrained=False, note="from random weights", dataset_sha256="", config=CONFIG,
     ).write(folder)  # fmt: skip
     return path
 
