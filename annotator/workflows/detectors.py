@@ -15,6 +15,7 @@ from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.gpu.compute import torch_compute
 from annotator.project import Statistics
+from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
 from annotator.rcv.compute import NUMPY, Compute
@@ -23,6 +24,8 @@ from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
 AGNOSTIC = tuple(AGNOSTIC_LABELS.values())
+# Key of a run's settings: where the 2D boxes come from that it lifted to 3D.
+LIFTED_FROM = "lifted from"
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +169,12 @@ def base_titles(project: Project) -> dict[int, str]:
         # a project's own detector is class-agnostic, too, if its training continued the base detector
         if json.loads(run.config).get("class_agnostic") and run.view_detector not in own
     }
+
+
+def lifted_from(run: Run) -> str | None:
+    """The origin of the 2D boxes that a run lifted to 3D; None for a run of an image detector."""
+    origin = json.loads(run.config).get(LIFTED_FROM)
+    return None if origin is None else str(origin)
 
 
 class ReportedStatistics(Statistics):

@@ -103,6 +103,26 @@ def test_objects_of_any_class_are_measured(
     assert len(none.lost) == len(truths)
 
 
+def test_a_detector_of_the_class_sees_no_crops(generated, knowing: Callable[..., Detectors]) -> None:
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    truths = load_truth(recording, 0, frame)
+    boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
+    seen: list[int] = []
+
+    class Counting(AnyClass):
+        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+            seen.append(len(images))
+            return self._detector.detect(images)
+
+    for class_agnostic in (False, True):
+        config = RcvConfig(orientation=Orientation.UPRIGHT).for_detector(BoxKind.BOX, class_agnostic)
+        propose_from_boxes([frame], [boxes], Counting(knowing("people").view), config)
+        first = seen.copy()[0]
+        seen.clear()
+        assert (first == 2 * len(boxes)) is not class_agnostic
+
+
 def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Callable[..., Detectors]) -> None:
     recording = open_recording(generated / "people")
     frame = recording.frame(0)

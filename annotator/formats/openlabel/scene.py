@@ -64,10 +64,12 @@ class Scene:
     Attributes:
         recording: the recording's name.
         generator: program and version.
+        comment: about the boxes, if any.
     """
 
     recording: str
     generator: str
+    comment: str | None = None
     _camera: Pinhole | None = None
     _frames: dict[int, Frame] = field(default_factory=dict)
     _tracks: dict[str, _Track] = field(default_factory=dict)
@@ -100,7 +102,12 @@ class Scene:
         sensor = CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
         return Document(
             openlabel=Content(
-                metadata=Metadata(schema_version=SCHEMA_VERSION, name=self.recording, annotator=self.generator),
+                metadata=Metadata(
+                    schema_version=SCHEMA_VERSION,
+                    name=self.recording,
+                    annotator=self.generator,
+                    comment=self.comment,
+                ),
                 coordinate_systems={
                     BASE: CoordinateSystem(type="local", parent="", children=(CAMERA, CLOUD)),
                     CAMERA: sensor,

@@ -35,6 +35,7 @@ def write_openlabel(
     generator: str,
     image_format: Literal["png", "jpg"] = "png",
     *,
+    comment: str | None = None,
     losses: Losses | None = None,
     overwrite: bool = False,
 ) -> Mapping[str, int]:
@@ -43,6 +44,7 @@ def write_openlabel(
     Args:
         items: the frames, read one by one; if reading one raises, `out` is unchanged.
         generator: program and version.
+        comment: about the boxes, for the metadata of each document.
         losses: counts what the format cannot store; None: not counted.
         overwrite: replace an older export of this format.
 
@@ -56,7 +58,7 @@ def write_openlabel(
             if losses is not None:
                 count_lost(losses, item, (Lost.GRAVITY,))
             frame_id = ids.add(out, item)
-            scene = scenes.setdefault((item.split, item.recording), Scene(item.recording, generator))
+            scene = scenes.setdefault((item.split, item.recording), Scene(item.recording, generator, comment))
             image, cloud = f"images/{frame_id}.{image_format}", f"clouds/{frame_id}.ply"
             with writing(out):
                 folder = part / (item.split or "")

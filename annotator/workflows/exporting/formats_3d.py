@@ -16,7 +16,7 @@ from annotator.formats.openlabel import write_openlabel
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv
 from annotator.formats.sunrgbd.folder import write_sunrgbd
 from annotator.types.errors import ConfigError
-from annotator.workflows.detectors import base_titles
+from annotator.workflows.detectors import base_titles, lifted_from
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.kitti_rows import dont_care_rows
@@ -51,7 +51,11 @@ def _detectors(job: ExportJob) -> tuple[RcvDetector, ...]:
         for used in (("image", run.image_detector), ("view", run.view_detector))
     )
     titles = base_titles(project)
-    names |= {("view", run.view_detector): titles[run.id] for run in project.jobs.all() if run.id in titles}
+    for run in project.jobs.all():
+        if run.id in titles:
+            names["view", run.view_detector] = titles[run.id]
+        if origin := lifted_from(run):
+            names["image", run.image_detector] = origin
     # other detectors that were not trained in the project (as in the benchmarks) have no name
     return tuple(RcvDetector(role=r, name=names.get((r, f), UNREGISTERED), fingerprint=f) for r, f in detectors)
 
@@ -124,11 +128,13 @@ def sunrgbd_folder(job: ExportJob) -> ExportReport:
 
 def openlabel_documents(job: ExportJob) -> ExportReport:
     """Writes OpenLABEL documents, which store each box's rotation, track, score, state and author."""
+    used = [f"{detector.role}: {detector.name}" for detector in _detectors(job)]
     objects = write_openlabel(
         job.out,
         job.items(),
         f"annotator {__version__}",
         job.options.image_format,
+        comment=f"Detectors that proposed boxes: {'; '.join(used)}" if used else None,
         losses=job.losses,
         overwrite=job.overwrite,
     )

@@ -17,6 +17,7 @@ from annotator.project import Project, StoredFrame
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.types import Box2D, Detector, Image
 from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import checked_images
@@ -164,7 +165,7 @@ def lift(
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
     frames = [project.frames.get(frame_id) for frame_id, given in boxes.of_frame.items() if given]
     config, rotation = config.for_detector(view.box_kind, view.class_agnostic), project.config.settings.rotation
-    settings = {**config.record(), "rotation": rotation.value, "method": REVISION, "lifted from": boxes.origin}
+    settings = {**config.record(), "rotation": rotation.value, "method": REVISION, LIFTED_FROM: boxes.origin}
     run = project.jobs.start(
         image_detector=_fingerprint(boxes), view_detector=view.fingerprint, config_json=json.dumps(settings)
     )
