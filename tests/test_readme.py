@@ -36,7 +36,7 @@ class Instead:
 
 INSTEAD: dict[str, Instead] = {
     "scripts/test": Instead(None, "it runs this test"),
-    "scripts/demo": Instead(None, "tests/workflows tries the demo, tests/test_scripts.py the set-up"),
+    "scripts/demo": Instead(None, "tests/demo tries the demo, tests/test_scripts.py the set-up"),
     "annotator serve --folder recordings --open": Instead(
         None, "it goes on until it is stopped; tests/cli/test_cli_serve.py starts and stops it"
     ),

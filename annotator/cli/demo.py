@@ -16,11 +16,11 @@ from annotator.cli.generate import Preset
 from annotator.cli.options import Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
+from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
+from annotator.demo.stages import PROJECT, Progress
+from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained
 from annotator.detection.base_detector import has_base
 from annotator.types.errors import ConfigError
-from annotator.workflows.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
-from annotator.workflows.demo.stages import PROJECT, Progress
-from annotator.workflows.demo.trained import TrainedPlan, TrainedResult, run_trained
 
 
 def run(

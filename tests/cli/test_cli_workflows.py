@@ -13,13 +13,13 @@ from annotator.cli import annotate as annotate_command
 from annotator.cli import demo as demo_command
 from annotator.cli.annotate import SHOWN_FAILURES, summary_lines
 from annotator.cli.main import main
+from annotator.demo.first_drag import FirstDragPlan
+from annotator.demo.trained import TrainedPlan
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
 from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import ConfigError
-from annotator.workflows.demo.first_drag import FirstDragPlan
-from annotator.workflows.demo.trained import TrainedPlan
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.sources import GivenDetectors
 

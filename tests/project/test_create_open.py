@@ -36,7 +36,7 @@ def test_a_new_project_has_its_files(tmp_path: Path) -> None:
         "format_version": 1,
         "created_ns": 123,
         "classes": ["hand"],
-        "settings": {"rotation": "upright", "rcv": {}},
+        "settings": {"rotation": "upright", "rcv": {}, "learn_every": None},
     }
     with open_project(folder) as project:
         assert project.config.classes == ("hand",)

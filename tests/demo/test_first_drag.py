@@ -7,15 +7,15 @@ from threading import Lock
 
 import pytest
 
+from annotator.demo import first_drag
+from annotator.demo.first_drag import FirstDragPlan, run_first_drag
+from annotator.demo.reviewing import GOOD_IOU, SAME_IOU
 from annotator.detection import base_detector
 from annotator.detection.nearest_cluster import NearestCluster
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED, Project, open_project
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
-from annotator.workflows.demo import first_drag
-from annotator.workflows.demo.first_drag import FirstDragPlan, run_first_drag
-from annotator.workflows.demo.reviewing import GOOD_IOU, SAME_IOU
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from annotator.demo import trained
+from annotator.demo.trained import TrainedPlan, run_trained
 from annotator.formats.rcv import read_rcv
 from annotator.project import BoxRotation, open_project
 from annotator.recordings import open_recording
 from annotator.synthetic import writer
 from annotator.types import DetectorKind, Source
 from annotator.types.errors import ConfigError
-from annotator.workflows.demo import trained
-from annotator.workflows.demo.trained import TrainedPlan, run_trained
 from annotator.workflows.training.train import TrainPlan
 
 STAGES = ["generate", "label", "train", "propose", "score and export"]

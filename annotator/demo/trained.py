@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.detection.progress import TrainingProgress
-from annotator.types import BoxKind, DetectorKind
-from annotator.workflows.demo.stages import (
+from annotator.demo.stages import (
     Progress,
     Stopwatch,
     add_recording,
@@ -17,6 +15,8 @@ from annotator.workflows.demo.stages import (
     new_project,
     require_free,
 )
+from annotator.detection.progress import TrainingProgress
+from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.evaluating.demo_scores import Scores, score_project
 from annotator.workflows.exporting import ExportReport, export_project

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.detection.base_detector import has_base
-from annotator.types.errors import DetectionError
-from annotator.workflows.demo.reviewing import Reviewed, SimulatedOperator
-from annotator.workflows.demo.stages import (
+from annotator.demo.reviewing import Reviewed, SimulatedOperator
+from annotator.demo.stages import (
     Progress,
     Stopwatch,
     add_recording,
@@ -21,6 +19,8 @@ from annotator.workflows.demo.stages import (
     new_project,
     require_free,
 )
+from annotator.detection.base_detector import has_base
+from annotator.types.errors import DetectionError
 from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import AUTHOR
