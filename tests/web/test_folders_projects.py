@@ -182,7 +182,7 @@ def test_a_project_can_be_created_and_filled(live: Live, generated: Path, monkey
     assert info["settings"]["rotation"] == "upright"
     assert [entry["name"] for entry in info["recordings"]] == ["people", "hands"]
     assert info["frames"] == 10
-    assert info["detectors"] == {"image": None, "view": None}
+    assert info["detectors"] == {"image": None, "view": None, "stand_in": None}
     assert sum(info["labels_by_state"].values()) == 15
 
     listed = {entry["name"]: entry for entry in client.get("/api/projects").json()["projects"]}

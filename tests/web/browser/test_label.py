@@ -89,8 +89,9 @@ class Bench:
 
     def pull(self, place: int, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drags the dashed box of a view; both points are shares of its width and height."""
-        shown = self.page.get_by_test_id(f"view-{VIEWS[place]}").locator(".box.suggested rect.line").bounding_box()
-        assert shown is not None
+        # in one call, because the editor may draw the box again in between
+        find = "(pane) => pane.querySelector('.box.suggested rect.line').getBoundingClientRect().toJSON()"
+        shown = self.page.get_by_test_id(f"view-{VIEWS[place]}").evaluate(find)
         corner, size = np.array([shown["x"], shown["y"]]), np.array([shown["width"], shown["height"]])
         drag(self.page, tuple(corner + start * size), tuple(corner + end * size))
 
